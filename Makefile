@@ -1,0 +1,69 @@
+# Every target works on a fresh clone: the environment in .venv is made on first
+# use, from requirements.lock alone.
+
+PYTHON ?= python3
+BIN    := .venv/bin
+PY     := $(BIN)/python
+# -qq: errors only.
+PIP    := $(BIN)/pip -qq --disable-pip-version-check
+SOURCES := src tests tools $(wildcard benchmarks examples)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test check bench accuracy format lock clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: .venv/installed ## Map the example drive, draw the map and compare it with the truth
+	@mkdir -p build/demo
+	$(BIN)/fieldgrid build examples/two_lanes -o build/demo/two_lanes.gpkg --overwrite --gnss gnss_rtk.nmea
+	$(BIN)/fieldgrid show build/demo/two_lanes.gpkg -o build/demo/two_lanes.png
+	$(BIN)/fieldgrid evaluate build/demo/two_lanes.gpkg examples/two_lanes/truth
+
+test: .venv/installed ## Run the tests
+	$(PY) -m pytest
+
+check: .venv/installed ## Check style, types, and the code and commands in the documentation
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/mypy --strict src tools
+	$(PY) tools/check_docs.py
+
+bench: .venv/installed ## Measure speed and memory
+	$(PY) -m benchmarks
+
+accuracy: .venv/installed ## Measure the accuracy of the maps
+	$(PY) -m benchmarks.accuracy
+
+format: .venv/installed ## Format the code and fix what can be fixed
+	$(BIN)/ruff check --fix-only $(SOURCES)
+	$(BIN)/ruff format $(SOURCES)
+
+lock: build/uv/bin/uv ## Bring requirements.lock up to date with pyproject.toml (UPGRADE=1: newest versions)
+	build/uv/bin/uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate \
+		--python-version 3.11 --all-extras $(if $(UPGRADE),--upgrade) pyproject.toml -o requirements.lock
+	@! grep -n '://' requirements.lock || { echo "requirements.lock must name no host"; exit 1; }
+
+clean: ## Remove everything made here, .venv included
+	rm -rf .venv build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache src/*.egg-info
+	find src tests tools $(wildcard benchmarks examples) -name __pycache__ -prune -exec rm -rf {} +
+
+# The environment is remade when the lock changes, so that it holds the lock and no more.
+.venv/locked: requirements.lock
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("fieldgrid needs Python 3.11 or newer, not " + sys.version.split()[0] + ": make PYTHON=python3.11")'
+	@echo "Installing the locked requirements into .venv (a minute or so)"
+	@$(PYTHON) -m venv --clear .venv
+	@$(PIP) install --require-hashes -r requirements.lock
+	@touch $@
+
+.venv/installed: .venv/locked pyproject.toml
+	@echo "Installing fieldgrid into .venv, editable"
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@$(BIN)/pip --disable-pip-version-check check >.venv/pip-check || { cat .venv/pip-check; echo "If pyproject.toml has changed: make lock"; exit 1; }
+	@touch $@
+
+build/uv/bin/uv:
+	@echo "Installing uv into build/uv"
+	@$(PYTHON) -m venv build/uv
+	@build/uv/bin/pip -qq --disable-pip-version-check install uv
