@@ -1,0 +1,58 @@
+"""Every error that fieldgrid raises on purpose.
+
+The message of each is one sentence that says what is wrong, quotes the value, and says
+what to do next::
+
+    FieldgridError
+    ├── ConfigError        (ValueError)   a setting that cannot be
+    ├── RecordingError     (ValueError)   a recording that is missing something or unreadable
+    │   └── CalibrationError              a rig that cannot be, or does not fit the images
+    ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
+    ├── DatumError         (ValueError)   a position that does not belong to this datum
+    ├── MapError           (ValueError)   a map file that is foreign, damaged or too new
+    │   ├── MapExistsError (FileExistsError)
+    │   └── MapWriteError  (OSError)      disk full, read-only, locked
+    └── TruthError         (ValueError)   a truth folder that cannot be evaluated against
+"""
+
+from __future__ import annotations
+
+
+class FieldgridError(Exception):
+    """The root: catching it catches everything that fieldgrid raises on purpose."""
+
+
+class ConfigError(FieldgridError, ValueError):
+    """A setting that cannot be: unknown, out of range, or in conflict with another."""
+
+
+class RecordingError(FieldgridError, ValueError):
+    """A recording that is missing something, or holds something unreadable."""
+
+
+class CalibrationError(RecordingError):
+    """A calibration or mounting that cannot be, or does not fit the images."""
+
+
+class GnssError(FieldgridError, ValueError):
+    """No usable fix, or none at the time of the images."""
+
+
+class DatumError(FieldgridError, ValueError):
+    """A datum that cannot be, or a position that does not belong to it."""
+
+
+class MapError(FieldgridError, ValueError):
+    """A map file that is foreign, damaged, or of a newer format."""
+
+
+class MapExistsError(MapError, FileExistsError):
+    """The output exists already, and nothing said that it may be replaced."""
+
+
+class MapWriteError(MapError, OSError):
+    """The map could not be written: disk full, read-only, or locked by another writer."""
+
+
+class TruthError(FieldgridError, ValueError):
+    """A truth folder that a map cannot be evaluated against."""

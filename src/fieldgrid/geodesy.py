@@ -1,0 +1,144 @@
+"""Geodetic positions and the Local Tangent Plane (LTP): WGS84, metres east, north, up.
+
+The plane touches the ellipsoid's normal at a :class:`Datum`, which never changes once a map
+has it. The closed forms below define the LTP; pyproj's topocentric pipeline is the oracle in
+the tests. This is also the only module that uses pyproj: for the coordinate reference system
+that a GIS can open.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import DatumError
+
+_Float64 = npt.NDArray[np.float64]
+
+SEMI_MAJOR_M = 6378137.0
+FLATTENING = 1.0 / 298.257223563
+ECCENTRICITY_SQ = FLATTENING * (2.0 - FLATTENING)
+SEMI_MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)
+
+MAX_DISTANCE_M = 50_000.0
+"""How far from its datum an LTP coordinate is accepted: beyond, "up" is tilted by over 0.45°."""
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """The origin of a Local Tangent Plane: WGS84 latitude, longitude, ellipsoidal height."""
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+
+    def __post_init__(self) -> None:
+        values = (self.lat_deg, self.lon_deg, self.height_m)
+        if not all(math.isfinite(v) for v in values):
+            raise DatumError(f"A datum needs finite numbers, not {values}; check the first fixes.")
+        if not (-90.0 <= self.lat_deg <= 90.0 and -180.0 <= self.lon_deg <= 180.0):
+            raise DatumError(
+                f"Datum latitude {self.lat_deg} and longitude {self.lon_deg} are not on Earth; "
+                "give degrees, latitude first."
+            )
+        if not -1000.0 <= self.height_m <= 10_000.0:
+            raise DatumError(
+                f"Datum height {self.height_m} m is outside -1000..10000 m; "
+                "give the ellipsoidal height in metres."
+            )
+
+    def to_enu(
+        self, lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, height_m: npt.ArrayLike
+    ) -> tuple[_Float64, _Float64, _Float64]:
+        """LTP coordinates (E, N, U) in metres of WGS84 positions; shapes broadcast."""
+        x, y, z = geodetic_to_ecef(lat_deg, lon_deg, height_m)
+        x0, y0, z0 = geodetic_to_ecef(self.lat_deg, self.lon_deg, self.height_m)
+        dx, dy, dz = x - x0, y - y0, z - z0
+        sin_lat, cos_lat, sin_lon, cos_lon = self._axes()
+        east = -sin_lon * dx + cos_lon * dy
+        north = -sin_lat * (cos_lon * dx + sin_lon * dy) + cos_lat * dz
+        up = cos_lat * (cos_lon * dx + sin_lon * dy) + sin_lat * dz
+        return east, north, up
+
+    def to_geodetic(
+        self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, up_m: npt.ArrayLike
+    ) -> tuple[_Float64, _Float64, _Float64]:
+        """WGS84 (latitude°, longitude°, ellipsoidal height m) of LTP coordinates in metres."""
+        east, north, up = (np.asarray(v, dtype=np.float64) for v in (east_m, north_m, up_m))
+        sin_lat, cos_lat, sin_lon, cos_lon = self._axes()
+        x0, y0, z0 = geodetic_to_ecef(self.lat_deg, self.lon_deg, self.height_m)
+        outward = cos_lat * up - sin_lat * north
+        x = x0 - sin_lon * east + cos_lon * outward
+        y = y0 + cos_lon * east + sin_lon * outward
+        z = z0 + cos_lat * north + sin_lat * up
+        return ecef_to_geodetic(x, y, z)
+
+    def tangent_scale(self) -> float:
+        """Scale k_0 that lifts a Transverse Mercator from the ellipsoid to the datum's height."""
+        sin_lat = math.sin(math.radians(self.lat_deg))
+        w_sq = 1.0 - ECCENTRICITY_SQ * sin_lat * sin_lat
+        meridian_m = SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQ) / w_sq**1.5
+        normal_m = SEMI_MAJOR_M / math.sqrt(w_sq)
+        return 1.0 + self.height_m / math.sqrt(meridian_m * normal_m)
+
+    def crs_proj4(self) -> str:
+        """PROJ string of the Transverse Mercator that stands for this LTP in a GIS.
+
+        It differs from the LTP by 0.04 mm at 200 m, 0.5 mm at 2 km and 2.1 mm at 5 km.
+        """
+        return (
+            f"+proj=tmerc +lat_0={self.lat_deg!r} +lon_0={self.lon_deg!r} "
+            f"+k_0={self.tangent_scale()!r} +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+        )
+
+    def crs_wkt(self, version: str = "WKT1_GDAL") -> str:
+        """The same reference system as well-known text, full, for files that carry it."""
+        from pyproj import CRS  # late: the mapping itself never needs PROJ
+
+        name = f"fieldgrid LTP {self.lat_deg:.9f} {self.lon_deg:.9f} {self.height_m:.3f}"
+        crs = CRS.from_proj4(self.crs_proj4()).to_json_dict()
+        crs["name"] = name
+        return str(CRS.from_json_dict(crs).to_wkt(version))
+
+    def _axes(self) -> tuple[float, float, float, float]:
+        lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
+        return math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+
+
+def geodetic_to_ecef(
+    lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, height_m: npt.ArrayLike
+) -> tuple[_Float64, _Float64, _Float64]:
+    """Earth-centred, Earth-fixed (X, Y, Z) in metres of WGS84 positions; shapes broadcast."""
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    height = np.asarray(height_m, dtype=np.float64)
+    sin_lat, cos_lat = np.sin(lat), np.cos(lat)
+    normal = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQ * sin_lat * sin_lat)
+    ring = (normal + height) * cos_lat
+    z = (normal * (1.0 - ECCENTRICITY_SQ) + height) * sin_lat
+    return ring * np.cos(lon), ring * np.sin(lon), z
+
+
+def ecef_to_geodetic(
+    x_m: npt.ArrayLike, y_m: npt.ArrayLike, z_m: npt.ArrayLike
+) -> tuple[_Float64, _Float64, _Float64]:
+    """WGS84 (latitude°, longitude°, height m) of ECEF metres, within 10 km of the surface.
+
+    Bowring's formula; its second pass leaves less than 1e-9 m there.
+    """
+    x, y, z = (np.asarray(v, dtype=np.float64) for v in (x_m, y_m, z_m))
+    ring = np.hypot(x, y)
+    second_ecc_sq = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)
+    reduced = np.arctan2(z * SEMI_MAJOR_M, ring * SEMI_MINOR_M)
+    for _ in range(2):
+        lat = np.arctan2(
+            z + second_ecc_sq * SEMI_MINOR_M * np.sin(reduced) ** 3,
+            ring - ECCENTRICITY_SQ * SEMI_MAJOR_M * np.cos(reduced) ** 3,
+        )
+        reduced = np.arctan2((1.0 - FLATTENING) * np.sin(lat), np.cos(lat))
+    sin_lat, cos_lat = np.sin(lat), np.cos(lat)
+    w = np.sqrt(1.0 - ECCENTRICITY_SQ * sin_lat * sin_lat)
+    height = ring * cos_lat + z * sin_lat - SEMI_MAJOR_M * w
+    return np.degrees(lat), np.degrees(np.arctan2(y, x)), height

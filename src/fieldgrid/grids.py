@@ -1,0 +1,108 @@
+"""The vehicle-fixed local grid: its geometry and its values.
+
+Axes as in the paper: x to the right, symmetric about the vehicle; y forward from the camera;
+the origin is the grid origin of :mod:`fieldgrid.rig`. Arrays are indexed [row, column]: row 0
+is nearest to the vehicle, column 0 is the leftmost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError
+
+OBSTACLE_ABOVE = 100
+"""3D density above which the paper calls a cell a potential obstacle."""
+
+FREE_UP_TO = 50
+"""3D density up to which an observed cell is called free; between the two it is in doubt.
+
+50/255 is the 0.196 that map servers use as their free threshold.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class GridSpec:
+    """n_x x n_y square cells: `width_m` across, centred on the vehicle, `length_m` ahead."""
+
+    width_m: float = 10.0
+    length_m: float = 15.0
+    cell_m: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.cell_m <= 5.0:
+            raise ConfigError(
+                f"A local cell of {self.cell_m} m is outside 0.01..5 m; 0.05 is the paper's."
+            )
+        for name, value in (("width", self.width_m), ("length", self.length_m)):
+            if not (math.isfinite(value) and self.cell_m <= value <= 200.0):
+                raise ConfigError(
+                    f"A local grid's {name} of {value} m is outside {self.cell_m}..200 m; "
+                    "6.65 x 14 and 10 x 15 are usual."
+                )
+            if abs(value / self.cell_m - round(value / self.cell_m)) > 1e-6:
+                raise ConfigError(
+                    f"A local grid's {name} of {value} m is not a whole number of cells of "
+                    f"{self.cell_m} m; change one of them."
+                )
+        if self.n_x * self.n_y > 4_000_000:
+            raise ConfigError(
+                f"A local grid of {self.n_x} x {self.n_y} cells is over 4 million cells; "
+                "take larger cells or a smaller grid."
+            )
+
+    @property
+    def n_x(self) -> int:
+        """Cells across (columns)."""
+        return round(self.width_m / self.cell_m)
+
+    @property
+    def n_y(self) -> int:
+        """Cells ahead (rows)."""
+        return round(self.length_m / self.cell_m)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (n_y, n_x) of the grid's arrays."""
+        return self.n_y, self.n_x
+
+    @property
+    def reach_m(self) -> float:
+        """r_max: from the origin to the farthest corner (Eq. 1, corrected)."""
+        return math.hypot(self.width_m / 2.0, self.length_m)
+
+    def centres_m(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """x of each column's and y of each row's centre, metres in the vehicle frame."""
+        x = (np.arange(self.n_x, dtype=np.float64) + 0.5) * self.cell_m - self.width_m / 2.0
+        y = (np.arange(self.n_y, dtype=np.float64) + 0.5) * self.cell_m
+        return x, y
+
+
+@dataclass(frozen=True, slots=True)
+class LocalGrid:
+    """One frame's 3D density, uint8 [n_y, n_x], and the mask of the cells that were seen.
+
+    0 with `observed` is free ground; without, nothing is known of the cell.
+    """
+
+    spec: GridSpec
+    density: npt.NDArray[np.uint8]
+    observed: npt.NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        for name, array in (("density", self.density), ("observed", self.observed)):
+            if array.shape != self.spec.shape:
+                raise ConfigError(
+                    f"A local grid's {name} has shape {array.shape}, its geometry asks for "
+                    f"{self.spec.shape} (n_y, n_x)."
+                )
+
+    def masked(self, inside: npt.NDArray[np.bool_]) -> LocalGrid:
+        """The same grid with every cell outside the mask [n_y, n_x] unseen."""
+        return LocalGrid(
+            self.spec, np.where(inside, self.density, np.uint8(0)), self.observed & inside
+        )

@@ -1,0 +1,173 @@
+"""The rig: a rectified stereo camera, how it is mounted, and where the antenna sits.
+
+Vehicle frame: x right, y forward, z up, metres. Its origin is the *grid origin*: the point of
+the ground right below the middle of the stereo baseline, when the vehicle stands level.
+Camera frame (optical): x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import CalibrationError
+
+
+@dataclass(frozen=True, slots=True)
+class StereoCamera:
+    """A rectified pair: both images share rows, one focal length and one orientation.
+
+    Depth is z = f·b / (d - d0), with the disparity d = u_left - u_right and
+    d0 = cx - cx_right (0 in most rectifications). Pixel (0, 0) is the centre of the upper
+    left pixel.
+    """
+
+    width_px: int
+    height_px: int
+    focal_px: float
+    cx_px: float
+    cy_px: float
+    baseline_m: float
+    cx_right_px: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (16 <= self.width_px <= 20_000 and 16 <= self.height_px <= 20_000):
+            raise CalibrationError(
+                f"The calibration is for images of {self.width_px} x {self.height_px} px, which "
+                "no camera makes; check image_width and image_height."
+            )
+        if not (math.isfinite(self.focal_px) and 0.1 < self.focal_px / self.width_px < 100.0):
+            raise CalibrationError(
+                f"A focal length of {self.focal_px} px does not fit images {self.width_px} px "
+                "wide; give it in pixels of the rectified image."
+            )
+        if not (math.isfinite(self.baseline_m) and 0.005 <= self.baseline_m <= 10.0):
+            raise CalibrationError(
+                f"A stereo baseline of {self.baseline_m} m is outside 0.005..10 m; the right "
+                "camera's P[3] is -f·b, so a wrong sign or unit there shows here."
+            )
+        for name, value, size in (
+            ("cx", self.cx_px, self.width_px),
+            ("cy", self.cy_px, self.height_px),
+        ):
+            if not (math.isfinite(value) and -size < value < 2 * size):
+                raise CalibrationError(
+                    f"The principal point {name} = {value} px lies far outside the image of "
+                    f"{size} px; check the projection matrix."
+                )
+
+    @property
+    def disparity_offset_px(self) -> float:
+        """d0: the disparity of a point at infinity."""
+        return 0.0 if self.cx_right_px is None else self.cx_px - self.cx_right_px
+
+    @property
+    def focal_baseline_px_m(self) -> float:
+        """f·b, so that depth = f·b / disparity."""
+        return self.focal_px * self.baseline_m
+
+    def range_sigma_m(
+        self, range_m: npt.ArrayLike, disparity_sigma_px: float
+    ) -> npt.NDArray[np.float64]:
+        """1-sigma error of a range in metres: R²·sigma_d / (f·b)."""
+        r = np.asarray(range_m, dtype=np.float64)
+        return r * r * disparity_sigma_px / self.focal_baseline_px_m
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """How the camera sits on the level vehicle.
+
+    `height_m` above the ground; `tilt_deg` down from the horizon; `roll_deg` positive when the
+    right side is down; `yaw_deg` positive when the camera looks to the right of the nose.
+    """
+
+    height_m: float
+    tilt_deg: float
+    roll_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.height_m <= 10.0:
+            raise CalibrationError(
+                f"A camera height of {self.height_m} m above ground is outside 0.1..10 m; "
+                "correct the mounting."
+            )
+        if not -10.0 <= self.tilt_deg <= 75.0:
+            raise CalibrationError(
+                f"A camera tilt of {self.tilt_deg}° is outside -10..75° (down is positive); "
+                "correct the mounting."
+            )
+        if not (abs(self.roll_deg) <= 20.0 and abs(self.yaw_deg) <= 45.0):
+            raise CalibrationError(
+                f"A camera roll of {self.roll_deg}° or yaw of {self.yaw_deg}° is beyond 20° "
+                "or 45°; correct the mounting."
+            )
+
+    def rotation(self) -> npt.NDArray[np.float64]:
+        """R_vehicle_camera, 3 x 3: a direction of the camera frame in the vehicle frame.
+
+        For roll = yaw = 0: x = x_c; y = z_c·cos(tilt) - y_c·sin(tilt);
+        z = -z_c·sin(tilt) - y_c·cos(tilt).
+        """
+        tilt, roll, yaw = (math.radians(v) for v in (self.tilt_deg, self.roll_deg, self.yaw_deg))
+        tilted = np.array(
+            [
+                [1.0, 0.0, 0.0],
+                [0.0, -math.sin(tilt), math.cos(tilt)],
+                [0.0, -math.cos(tilt), -math.sin(tilt)],
+            ]
+        )
+        # Roll about the forward axis (right side down), then yaw about the vertical (clockwise).
+        rolled = np.array(
+            [
+                [math.cos(roll), 0.0, math.sin(roll)],
+                [0.0, 1.0, 0.0],
+                [-math.sin(roll), 0.0, math.cos(roll)],
+            ]
+        )
+        yawed = np.array(
+            [
+                [math.cos(yaw), math.sin(yaw), 0.0],
+                [-math.sin(yaw), math.cos(yaw), 0.0],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        rotation: npt.NDArray[np.float64] = yawed @ rolled @ tilted
+        return rotation
+
+
+@dataclass(frozen=True, slots=True)
+class LeverArm:
+    """A point of the vehicle in the vehicle frame: metres right, forward, up of the grid origin."""
+
+    right_m: float
+    forward_m: float
+    up_m: float
+
+    def __post_init__(self) -> None:
+        values = (self.right_m, self.forward_m, self.up_m)
+        if not all(math.isfinite(v) and abs(v) <= 30.0 for v in values):
+            raise CalibrationError(
+                f"A lever arm of {values} m (right, forward, up) is beyond 30 m; give metres "
+                "from the middle of the stereo baseline."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """Everything about the vehicle that does not change during a drive.
+
+    `antenna` is the phase centre of the GNSS antenna. `rear_axle_forward_m` is the forward
+    coordinate of the axle that does not steer, where course and heading agree; None when it
+    is not known. `image_time_offset_ns` is added to image time stamps to give GNSS time.
+    """
+
+    camera: StereoCamera
+    mount: Mount
+    antenna: LeverArm
+    rear_axle_forward_m: float | None = None
+    image_time_offset_ns: int = 0

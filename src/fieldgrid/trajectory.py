@@ -1,0 +1,163 @@
+"""The trajectory: where the vehicle was, where its nose pointed, how sure that is.
+
+A row a fix, rejected ones included with their reason. Poses are those of the *grid origin*
+(see :mod:`fieldgrid.rig`), in the Local Tangent Plane of one datum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import interpolate_deg
+from fieldgrid.errors import GnssError
+from fieldgrid.geodesy import Datum
+
+MAX_GAP_NS = 1_000_000_000
+"""Accepted fixes may be this far apart for a pose to be interpolated between them."""
+
+
+class Status(StrEnum):
+    """The verdict on a fix or a pose."""
+
+    OK = "ok"
+    REJECTED = "rejected"
+    HELD = "held"
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The grid origin at one instant: LTP metres, heading in degrees, 1-sigma errors.
+
+    A rejected pose keeps its best estimate and says why in `reason`.
+    """
+
+    time_ns: int
+    east_m: float
+    north_m: float
+    up_m: float
+    heading_deg: float
+    position_sigma_m: float
+    heading_sigma_deg: float
+    speed_mps: float
+    status: Status = Status.OK
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses of the grid origin, one per fix, ordered by time. All arrays have length n.
+
+    `heading_source` names how headings were found (recorded, course, constant:DEG).
+    """
+
+    datum: Datum
+    time_ns: npt.NDArray[np.int64]
+    east_m: npt.NDArray[np.float64]
+    north_m: npt.NDArray[np.float64]
+    up_m: npt.NDArray[np.float64]
+    heading_deg: npt.NDArray[np.float64]
+    position_sigma_m: npt.NDArray[np.float64]
+    heading_sigma_deg: npt.NDArray[np.float64]
+    speed_mps: npt.NDArray[np.float64]
+    quality: npt.NDArray[np.int64]
+    status: tuple[Status, ...]
+    reason: tuple[str, ...]
+    heading_source: str
+    accepted: npt.NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+    """Mask of the rows whose verdict is ok."""
+    _ok: npt.NDArray[np.intp] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.time_ns)
+        # Found once: every frame of a drive asks for its pose.
+        accepted = np.array([status is Status.OK for status in self.status], dtype=np.bool_)
+        object.__setattr__(self, "accepted", accepted)
+        object.__setattr__(self, "_ok", np.flatnonzero(accepted))
+        columns = (
+            self.east_m, self.north_m, self.up_m, self.heading_deg, self.position_sigma_m,
+            self.heading_sigma_deg, self.speed_mps, self.quality, self.status, self.reason,
+        )  # fmt: skip
+        if any(len(column) != n for column in columns):
+            raise GnssError("The columns of a trajectory differ in length; build it from fixes.")
+        if np.any(np.diff(self.time_ns) < 0) or np.any(np.diff(self.time_ns[self.accepted]) == 0):
+            raise GnssError("The times of a trajectory must increase; sort and drop duplicates.")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def length_m(self) -> float:
+        """Length of the accepted path in metres."""
+        ok = self.accepted
+        return float(np.sum(np.hypot(np.diff(self.east_m[ok]), np.diff(self.north_m[ok]))))
+
+    def at(self, time_ns: int) -> Pose:
+        """The pose at an instant: linear in position, the shorter way round in heading.
+
+        Between accepted fixes more than `MAX_GAP_NS` apart, or outside all of them, the pose
+        is that of the nearest accepted fix and is rejected, with the reason.
+        """
+        ok = self._ok
+        if ok.size == 0:
+            raise GnssError(
+                "The trajectory has no accepted fix, so no image can be placed; "
+                "look at the reasons for which its fixes were rejected."
+            )
+        after = int(np.searchsorted(self.time_ns[ok], time_ns))
+        if after < ok.size and self.time_ns[ok[after]] == time_ns:
+            return self._row(int(ok[after]))
+        if after == 0 or after == ok.size:
+            nearest = int(ok[min(after, ok.size - 1)])
+            side = "before the first" if after == 0 else "after the last"
+            gap_s = abs(int(self.time_ns[nearest]) - time_ns) / 1e9
+            return self._row(
+                nearest, time_ns, f"{gap_s:.2f} s {side} accepted fix: {self._why(time_ns)}"
+            )
+        return self._between(int(ok[after - 1]), int(ok[after]), time_ns)
+
+    def _between(self, a: int, b: int, time_ns: int) -> Pose:
+        span_ns = int(self.time_ns[b] - self.time_ns[a])
+        share = (time_ns - int(self.time_ns[a])) / span_ns
+        if span_ns > MAX_GAP_NS:
+            reason = f"no accepted fix for {span_ns / 1e9:.2f} s around it: {self._why(time_ns)}"
+            return self._row(a if share < 0.5 else b, time_ns, reason)
+
+        def mix(column: npt.NDArray[np.float64]) -> float:
+            return float((1.0 - share) * column[a] + share * column[b])
+
+        return Pose(
+            time_ns=time_ns,
+            east_m=mix(self.east_m),
+            north_m=mix(self.north_m),
+            up_m=mix(self.up_m),
+            heading_deg=interpolate_deg(
+                float(self.heading_deg[a]), float(self.heading_deg[b]), share
+            ),
+            position_sigma_m=float(max(self.position_sigma_m[a], self.position_sigma_m[b])),
+            heading_sigma_deg=float(max(self.heading_sigma_deg[a], self.heading_sigma_deg[b])),
+            speed_mps=mix(self.speed_mps),
+        )
+
+    def _row(self, k: int, time_ns: int | None = None, reason: str = "") -> Pose:
+        return Pose(
+            time_ns=int(self.time_ns[k]) if time_ns is None else time_ns,
+            east_m=float(self.east_m[k]),
+            north_m=float(self.north_m[k]),
+            up_m=float(self.up_m[k]),
+            heading_deg=float(self.heading_deg[k]),
+            position_sigma_m=float(self.position_sigma_m[k]),
+            heading_sigma_deg=float(self.heading_sigma_deg[k]),
+            speed_mps=float(self.speed_mps[k]),
+            status=Status.REJECTED if reason else Status.OK,
+            reason=reason,
+        )
+
+    def _why(self, time_ns: int) -> str:
+        """The reason of the rejected fix next to an instant, or that there was none."""
+        k = int(np.clip(np.searchsorted(self.time_ns, time_ns), 0, len(self) - 1))
+        neighbours = [i for i in (k - 1, k) if 0 <= i < len(self)]
+        nearest = min(neighbours, key=lambda i: abs(int(self.time_ns[i]) - time_ns))
+        return self.reason[nearest] or "the receiver wrote none"

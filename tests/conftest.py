@@ -1,0 +1,78 @@
+"""What tests of every room share."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from fieldgrid.build import SessionReport
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED_DATA = ROOT / ".." / "shared" / "data"
+TWO_LANES = ROOT / "examples" / "two_lanes"
+
+
+@pytest.fixture
+def shared_data() -> Callable[[str], Path]:
+    """Finds real data by its path below the shared folder, or skips the test."""
+
+    def find(name: str) -> Path:
+        path = SHARED_DATA / name
+        if not path.exists():
+            pytest.skip(f"real data {name} is not beside the repository, in ../shared/data")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def built_two_lanes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SessionReport]:
+    """The map of the whole example, with its RTK log, and the report of the build.
+
+    It is made once: read it, or copy it.
+    """
+    from fieldgrid.build import build_map
+    from fieldgrid.settings import BuildSettings
+
+    out = tmp_path_factory.mktemp("two_lanes") / "vineyard.gpkg"
+    (report,) = build_map([TWO_LANES], out, BuildSettings(), gnss="gnss_rtk.nmea")
+    return out, report
+
+
+@pytest.fixture(scope="session")
+def two_lanes_map(built_two_lanes: tuple[Path, SessionReport]) -> Path:
+    """The path of the map of the whole example; read it, or copy it."""
+    return built_two_lanes[0]
+
+
+@pytest.fixture
+def make_drive(tmp_path: Path) -> Callable[..., Path]:
+    """Makes small recordings out of frames of the example; images are links, to be replaced."""
+
+    def make(name: str = "drive", frames: Iterable[int] = range(3, 6)) -> Path:
+        folder = tmp_path / name
+        for side in ("left", "right", "gnss"):
+            (folder / side).mkdir(parents=True)
+        shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
+        shutil.copy(TWO_LANES / "session.json", folder)
+        shutil.copy(TWO_LANES / "gnss" / "gnss_rtk.nmea", folder / "gnss")
+        with (TWO_LANES / "frames.csv").open(newline="") as table:
+            rows = list(csv.DictReader(table))
+        kept = [rows[k] for k in frames]
+        with (folder / "frames.csv").open("w", newline="") as table:
+            writer = csv.DictWriter(table, rows[0].keys())
+            writer.writeheader()
+            writer.writerows(kept)
+        for row in kept:
+            for side in ("left", "right"):
+                (folder / row[side]).symlink_to(TWO_LANES / row[side])
+        return folder
+
+    return make
