@@ -1,0 +1,112 @@
+"""Files that nobody vouches for: read within bounds, with errors that name them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from fieldgrid.errors import FieldgridError, RecordingError
+
+MAX_TEXT_BYTES = 256 << 20
+
+MIN_TIME_NS = 315_964_800_000_000_000
+"""1980-01-06, when GPS time began: what is stamped earlier is not UTC in nanoseconds."""
+
+_MAX_TIME_NS = 1 << 62  # the year 2116
+_SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
+
+
+def check_regular(path: Path, error: type[FieldgridError] = RecordingError) -> int:
+    """The size in bytes of a regular file; a missing one, a folder or a pipe is an error."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as problem:  # ValueError: a NUL in the name
+        raise _unreadable(path, problem, error) from problem
+    if not stat.S_ISREG(status.st_mode):
+        raise error(f"{path} is not a regular file; put the file itself there.")
+    return status.st_size
+
+
+def read_bytes(
+    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: type[FieldgridError] = RecordingError
+) -> bytes:
+    """The content of a regular file of at most `max_bytes`."""
+    size = check_regular(path, error)
+    if size > max_bytes:
+        raise error(
+            f"{path} has {size} bytes, more than the {max_bytes} that such a file can need; "
+            "check that it is the right file."
+        )
+    try:
+        with path.open("rb") as file:
+            return file.read(max_bytes)
+    except OSError as problem:
+        raise _unreadable(path, problem, error) from problem
+
+
+def read_text(
+    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: type[FieldgridError] = RecordingError
+) -> str:
+    """The content of a UTF-8 text file, with or without a byte order mark."""
+    try:
+        return read_bytes(path, max_bytes, error).decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        raise error(
+            f"{path} is not UTF-8 text: byte {problem.start} cannot be decoded; "
+            "save it as UTF-8, or restore it if it is damaged."
+        ) from problem
+
+
+def read_table(
+    path: Path, required: Sequence[str], error: type[FieldgridError] = RecordingError
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Line number and columns of each row of a CSV file; short and empty cells are ''."""
+    text = read_text(path, error=error)
+    try:
+        rows = csv.reader(io.StringIO(text, newline=""))
+        header = [name.strip() for name in next(rows, [])]
+        for name in required:
+            if name not in header:
+                raise error(
+                    f"{path} has no column {name}; its header must have at least "
+                    f"{', '.join(required)}."
+                )
+        for row in rows:
+            cells = [cell.strip() for cell in row] + [""] * len(header)
+            if any(cells):
+                yield rows.line_num, dict(zip(header, cells, strict=False))
+    except csv.Error as problem:
+        raise error(f"{path} is not a CSV file: {problem}; correct or export it again.") from None
+
+
+def parse_time_ns(row: dict[str, str]) -> int:
+    """UTC nanoseconds of the column time_ns, or of timestamp_utc_s exactly.
+
+    Seconds are never a float on the way, which would be off by 100 ns. ValueError says what
+    is wrong, without the file.
+    """
+    column = "time_ns" if row.get("time_ns") else "timestamp_utc_s"
+    text = row.get(column, "")
+    match = _SECONDS.fullmatch(text)
+    if column == "time_ns":
+        time_ns = int(text) if text.isdecimal() and len(text) <= 20 else -1
+    elif match is not None:
+        fraction = (match[2] or "").ljust(9, "0")[:9]
+        time_ns = int(match[1]) * 1_000_000_000 + int(fraction)
+    else:
+        time_ns = -1
+    if not MIN_TIME_NS <= time_ns <= _MAX_TIME_NS:
+        unit = "nanoseconds" if column == "time_ns" else "seconds"
+        raise ValueError(
+            f"{column} {text!r} is no UTC time after 1980 in {unit} since 1970, without exponent"
+        )
+    return time_ns
+
+
+def _unreadable(path: Path, problem: Exception, error: type[FieldgridError]) -> FieldgridError:
+    why = getattr(problem, "strerror", None) or str(problem)
+    return error(f"{path} cannot be read: {why}; check the path and the disk.")
