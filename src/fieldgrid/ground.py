@@ -1,0 +1,255 @@
+"""The ground under a frame: its plane, refined against the mount, and its local height.
+
+A tilt error is a height error (1° is 26 cm at 15 m), so the plane is fitted per frame. One
+plane is not enough either: a verge 25 cm above the road would become an obstacle. So the
+ground is followed outward from the vehicle, patch by patch, and the slice of the local grid
+is taken above that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.kernel import kernel
+from fieldgrid.rig import Rig
+
+PATCH_M = 0.5
+"""Side of the square patches on which the ground is estimated."""
+
+SAMPLE_STEP_PX = 4
+"""Every fourth pixel of every fourth row is enough for the ground."""
+
+BIN_M, BINS = 0.025, 80
+"""Heights are collected in 80 bins of 2.5 cm, from 1 m below to 1 m above the reference."""
+
+MIN_SAMPLES = 6
+LOW_SHARE = 0.25
+"""The ground of a patch is where the lowest quarter of its points ends: vegetation is above."""
+
+MIN_PATCHES = 12
+"""A plane from fewer ground patches than this is no better than the mount."""
+
+MOUNT_SIGMA = (0.08, math.radians(2.5), math.radians(2.5))
+"""How far height (m), roll and pitch (rad) may be off the mount before the data must insist."""
+
+STEP_UP_M, STEP_DOWN_M = 0.20, 0.35
+"""Ground may rise or fall this much from one patch to the next: kerbs and banks pass, rocks,
+canopies and cars do not."""
+
+_Float32 = npt.NDArray[np.float32]
+_Float64 = npt.NDArray[np.float64]
+
+
+class CameraRays(NamedTuple):
+    """How a pixel becomes a point: P = z·(origin_ray + u·du + v·dv) + offset.
+
+    Each a vector (x right, y forward, z up) in a level frame below the camera; `offset_m` is
+    the left camera's optical centre.
+    """
+
+    origin_ray: _Float32
+    du: _Float32
+    dv: _Float32
+    offset_m: _Float32
+
+
+class GroundPlane(NamedTuple):
+    """The ground plane of one frame and what it corrects.
+
+    `R_level_camera` turns camera axes into the frame that is level with the ground;
+    `height_m` is the camera's height above it. `refined` is False where the mount was kept.
+    """
+
+    R_level_camera: _Float64
+    height_m: float
+    pitch_deg: float
+    roll_deg: float
+    refined: bool
+
+
+def rays(rig: Rig, R_level_camera: _Float64, height_m: float) -> CameraRays:
+    """The rays of the left camera for an attitude and a height above ground."""
+    camera = rig.camera
+    per_px = 1.0 / camera.focal_px
+    left_of_middle = np.array([-camera.baseline_m / 2.0, 0.0, 0.0])
+    vectors = (
+        R_level_camera @ np.array([-camera.cx_px * per_px, -camera.cy_px * per_px, 1.0]),
+        R_level_camera[:, 0] * per_px,
+        R_level_camera[:, 1] * per_px,
+        R_level_camera @ left_of_middle + np.array([0.0, 0.0, height_m]),
+    )
+    return CameraRays(*(vector.astype(np.float32) for vector in vectors))
+
+
+def depth_table(rig: Rig, num_disparities: int, subpixels: int) -> _Float32:
+    """Depth in metres by disparity in subpixels; infinite at 0, which also stands for no match."""
+    disparity = np.arange((num_disparities + 1) * subpixels, dtype=np.float64) / subpixels
+    effective = disparity - rig.camera.disparity_offset_px
+    with np.errstate(divide="ignore"):
+        depth = rig.camera.focal_baseline_px_m / effective
+    depth[effective <= 0.0] = np.inf
+    depth[0] = np.inf
+    return depth.astype(np.float32)
+
+
+def estimate_ground(
+    disparity: npt.NDArray[np.int16],
+    row_start: int,
+    depth_m: _Float32,
+    rig: Rig,
+    half_width_m: float,
+    length_m: float,
+) -> tuple[GroundPlane, npt.NDArray[np.float64]]:
+    """The plane of a frame, and the ground's height above it on patches [ny, nx], metres.
+
+    Patch (0, 0) starts at x = -half_width_m, y = 0. `disparity` is int16 in sixteenths, rows
+    from `row_start`; `depth_m` its depth table.
+    """
+    nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
+    R_mount = rig.mount.rotation()
+    mount_rays = rays(rig, R_mount, rig.mount.height_m)
+    counts = collect_heights(disparity, row_start, depth_m, *mount_rays, half_width_m, nx, ny)
+    c, patches = fit_plane(low_heights(counts), half_width_m, np.array(MOUNT_SIGMA))
+    plane = _levelled(R_mount, rig.mount.height_m, c, patches >= MIN_PATCHES)
+
+    level_rays = rays(rig, plane.R_level_camera, plane.height_m)
+    counts = collect_heights(disparity, row_start, depth_m, *level_rays, half_width_m, nx, ny)
+    return plane, follow_ground(low_heights(counts))
+
+
+def _levelled(R_mount: _Float64, height_m: float, c: _Float64, trusted: bool) -> GroundPlane:
+    """The mount turned by the least rotation that levels the plane z = c0 + c1·x + c2·y."""
+    if not trusted:
+        return GroundPlane(R_mount, height_m, 0.0, 0.0, False)
+    norm = math.sqrt(1.0 + c[1] * c[1] + c[2] * c[2])
+    normal = np.array([-c[1], -c[2], 1.0]) / norm
+    # Rodrigues' formula for the rotation that takes `normal` to the vertical.
+    axis = np.cross(normal, [0.0, 0.0, 1.0])
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    R_level_mount = np.eye(3) + cross + cross @ cross / (1.0 + normal[2])
+    return GroundPlane(
+        R_level_mount @ R_mount,
+        (height_m - float(c[0])) / norm,
+        math.degrees(math.atan(c[2])),
+        math.degrees(math.atan(c[1])),
+        True,
+    )
+
+
+@kernel
+def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
+    """Histogram of heights per patch, int32 [ny, nx, BINS], of every fourth pixel."""
+    counts = np.zeros((ny, nx, BINS), dtype=np.int32)
+    per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
+    x0, middle = offset_m[0] + np.float32(half_width_m), np.float32(BINS / 2)
+    for row in range(0, disparity.shape[0], SAMPLE_STEP_PX):
+        v = np.float32(row + row_start)
+        rx, ry, rz = ray[0] + v * dv[0], ray[1] + v * dv[1], ray[2] + v * dv[2]
+        for u in range(0, disparity.shape[1], SAMPLE_STEP_PX):
+            d = disparity[row, u]
+            if d > 0:
+                depth, uf = depth_m[d], np.float32(u)
+                x = (depth * (rx + uf * du[0]) + x0) * per_patch
+                y = (depth * (ry + uf * du[1]) + offset_m[1]) * per_patch
+                z = (depth * (rz + uf * du[2]) + offset_m[2]) * per_bin + middle
+                if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
+                    counts[int(y), int(x), int(z)] += 1
+    return counts
+
+
+@kernel
+def low_heights(counts):  # type: ignore[no-untyped-def]
+    """Height in metres below which `LOW_SHARE` of each patch's points lie, NaN for too few."""
+    ny, nx = counts.shape[0], counts.shape[1]
+    low = np.full((ny, nx), np.nan)
+    for j in range(ny):
+        for i in range(nx):
+            total = counts[j, i].sum()
+            if total < MIN_SAMPLES:
+                continue
+            target, below, k = LOW_SHARE * total, 0, 0
+            while below + counts[j, i, k] < target:
+                below += counts[j, i, k]
+                k += 1
+            low[j, i] = (k + (target - below) / counts[j, i, k] - BINS / 2) * BIN_M
+    return low
+
+
+@kernel
+def fit_plane(low, half_width_m, mount_sigma):  # type: ignore[no-untyped-def]
+    """Robust plane z = c0 + c1·x + c2·y through the low heights, and how many patches agree.
+
+    Tukey's weights, narrowing over eight rounds; the mount is a prior observation.
+    """
+    ny, nx = low.shape
+    c = np.zeros(3)
+    agreeing = 0
+    for round_ in range(8):
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        for k in range(3):
+            normal[k, k] = 1.0 / mount_sigma[k] ** 2
+        agreeing = 0
+        for j in range(ny):
+            for i in range(nx):
+                if np.isnan(low[j, i]):
+                    continue
+                x, y = (i + 0.5) * PATCH_M - half_width_m, (j + 0.5) * PATCH_M
+                sigma = 0.03 + 0.0004 * y * y
+                cutoff = (0.15 + 0.06 * y) if round_ == 0 else max(6.0 - round_, 2.5) * sigma
+                share = (low[j, i] - (c[0] + c[1] * x + c[2] * y)) / cutoff
+                if abs(share) >= 1.0:
+                    continue
+                agreeing += 1
+                weight = (1.0 - share * share) ** 2 / (sigma * sigma)
+                row = (1.0, x, y)
+                for a in range(3):
+                    right[a] += weight * row[a] * low[j, i]
+                    for b in range(3):
+                        normal[a, b] += weight * row[a] * row[b]
+        c = np.linalg.solve(normal, right).astype(np.float64)
+    return c, agreeing
+
+
+@kernel
+def follow_ground(low):  # type: ignore[no-untyped-def]
+    """Local height of the ground on patches [ny, nx], metres above the plane.
+
+    From the vehicle outward, row by row and from the middle to the sides, each patch's low
+    height is taken as ground if it is within a step of what its inner neighbours predict;
+    otherwise (canopy, car, nothing seen) the prediction stands. Then one light smoothing.
+    """
+    ny, nx = low.shape
+    ground, trust = np.zeros((ny, nx)), np.zeros((ny, nx))
+    for j in range(ny):
+        for k in range(nx):
+            # Middle, then alternately one further left and right.
+            i = nx // 2 + ((k + 1) // 2) * (1 - 2 * (k % 2))
+            if i < 0 or i >= nx:
+                i = nx - 1 - i
+            total, predicted = 0.02, 0.0
+            for dj, di in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1)):
+                jj, ii = j + dj, i + di
+                if jj >= 0 and ii >= 0 and ii < nx:
+                    total += trust[jj, ii]
+                    predicted += trust[jj, ii] * ground[jj, ii]
+            predicted /= total
+            step = low[j, i] - predicted
+            if step < STEP_UP_M and step > -STEP_DOWN_M:  # never, when it is NaN
+                ground[j, i], trust[j, i] = low[j, i], 1.0
+            else:
+                ground[j, i], trust[j, i] = predicted, 0.3 * min(total / 3.0, 1.0)
+    smooth = np.zeros((ny, nx))
+    for j in range(ny):
+        for i in range(nx):
+            total, value = 0.0, 0.0
+            for jj in range(max(j - 1, 0), min(j + 2, ny)):
+                for ii in range(max(i - 1, 0), min(i + 2, nx)):
+                    w = (trust[jj, ii] + 1e-6) * (4.0 if (jj == j and ii == i) else 1.0)
+                    total += w
+                    value += w * ground[jj, ii]
+            smooth[j, i] = value / total
+    return smooth

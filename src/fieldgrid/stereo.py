@@ -1,0 +1,175 @@
+"""Rectified pairs to disparity: OpenCV's matchers, searching only what can land in the grid."""
+
+from __future__ import annotations
+
+import math
+import threading
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from fieldgrid.errors import CalibrationError, ConfigError
+from fieldgrid.rig import Rig, StereoCamera
+
+SUBPIXELS = 16
+"""Disparities are int16 in sixteenths of a pixel, as OpenCV writes them."""
+
+INVALID = np.int16(-SUBPIXELS)
+"""The disparity of a pixel without a match; anything below 0 is one."""
+
+LEVEL_MARGIN_DEG = 4.0
+"""How far the vehicle may pitch before the slice leaves the searched rows."""
+
+
+class MatcherKind(StrEnum):
+    """Which of OpenCV's matchers: from best to fastest on vegetation, sgbm, sgbm3way, bm."""
+
+    SGBM_3WAY = "sgbm3way"
+    SGBM = "sgbm"
+    BM = "bm"
+
+
+class StereoSettings(BaseModel):
+    """How pairs are matched."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    matcher: MatcherKind = MatcherKind.SGBM_3WAY
+    block_px: int | None = Field(
+        default=None, ge=3, le=51, description="Odd; 9 for sgbm3way and sgbm, 15 for bm."
+    )
+    uniqueness_percent: int = Field(default=10, ge=0, le=50)
+    left_right_px: int = Field(default=1, ge=-1, le=10, description="-1 switches the check off.")
+    speckle_px: int = Field(default=100, ge=0, le=10_000, description="Smaller blobs are dropped.")
+    speckle_step_px: int = Field(default=2, ge=1, le=16)
+    disparity_sigma_px: float = Field(default=0.25, gt=0.0, le=5.0)
+    min_range_m: float = Field(default=3.0, gt=0.1, le=50.0)
+
+    def block(self) -> int:
+        """The block size in pixels, the matcher's own when none is set."""
+        block = self.block_px or (15 if self.matcher is MatcherKind.BM else 9)
+        if block % 2 == 0 or (self.matcher is MatcherKind.BM and block < 5):
+            raise ConfigError(
+                f"A block of {block} px does not fit {self.matcher.value}; give an odd number, "
+                "5 or more for bm."
+            )
+        return block
+
+
+class SearchRegion(NamedTuple):
+    """The image rows and the disparities that are searched.
+
+    Disparities start at 0 although nothing so far away lands in the grid: a background that
+    is denied its true disparity is matched to a wrong, near one instead.
+    """
+
+    row_start: int
+    row_stop: int
+    num_disparities: int
+
+
+class Disparity(NamedTuple):
+    """Disparity of the left image's rows `row_start`…, int16 in sixteenths, < 0 invalid."""
+
+    values: npt.NDArray[np.int16]
+    row_start: int
+
+
+class _Matcher(Protocol):
+    def compute(
+        self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]
+    ) -> npt.NDArray[np.int16]: ...
+
+
+def whole_image(camera: StereoCamera, num_disparities: int) -> SearchRegion:
+    """All rows: what a bare matcher searches."""
+    return SearchRegion(0, camera.height_px, num_disparities)
+
+
+def search_region(
+    rig: Rig, settings: StereoSettings, max_height_m: float, max_range_m: float
+) -> SearchRegion:
+    """What can land in a slice up to `max_height_m` above the ground, to `max_range_m`.
+
+    Disparities reach to the point at `min_range_m`. The top row is the highest at which a
+    point of the slice can appear at any range, with a margin for the vehicle's pitch.
+    """
+    camera, mount = rig.camera, rig.mount
+    nearest_px = camera.focal_baseline_px_m / settings.min_range_m + camera.disparity_offset_px
+    num_disparities = max(16, math.ceil(nearest_px / 16.0) * 16)
+    if num_disparities > camera.width_px // 2:
+        raise ConfigError(
+            f"A nearest range of {settings.min_range_m} m asks for {num_disparities} disparities "
+            f"in images {camera.width_px} px wide; give a larger min_range_m."
+        )
+    rise_m = max_height_m - mount.height_m
+    steepest_deg = math.degrees(
+        math.atan2(rise_m, settings.min_range_m if rise_m > 0.0 else max_range_m)
+    )
+    above_axis_deg = steepest_deg + mount.tilt_deg + LEVEL_MARGIN_DEG + abs(mount.roll_deg)
+    top = camera.cy_px - camera.focal_px * math.tan(math.radians(min(above_axis_deg, 80.0)))
+    row_start = int(np.clip(math.floor(top), 0, camera.height_px - 16))
+    return SearchRegion(row_start, camera.height_px, num_disparities)
+
+
+class StereoMatcher:
+    """Matches pairs of one camera; safe to call from several threads."""
+
+    def __init__(self, camera: StereoCamera, settings: StereoSettings, region: SearchRegion):
+        self.camera = camera
+        self.settings = settings
+        self.region = region
+        # OpenCV's matchers keep their buffers, so each thread needs one of its own.
+        self._local = threading.local()
+
+    def disparity(self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]) -> Disparity:
+        """Match two grey images [height, width] of the camera's size.
+
+        Raises CalibrationError when a size differs from the calibration's.
+        """
+        expected = (self.camera.height_px, self.camera.width_px)
+        for side, image in (("left", left), ("right", right)):
+            if image.shape != expected:
+                raise CalibrationError(
+                    f"The {side} image is {image.shape[1]} x {image.shape[0]} px, the "
+                    f"calibration is for {expected[1]} x {expected[0]}; use the calibration of "
+                    "these images."
+                )
+        if not hasattr(self._local, "matcher"):
+            self._local.matcher = make_matcher(self.settings, self.region.num_disparities)
+        rows = slice(self.region.row_start, self.region.row_stop)
+        values = self._local.matcher.compute(left[rows], right[rows])
+        return Disparity(values, self.region.row_start)
+
+
+def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
+    """OpenCV's matcher for these settings, disparities 0 … num_disparities - 1."""
+    block = settings.block()
+    if settings.matcher is MatcherKind.BM:
+        bm = cv2.StereoBM_create(num_disparities, block)
+        bm.setUniquenessRatio(settings.uniqueness_percent)
+        bm.setDisp12MaxDiff(settings.left_right_px)
+        bm.setSpeckleWindowSize(settings.speckle_px)
+        bm.setSpeckleRange(settings.speckle_step_px)
+        return bm  # type: ignore[no-any-return]
+    mode = (
+        cv2.STEREO_SGBM_MODE_SGBM_3WAY
+        if settings.matcher is MatcherKind.SGBM_3WAY
+        else cv2.STEREO_SGBM_MODE_SGBM
+    )
+    return cv2.StereoSGBM_create(  # type: ignore[no-any-return]
+        minDisparity=0,
+        numDisparities=num_disparities,
+        blockSize=block,
+        P1=8 * block * block,
+        P2=32 * block * block,
+        disp12MaxDiff=settings.left_right_px,
+        uniquenessRatio=settings.uniqueness_percent,
+        speckleWindowSize=settings.speckle_px,
+        speckleRange=settings.speckle_step_px,
+        mode=mode,
+    )

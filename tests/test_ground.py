@@ -1,0 +1,261 @@
+"""The ground found in rendered scenes of which it is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldgrid.ground import (
+    PATCH_M,
+    GroundPlane,
+    depth_table,
+    estimate_ground,
+    follow_ground,
+    rays,
+)
+from fieldgrid.rig import Mount, Rig
+from tests.scenes import Box, Ground, paper_rig, render
+
+_Float64 = npt.NDArray[np.float64]
+
+RIG = paper_rig()
+HALF_WIDTH_M, LENGTH_M, DISPARITIES = 5.0, 15.0, 64
+LEVEL = [Ground()]
+
+
+def estimate(
+    things: Sequence[Ground | Box],
+    mount: Mount | None = None,
+    rig: Rig = RIG,
+    noise_px: float = 0.0,
+) -> tuple[GroundPlane, _Float64]:
+    disparity = render(rig, things, DISPARITIES, mount=mount)
+    if noise_px:
+        noise = np.random.default_rng(3).normal(0.0, 16.0 * noise_px, disparity.shape)
+        noisy = np.clip(np.rint(disparity + noise), 1, 16 * DISPARITIES)
+        disparity = np.where(disparity > 0, noisy, disparity).astype(np.int16)
+    table = depth_table(rig, DISPARITIES, 16)
+    return estimate_ground(disparity, 0, table, rig, HALF_WIDTH_M, LENGTH_M)
+
+
+def up_error_deg(plane: GroundPlane, mount: Mount) -> float:
+    """The angle between the vertical that was found and the true one, in camera axes."""
+    found, true = plane.R_level_camera[2], mount.rotation()[2]
+    return math.degrees(math.asin(min(1.0, float(np.linalg.norm(np.cross(found, true))))))
+
+
+def true_heights(
+    plane: GroundPlane, patches: _Float64, mount: Mount
+) -> tuple[_Float64, _Float64, _Float64]:
+    """Where the patches' centres really are: (x, y, z), each [ny, nx], above true level."""
+    ny, nx = patches.shape
+    x, y = np.meshgrid(
+        (np.arange(nx) + 0.5) * PATCH_M - HALF_WIDTH_M, (np.arange(ny) + 0.5) * PATCH_M
+    )
+    level = np.stack([x, y, patches - plane.height_m])
+    in_vehicle = np.tensordot(mount.rotation() @ plane.R_level_camera.T, level, axes=1)
+    return in_vehicle[0], in_vehicle[1], in_vehicle[2] + mount.height_m
+
+
+def seen(x: _Float64, y: _Float64, far_m: float = 12.0) -> npt.NDArray[np.bool_]:
+    """Patches well inside the field of view of the paper's rig."""
+    return (y > 6.0) & (y < far_m) & (np.abs(x) < 0.36 * y)
+
+
+# --- rays and depths
+
+
+@given(st.floats(0.0, 639.0), st.floats(0.0, 479.0), st.floats(2.0, 20.0))
+def test_a_ray_carries_a_pixel_to_its_point(u: float, v: float, depth_m: float) -> None:
+    """Checked by the way back: from the point to the pixel of the left camera."""
+    mount = Mount(2.3, 14.0, 3.0, -6.0)
+    rig = Rig(RIG.camera, mount, RIG.antenna)
+    ray, du, dv, offset = (part.astype(float) for part in rays(rig, mount.rotation(), 2.3))
+    point = depth_m * (ray + u * du + v * dv) + offset
+    x, y, z = mount.rotation().T @ (point - np.array([0.0, 0.0, 2.3])) + np.array([0.1, 0.0, 0.0])
+    assert z == pytest.approx(depth_m, rel=1e-5)
+    assert 320.0 + 780.0 * x / z == pytest.approx(u, abs=0.01)
+    assert 240.0 + 780.0 * y / z == pytest.approx(v, abs=0.01)
+
+
+def test_depths_are_focal_times_baseline_over_disparity() -> None:
+    table = depth_table(RIG, 64, 16)
+    assert len(table) == 65 * 16
+    assert table[16 * 13] == pytest.approx(12.0)
+    assert table[8] == pytest.approx(312.0)
+    assert np.isinf(table[0])
+
+
+@pytest.mark.parametrize("offset_px", [5.0, -5.0])
+def test_depths_mind_the_offset_of_the_right_camera(offset_px: float) -> None:
+    camera = type(RIG.camera)(640, 480, 780.0, 320.0, 240.0, 0.2, 320.0 - offset_px)
+    table = depth_table(Rig(camera, RIG.mount, RIG.antenna), 64, 16)
+    assert table[round(16 * (13 + offset_px))] == pytest.approx(12.0)
+    if offset_px > 0:
+        assert np.isinf(table[: 16 * 5 + 1]).all()
+    assert np.isinf(table[0])
+    assert (table > 0).all()
+
+
+# --- the plane
+
+changes = st.tuples(st.floats(-0.05, 0.05), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
+
+
+@settings(deadline=None, max_examples=15)
+@given(changes)
+def test_a_plane_off_the_mount_is_recovered(change: tuple[float, float, float]) -> None:
+    d_height, d_tilt, d_roll = change
+    mount = Mount(2.8 + d_height, 15.0 + d_tilt, d_roll)
+    plane, patches = estimate(LEVEL, mount)
+    assert plane.refined
+    assert up_error_deg(plane, mount) < 0.15
+    # Heights come in bins of 2.5 cm: ground right on an edge of one is found 2.1 cm off.
+    assert plane.height_m == pytest.approx(mount.height_m, abs=0.022)
+    assert plane.pitch_deg == pytest.approx(d_tilt, abs=0.2)
+    assert plane.roll_deg == pytest.approx(d_roll, abs=0.2)
+    assert np.abs(plane.R_level_camera @ plane.R_level_camera.T - np.eye(3)).max() < 1e-9
+    x, y, z = true_heights(plane, patches, mount)
+    assert np.abs(z[seen(x, y)]).max() < 0.03
+
+
+@settings(deadline=None, max_examples=10)
+@given(changes)
+def test_noisy_disparities_spoil_the_plane_little(change: tuple[float, float, float]) -> None:
+    mount = Mount(2.8 + change[0], 15.0 + change[1], change[2])
+    plane, patches = estimate(LEVEL, mount, noise_px=0.25)
+    assert plane.refined
+    assert up_error_deg(plane, mount) < 0.3
+    assert plane.height_m == pytest.approx(mount.height_m, abs=0.02)
+    x, y, z = true_heights(plane, patches, mount)
+    assert np.abs(z[seen(x, y)]).max() < 0.08
+
+
+def test_levelling_does_not_turn_the_vehicle() -> None:
+    mount = Mount(2.8, 16.5, 1.5)
+    plane, _ = estimate(LEVEL, mount)
+    ahead = plane.R_level_camera @ mount.rotation().T @ np.array([0.0, 1.0, 0.0])
+    assert abs(math.degrees(math.atan2(ahead[0], ahead[1]))) < 1.0
+
+
+def test_a_canopy_does_not_lift_the_plane() -> None:
+    rows = [Box((side, side + 0.8), (3.0, 16.0), (0.0, 1.6)) for side in (-2.4, 1.6)]
+    mount = Mount(2.83, 14.2, 0.8)
+    plane, _ = estimate([Ground(), *rows], mount, noise_px=0.25)
+    assert plane.refined
+    assert up_error_deg(plane, mount) < 0.3
+    assert plane.height_m == pytest.approx(2.83, abs=0.04)
+
+
+# --- following the ground
+
+
+def test_a_raised_verge_is_followed() -> None:
+    """A road, a bank of 25 cm over 0.75 m, and the verge on top of it."""
+    road = Ground(x_to_m=1.25)
+    bank = Ground(height_m=-1.25 / 3.0, slope_x=1.0 / 3.0, x_from_m=1.25, x_to_m=2.0)
+    verge = Ground(height_m=0.25, x_from_m=2.0)
+    mount = RIG.mount
+    plane, patches = estimate([road, bank, verge], mount)
+    x, y, z = true_heights(plane, patches, mount)
+    inside = seen(x, y)
+    on_verge, on_road = inside & (x > 2.3), inside & (x < 0.9)
+    assert on_verge.sum() > 10
+    assert on_road.sum() > 50
+    assert np.abs(z[on_verge] - 0.25).max() < 0.05
+    assert np.abs(z[on_road]).max() < 0.05
+
+
+@pytest.mark.parametrize("slope", [0.08, -0.08])
+def test_ground_that_bends_away_is_followed(slope: float) -> None:
+    """The patches carry what one plane cannot: a slope that begins 9 m ahead."""
+    mount = RIG.mount
+    bend = Ground(height_m=-9.0 * slope, slope_y=slope)
+    things = [Ground(), bend]
+    # Nearer wins where the ground rises; where it falls away, the farther of the two planes.
+    nearer_or_farther = np.maximum if slope > 0 else np.minimum
+    image = nearer_or_farther(*(render(RIG, [thing], DISPARITIES) for thing in things))
+    table = depth_table(RIG, DISPARITIES, 16)
+    plane, patches = estimate_ground(image, 0, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    x, y, z = true_heights(plane, patches, mount)
+    expected = np.where(y > 9.0, slope * (y - 9.0), 0.0)
+    inside = seen(x, y, 13.0)
+    assert np.abs((z - expected)[inside]).max() < 0.06
+
+
+def test_a_box_is_not_taken_for_ground() -> None:
+    box = Box((-1.0, 1.0), (8.0, 10.0), (0.0, 1.0))
+    plane, patches = estimate([Ground(), box])
+    assert up_error_deg(plane, RIG.mount) < 0.3
+    x, y, z = true_heights(plane, patches, RIG.mount)
+    under = (np.abs(x) < 1.0) & (y > 8.0) & (y < 10.0)
+    assert under.sum() >= 12
+    assert np.abs(z[under]).max() < 0.1
+    assert np.abs(z[seen(x, y)]).max() < 0.1
+
+
+def test_a_step_is_ground_up_to_a_limit() -> None:
+    low = np.zeros((6, 9))
+    low[:, 6:] = 0.15  # a kerb
+    assert follow_ground(low)[:, 7:] == pytest.approx(0.15, abs=0.03)
+    low[:, 6:] = 0.6  # a wall
+    assert np.abs(follow_ground(low)).max() < 0.01
+    low[:, 6:] = -0.25  # a bank down
+    assert follow_ground(low)[:, 7:] == pytest.approx(-0.25, abs=0.04)
+
+
+def test_an_unseen_patch_takes_the_height_of_its_neighbours() -> None:
+    low = np.full((8, 9), 0.1)
+    low[3:5, 2:6] = np.nan
+    assert follow_ground(low)[1:, :] == pytest.approx(0.1, abs=0.02)
+
+
+def test_heights_do_not_depend_on_left_and_right() -> None:
+    low = np.random.default_rng(0).uniform(-0.05, 0.05, (8, 9))
+    low[:, 7:] += 0.12
+    mirrored = follow_ground(low[:, ::-1].copy())[:, ::-1]
+    # The middle goes first and its right before its left: alike, not the same.
+    assert mirrored == pytest.approx(follow_ground(low), abs=0.02)
+
+
+# --- nothing to see
+
+
+def test_without_data_the_mount_is_kept() -> None:
+    empty = np.full((480, 640), -16, dtype=np.int16)
+    table = depth_table(RIG, DISPARITIES, 16)
+    plane, patches = estimate_ground(empty, 0, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    assert not plane.refined
+    assert np.array_equal(plane.R_level_camera, RIG.mount.rotation())
+    assert plane.height_m == 2.8
+    assert (plane.pitch_deg, plane.roll_deg) == (0.0, 0.0)
+    assert patches.shape == (30, 20)
+    assert not patches.any()
+
+
+def test_a_scrap_of_ground_does_not_overrule_the_mount() -> None:
+    disparity = render(RIG, LEVEL, DISPARITIES, mount=Mount(2.8, 17.0))
+    scrap = np.full_like(disparity, -16)
+    scrap[300:330, 300:340] = disparity[300:330, 300:340]
+    table = depth_table(RIG, DISPARITIES, 16)
+    plane, _ = estimate_ground(scrap, 0, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    assert not plane.refined
+    assert plane.height_m == 2.8
+
+
+def test_the_first_row_is_minded() -> None:
+    whole = render(RIG, LEVEL, DISPARITIES, mount=Mount(2.83, 15.8))
+    table = depth_table(RIG, DISPARITIES, 16)
+    start = 90  # a multiple of the sampling step, so that the same rows are read
+    a, _ = estimate_ground(whole, 0, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    cut = render(RIG, LEVEL, DISPARITIES, row_start=start, mount=Mount(2.83, 15.8))
+    assert np.array_equal(cut, whole[start:])
+    b, _ = estimate_ground(cut, start, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    assert b.height_m == pytest.approx(a.height_m, abs=0.01)
+    assert b.pitch_deg == pytest.approx(a.pitch_deg, abs=0.05)

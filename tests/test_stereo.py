@@ -1,0 +1,227 @@
+"""Matching, and what part of the images and disparities is searched."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from fieldgrid.errors import CalibrationError, ConfigError
+from fieldgrid.rig import Mount, Rig, StereoCamera
+from fieldgrid.stereo import (
+    INVALID,
+    MatcherKind,
+    SearchRegion,
+    StereoMatcher,
+    StereoSettings,
+    search_region,
+    whole_image,
+)
+from tests.scenes import paper_rig
+
+SMALL = StereoCamera(240, 120, 200.0, 120.0, 60.0, 0.2)
+Image = npt.NDArray[np.uint8]
+
+
+def pair(disparity_px: float, seed: int = 0) -> tuple[Image, Image]:
+    """A texture seen by both cameras: what is at u on the left is at u - disparity on the right."""
+    rng = np.random.default_rng(seed)
+    texture = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (120, 400)), (0, 0), 1.2)
+    texture = (texture - texture.mean()) / texture.std() * 45.0 + 128.0
+    u, v = np.meshgrid(np.arange(240.0), np.arange(120.0))
+    images = [
+        cv2.remap(
+            texture, (u + shift + 60.0).astype(np.float32), v.astype(np.float32), cv2.INTER_CUBIC
+        )
+        for shift in (0.0, disparity_px)
+    ]
+    left, right = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in images)
+    return left, right
+
+
+def matcher(kind: MatcherKind, region: SearchRegion | None = None) -> StereoMatcher:
+    return StereoMatcher(SMALL, StereoSettings(matcher=kind), region or whole_image(SMALL, 48))
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+@pytest.mark.parametrize("disparity_px", [3, 11, 30])
+def test_a_known_shift_is_found_to_a_sixteenth(kind: MatcherKind, disparity_px: int) -> None:
+    values, row_start = matcher(kind).disparity(*pair(disparity_px))
+    assert row_start == 0
+    assert values.shape == (120, 240)
+    assert values.dtype == np.int16
+    inner = values[12:-12, 60:-12]
+    assert (inner >= 0).mean() > 0.97
+    off = np.abs(inner[inner >= 0] - 16 * disparity_px)
+    assert np.mean(off <= 1) > 0.98  # bm is off by two at a few pixels
+    assert off.max() <= 2
+    assert np.median(off) <= 1
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+def test_a_shift_between_pixels_is_found_to_a_third(kind: MatcherKind) -> None:
+    values, _ = matcher(kind).disparity(*pair(17.4))
+    inner = values[12:-12, 60:-12]
+    found = inner[inner >= 0] / 16.0
+    assert found.size > 10_000
+    # sgbm is drawn to whole pixels, by up to 0.28 here.
+    assert np.median(found) == pytest.approx(17.4, abs=0.3)
+    assert (np.abs(found - 17.4) < 0.4).mean() > 0.9
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+def test_what_has_no_match_is_invalid(kind: MatcherKind) -> None:
+    left, _ = pair(10.0)
+    _, unrelated = pair(10.0, seed=1)
+    values, _ = matcher(kind).disparity(left, unrelated)
+    assert (values == INVALID).mean() > 0.7
+    assert values[values < 0].max() == INVALID
+
+
+def test_only_the_rows_of_the_region_are_matched() -> None:
+    left, right = pair(11.0)
+    region = SearchRegion(40, 110, 48)
+    values, row_start = matcher(MatcherKind.SGBM, region).disparity(left, right)
+    assert row_start == 40
+    assert values.shape == (70, 240)
+    spoilt = left.copy()
+    spoilt[:40] = spoilt[110:] = 0
+    again, _ = matcher(MatcherKind.SGBM, region).disparity(spoilt, right)
+    assert np.array_equal(values, again)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_images_of_another_size_are_refused(side: str) -> None:
+    images = dict(zip(("left", "right"), pair(5.0), strict=True))
+    images[side] = images[side][:, :-2]
+    with pytest.raises(CalibrationError, match=rf"{side} image is 238 x 120.*240 x 120"):
+        matcher(MatcherKind.BM).disparity(**images)
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+def test_threads_do_not_disturb_each_other(kind: MatcherKind) -> None:
+    shared = matcher(kind)
+    pairs = [pair(float(d), seed=d) for d in range(3, 19)]
+    alone = [matcher(kind).disparity(*images).values for images in pairs]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda images: shared.disparity(*images).values, pairs))
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one, other)
+
+
+# --- settings
+
+
+@pytest.mark.parametrize(
+    ("kind", "block_px", "expected"),
+    [
+        (MatcherKind.SGBM, None, 9),
+        (MatcherKind.SGBM_3WAY, None, 9),
+        (MatcherKind.BM, None, 15),
+        (MatcherKind.BM, 5, 5),
+        (MatcherKind.SGBM, 3, 3),
+    ],
+)
+def test_blocks_that_fit(kind: MatcherKind, block_px: int | None, expected: int) -> None:
+    chosen = StereoSettings(matcher=kind, block_px=block_px)
+    assert chosen.block() == expected
+    StereoMatcher(SMALL, chosen, whole_image(SMALL, 16)).disparity(*pair(5.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "block_px"), [(MatcherKind.BM, 3), (MatcherKind.BM, 8), (MatcherKind.SGBM, 4)]
+)
+def test_blocks_that_do_not_fit_are_refused(kind: MatcherKind, block_px: int) -> None:
+    with pytest.raises(ConfigError, match=rf"{block_px} px does not fit {kind.value}"):
+        StereoSettings(matcher=kind, block_px=block_px).block()
+
+
+@pytest.mark.parametrize("change", [{"block_px": 2}, {"matcher": "wls"}, {"min_range": 3.0}])
+def test_settings_that_cannot_be_are_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        StereoSettings(**change)  # type: ignore[arg-type]
+
+
+# --- the region
+
+rigs = st.builds(
+    lambda height, tilt, roll, yaw, focal: Rig(
+        paper_rig(focal_px=focal).camera, Mount(height, tilt, roll, yaw), paper_rig().antenna
+    ),
+    st.floats(0.8, 3.5),
+    st.floats(-5.0, 30.0),
+    st.floats(-8.0, 8.0),
+    st.floats(-20.0, 20.0),
+    st.floats(400.0, 1200.0),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(rigs, st.floats(0.5, 4.0), st.floats(8.0, 25.0), st.integers(0, 2**32 - 1))
+def test_every_visible_point_of_the_slice_is_below_the_top_row(
+    rig: Rig, top_m: float, range_m: float, seed: int
+) -> None:
+    chosen = StereoSettings(min_range_m=6.0)
+    region = search_region(rig, chosen, top_m, range_m)
+    rng = np.random.default_rng(seed)
+    azimuth, distance = rng.uniform(-1.2, 1.2, 3000), rng.uniform(1.0, range_m, 3000)
+    height = rng.choice([top_m, 0.99 * top_m, 0.2], 3000)
+    points = np.stack([distance * np.sin(azimuth), distance * np.cos(azimuth), height])
+    points[2] -= rig.mount.height_m
+    x, y, z = rig.mount.rotation().T @ points
+    near = z >= chosen.min_range_m
+    u = 320.0 + rig.camera.focal_px * x[near] / z[near]
+    v = 240.0 + rig.camera.focal_px * y[near] / z[near]
+    visible = (u >= 0.0) & (u < 640.0) & (v >= 0.0) & (v < 480.0)
+    assert (v[visible] >= region.row_start).all()
+    assert region.row_stop == 480
+    assert 0 <= region.row_start <= 464
+
+
+def test_a_pitching_vehicle_keeps_the_slice_in_the_searched_rows() -> None:
+    rig = paper_rig(tilt_deg=15.0)
+    region = search_region(rig, StereoSettings(), 2.2, 15.0)
+    nose_up = Mount(2.8, 15.0 + 3.5).rotation()  # seen so by a camera that points lower
+    _, y, z = nose_up.T @ np.array([0.0, 15.0, 2.2 - 2.8])
+    assert 240.0 + 780.0 * y / z >= region.row_start
+
+
+def test_rows_above_the_slice_are_not_searched() -> None:
+    tilted, level = paper_rig(tilt_deg=5.0), paper_rig(tilt_deg=0.0, height_m=3.0)
+    assert search_region(tilted, StereoSettings(), 1.0, 15.0).row_start > 30
+    # To 15 m a slice of 1 m stays atan(2/15) = 7.6° below the horizon of a camera at 3 m; of
+    # that at most 5° are kept for the vehicle's pitch.
+    row_start = search_region(level, StereoSettings(), 1.0, 15.0).row_start
+    rows_below_axis = (row_start - 240) / 780
+    assert np.tan(np.radians(2.6)) < rows_below_axis < np.tan(np.radians(7.6))
+
+
+@given(st.floats(0.6, 20.0), st.floats(300.0, 1500.0), st.floats(-8.0, 8.0))
+def test_the_nearest_range_is_searched_and_multiples_of_16(
+    min_range_m: float, focal_px: float, offset_px: float
+) -> None:
+    camera = StereoCamera(1280, 480, focal_px, 640.0, 240.0, 0.2, 640.0 - offset_px)
+    rig = replace(paper_rig(), camera=camera)
+    region = search_region(rig, StereoSettings(min_range_m=min_range_m), 2.2, 15.0)
+    nearest_px = focal_px * 0.2 / min_range_m + offset_px
+    assert region.num_disparities % 16 == 0
+    assert region.num_disparities >= max(16, nearest_px)
+    assert region.num_disparities < max(17, nearest_px + 17)
+
+
+def test_a_nearest_range_at_a_multiple_of_16_is_searched_too() -> None:
+    """480 px · 0.2 m / 3 m = 32 px, and 32 disparities are 0 … 31."""
+    region = search_region(paper_rig(focal_px=480.0), StereoSettings(min_range_m=3.0), 2.2, 15.0)
+    assert region.num_disparities - 1 >= 32
+
+
+def test_too_near_a_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"0\.4 m asks for 400 .* larger min_range_m"):
+        search_region(paper_rig(), StereoSettings(min_range_m=0.4), 2.2, 15.0)
