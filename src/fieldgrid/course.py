@@ -1,0 +1,277 @@
+"""Heading from positions alone: the course over a baseline, and where it turns around.
+
+Two consecutive fixes say nothing (at 5 Hz and 5 km/h they are 0.28 m apart), so a curve is
+fitted to all fixes within a baseline around each one. In reverse the course is the heading
+turned by 180°, so the path is first cut where it turns back on itself.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.kernel import kernel
+
+_Float64 = npt.NDArray[np.float64]
+
+CUSP_DEG = 110.0
+"""A path whose direction before and after a point differs by more has turned back there."""
+
+
+CUSP_REACH_M = 1.5
+"""How far around a point its turning is looked at: a U-turn of a radius over 1.6 m is no cusp."""
+
+TURN_SHARE = 0.06
+"""A parabola follows a turn to about this share of it: 0.6° where the window turns by 10°."""
+
+SWAY_DEG = 0.4
+"""How much a vehicle rolls on a field; an antenna 3 m up sways by 2 cm with it."""
+
+
+class Course(NamedTuple):
+    """The vehicle's heading at each position, its 1-sigma error, and the gear.
+
+    All length n. `heading_deg` points along the nose; NaN where it is not known. `gear` is
+    +1 forward, -1 reverse. `span_m` is the length of path that the estimate rests on.
+    """
+
+    heading_deg: _Float64
+    sigma_deg: _Float64
+    gear: npt.NDArray[np.int64]
+    span_m: _Float64
+
+
+def course(
+    east_m: _Float64,
+    north_m: _Float64,
+    sigma_m: _Float64,
+    part: npt.NDArray[np.int64],
+    baseline_m: float,
+    height_m: float = 0.0,
+) -> Course:
+    """Heading at each of n positions (metres, in time order) of a vehicle that follows its nose.
+
+    `part` numbers the uninterrupted parts of the drive; no estimate reaches across. In each,
+    the path is cut at its cusps and the gear changes at each cut; the gear in which more of
+    the part is driven is taken to be forward. `height_m` is the antenna's, for its sway.
+    """
+    sway_m = height_m * float(np.radians(SWAY_DEG))
+    n = len(east_m)
+    result = Course(np.full(n, np.nan), np.full(n, np.inf), np.ones(n, dtype=np.int64), np.zeros(n))
+    for number in np.unique(part):
+        members = np.flatnonzero(part == number)
+        points = np.stack([east_m[members], north_m[members]], axis=1)
+        legs = _legs(points, baseline_m)
+        forward_parity = _longer_parity(points, legs)
+        for k, (start, stop) in enumerate(legs):
+            gear = 1 if k % 2 == forward_parity else -1
+            result.gear[members[start:stop]] = gear
+            leg = points[start:stop]
+            # A third of the fixes' error is noise, the rest wanders and cancels.
+            noise_m = np.hypot(0.3 * sigma_m[members[start:stop]], sway_m)
+            for at, window in enumerate(_windows(leg, baseline_m)):
+                direction, sigma, span = _direction(leg, noise_m, at, window, baseline_m)
+                index = members[start + at]
+                result.heading_deg[index] = wrap_deg(direction if gear > 0 else direction + 180.0)
+                result.sigma_deg[index] = sigma
+                result.span_m[index] = span
+    return result
+
+
+def cusps(points: _Float64, baseline_m: float) -> list[int]:
+    """Indices of the positions [n, 2] (metres) at which the path turns back on itself."""
+    reach_m = min(baseline_m / 2.0, CUSP_REACH_M)
+    before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
+    known = (before >= 0) & (after >= 0)
+    incoming, outgoing = points - points[before], points[after] - points
+    turn = wrap_deg(heading_deg(*outgoing.T) - heading_deg(*incoming.T))
+    turning = np.where(known, np.abs(turn), 0.0)
+    found = []
+    k = 0
+    while k < len(points):
+        if turning[k] <= CUSP_DEG:
+            k += 1
+            continue
+        run = k
+        while k < len(points) and turning[k] > CUSP_DEG:
+            k += 1
+        feet = (points[before[run]] + points[after[k - 1]]) / 2.0
+        found.append(run + _farthest(points[run:k], feet))
+    return found
+
+
+def _farthest(points: _Float64, feet: _Float64) -> int:
+    """The tip of a path that turns back: of these points the one farthest from its feet."""
+    return int(np.argmax(np.hypot(*(points - feet).T)))
+
+
+def _legs(points: _Float64, baseline_m: float) -> list[tuple[int, int]]:
+    """The path cut at its cusps: (start, stop) of each leg; a cusp ends the earlier one."""
+    cuts = [0, *(k + 1 for k in cusps(points, baseline_m)), len(points)]
+    return [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
+
+
+def _longer_parity(points: _Float64, legs: list[tuple[int, int]]) -> int:
+    steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
+    lengths = [0.0, 0.0]
+    for k, (start, stop) in enumerate(legs):
+        lengths[k % 2] += float(steps[start : max(stop - 1, start)].sum())
+    return 0 if lengths[0] >= lengths[1] else 1
+
+
+@kernel
+def first_beyond(points, reach_m, step):  # type: ignore[no-untyped-def]
+    """For each of n points the nearest index before (step -1) or after (+1) it that is
+    `reach_m` away, int64 [n]; -1 where there is none.
+
+    By distance and not by length of path: a vehicle that stands still draws a long path.
+    """
+    n = points.shape[0]
+    found = np.full(n, -1, dtype=np.int64)
+    for k in range(n):
+        i = k + step
+        while 0 <= i < n:
+            d_east, d_north = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
+            if d_east * d_east + d_north * d_north >= reach_m * reach_m:
+                found[k] = i
+                break
+            i += step
+    return found
+
+
+def _windows(leg: _Float64, baseline_m: float) -> list[tuple[int, int]]:
+    """The (start, stop) of the points that each point's direction is fitted to.
+
+    Half a baseline to each side; near an end of the leg, a whole one to the other side.
+    """
+    n, half_m = len(leg), baseline_m / 2.0
+    before, after = first_beyond(leg, half_m, -1), first_beyond(leg, half_m, 1)
+    far_before, far_after = first_beyond(leg, baseline_m, -1), first_beyond(leg, baseline_m, 1)
+    start = np.where(after < 0, far_before, before)
+    stop = np.where(before < 0, far_after, after)
+    start, stop = np.where(start < 0, 0, start), np.where(stop < 0, n - 1, stop) + 1
+    return list(zip(start.tolist(), stop.tolist(), strict=True))
+
+
+def _direction(
+    leg: _Float64,
+    least_noise_m: _Float64,
+    at: int,
+    between: tuple[int, int],
+    baseline_m: float,
+) -> tuple[float, float, float]:
+    """Direction of travel at one point of a leg: degrees, 1-sigma, and the span used, metres.
+
+    Along the window's chord a parabola is fitted to the offsets across it; the direction is
+    its tangent.
+    """
+    start, stop = between
+    window = leg[start:stop]
+    chord = window[-1] - window[0]
+    span_m = float(np.hypot(*chord))
+    if span_m < baseline_m / 2.0 or len(window) < 3:
+        return float("nan"), float("inf"), span_m
+    along = (window - leg[at]) @ chord / span_m
+    across = (window - leg[at]) @ np.array([chord[1], -chord[0]]) / span_m
+    slope, slope_sigma = _slope_at_zero(
+        along, across, float(np.median(least_noise_m[start:stop])), span_m
+    )
+    tangent_deg = float(np.degrees(np.arctan(slope)))
+    noise_deg = np.degrees(slope_sigma / (1.0 + slope * slope))
+    sigma_deg = float(np.hypot(noise_deg, TURN_SHARE * _turn_deg(window)))
+    return float(heading_deg(*chord)) + tangent_deg, sigma_deg, span_m
+
+
+def _turn_deg(window: _Float64) -> float:
+    """By how much the path turns between the halves of a window, degrees, >= 0."""
+    middle = len(window) // 2
+    first, second = window[middle] - window[0], window[-1] - window[middle]
+    return abs(float(wrap_deg(heading_deg(*second) - heading_deg(*first))))
+
+
+def _slope_at_zero(
+    along_m: _Float64, across_m: _Float64, least_noise_m: float, span_m: float
+) -> tuple[float, float]:
+    """Slope at 0 of the curve across = f(along), and its 1-sigma error.
+
+    A parabola, or a line where too few places support one. Where a curve begins or ends no
+    parabola fits; a cubic's slope then differs by more than noise explains, and the excess is
+    added to the error.
+    """
+    scaled = along_m / span_m
+    distinct = len(np.unique(np.round(scaled * 20.0)))
+    degree = 2 if distinct >= 5 else 1
+    slope, leverage, residual = _fit(scaled, across_m, degree)
+    freedom = max(len(along_m) - degree - 1, 1)
+    # The scatter about the curve, but not less than what is known to be there: few residuals
+    # can be small by luck, and sway is too slow to show in them.
+    noise_m = max(float(np.sqrt(residual @ residual / freedom)), least_noise_m)
+    variance = noise_m**2 * leverage
+    if distinct >= 7:
+        cubic, cubic_leverage, _ = _fit(scaled, across_m, 3)
+        explained = noise_m**2 * max(cubic_leverage - leverage, 0.0)
+        variance += max((cubic - slope) ** 2 - explained, 0.0)
+    return slope / span_m, float(np.sqrt(variance)) / span_m
+
+
+def _fit(x: _Float64, y: _Float64, degree: int) -> tuple[float, float, _Float64]:
+    """Least squares polynomial: its slope at 0, that slope's variance for noise 1, residuals."""
+    design = np.vander(x, degree + 1, increasing=True)
+    inverse = np.linalg.inv(design.T @ design + 1e-9 * np.eye(degree + 1))
+    coefficients = inverse @ (design.T @ y)
+    return float(coefficients[1]), float(inverse[1, 1]), y - design @ coefficients
+
+
+def course_of_axle(
+    found: Course,
+    east_m: _Float64,
+    north_m: _Float64,
+    part: npt.NDArray[np.int64],
+    ahead_m: float,
+) -> Course:
+    """The heading from the course of an antenna that sits `ahead_m` before the fixed axle.
+
+    The axle follows the antenna as a trailer does: d(heading)/d(path) = sin(course - heading)
+    / ahead. Forward that is stable in the direction of time, in reverse against it, so each
+    leg is followed from its stable end, starting as if its first curve had gone on for ever;
+    how wrong that can be is added to sigma and fades with exp(-path/ahead).
+    """
+    heading, sigma = found.heading_deg.copy(), found.sigma_deg.copy()
+    known = np.flatnonzero(~np.isnan(found.heading_deg))
+    if abs(ahead_m) < 0.01 or known.size == 0:
+        return found
+    cut = (np.diff(part[known]) != 0) | (np.diff(found.gear[known]) != 0)
+    for leg in np.split(known, np.flatnonzero(cut) + 1):
+        # An antenna behind the axle turns stability around.
+        ordered = leg if found.gear[leg[0]] * ahead_m > 0 else leg[::-1]
+        path_m = np.hypot(np.diff(east_m[ordered]), np.diff(north_m[ordered]))
+        lead_deg = _trailing_lead(np.radians(found.heading_deg[ordered]), path_m, abs(ahead_m))
+        along_m = np.concatenate([[0.0], np.cumsum(path_m)])
+        fading = 0.5 * abs(lead_deg[0]) * np.exp(-along_m / abs(ahead_m))
+        heading[ordered] = wrap_deg(found.heading_deg[ordered] - lead_deg)
+        sigma[ordered] = np.hypot(found.sigma_deg[ordered], fading)
+    return found._replace(heading_deg=heading, sigma_deg=sigma)
+
+
+def _trailing_lead(course_rad: _Float64, path_m: _Float64, ahead_m: float) -> _Float64:
+    """By how much the course leads the heading along one leg, degrees, in the order given.
+
+    Exact for a course that is constant over a step: tan(lead/2) fades with exp(-path/ahead).
+    """
+    lead = np.zeros(len(course_rad))
+    turns = np.asarray(np.radians(wrap_deg(np.degrees(np.diff(course_rad)))))
+    first = np.searchsorted(np.cumsum(path_m), ahead_m) + 1
+    length_m = float(path_m[:first].sum())
+    if length_m > 0.0:
+        rate = float(turns[:first].sum()) / length_m
+        lead[0] = math.asin(max(-0.95, min(0.95, ahead_m * rate)))
+    for k, (turn, step_m) in enumerate(zip(turns.tolist(), path_m.tolist(), strict=True)):
+        # Half of the turn before the step and half after it: the middle of the step's course.
+        half = math.tan((lead[k] + turn / 2.0) / 2.0) * math.exp(-step_m / ahead_m)
+        lead[k + 1] = 2.0 * math.atan(half) + turn / 2.0
+    return np.degrees(lead)

@@ -1,0 +1,354 @@
+"""From the fixes of an antenna to the trajectory of the grid origin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.errors import ConfigError, GnssError
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import Fix, Verdict, condition
+from fieldgrid.pose import (
+    PoseSettings,
+    carry_lever,
+    datum_of,
+    default_baseline_m,
+    estimate_poses,
+    heading_source,
+)
+from fieldgrid.rig import LeverArm
+from fieldgrid.trajectory import Status, Trajectory
+from tests.scenes import Leg, Path, drive, paper_rig
+
+_Float64 = npt.NDArray[np.float64]
+
+SECOND = 1_000_000_000
+START = 1_308_139_200 * SECOND
+DATUM = Datum(39.5, -1.1, 700.0)
+PLAIN = Fix(START, 39.5, -1.1, 703.0, quality=4, satellites=12, hdop=0.8, age_s=1.0)
+AXLE_M = -2.0
+"""The axle that does not steer is 2 m behind the grid origin."""
+
+TURNING = [Leg(15.0), Leg(12.0, 0.18), Leg(9.0), Leg(9.0, -0.18), Leg(12.0)]
+
+
+def fixes_along(
+    path: Path,
+    antenna: LeverArm,
+    *,
+    recorded: bool,
+    quality: int = 4,
+    noise_m: float = 0.0,
+) -> list[Fix]:
+    """Five fixes a second, 0.3 m apart, of an antenna on a vehicle whose axle follows a path."""
+    east, north = path.of(antenna.right_m, antenna.forward_m - AXLE_M)
+    noise = np.random.default_rng(2).normal(0.0, noise_m, (2, len(east))) if noise_m else (0.0, 0.0)
+    lat, lon, height = DATUM.to_geodetic(
+        east + noise[0], north + noise[1], np.full(len(east), antenna.up_m)
+    )
+    return [
+        PLAIN._replace(
+            time_ns=START + k * SECOND // 5,
+            lat_deg=float(lat[k]),
+            lon_deg=float(lon[k]),
+            height_m=float(height[k]),
+            quality=quality,
+            speed_mps=1.5,
+            heading_deg=float(path.heading_deg[k]) if recorded else None,
+            heading_sigma_deg=0.3 if recorded else None,
+        )
+        for k in range(len(east))
+    ]
+
+
+def position_error_m(found: Trajectory, path: Path) -> _Float64:
+    east, north = path.of(0.0, -AXLE_M)  # the grid origin
+    return np.hypot(found.east_m - east, found.north_m - north)
+
+
+def heading_error_deg(found: Trajectory, path: Path) -> _Float64:
+    return np.abs(wrap_deg(found.heading_deg - path.heading_deg))
+
+
+# --- the lever arm
+
+
+@pytest.mark.parametrize("heading", [0.0, 100.0, 200.0, 300.0])
+@pytest.mark.parametrize("antenna", [LeverArm(0.4, -1.2, 2.6), LeverArm(-0.7, 1.5, 3.0)])
+def test_the_antenna_is_carried_to_the_grid_origin(heading: float, antenna: LeverArm) -> None:
+    path = drive(TURNING, heading)
+    rig = paper_rig(antenna=antenna)
+    found = estimate_poses(fixes_along(path, antenna, recorded=True), rig, DATUM)
+    assert found.accepted.all()
+    assert found.heading_source == "recorded"
+    assert position_error_m(found, path).max() < 1e-5
+    assert np.abs(found.up_m).max() < 1e-3
+    assert heading_error_deg(found, path).max() < 1e-9
+    assert found.heading_sigma_deg.tolist() == [0.3] * len(found)
+    # Without the lever arm every pose would be off by its length.
+    forgotten = estimate_poses(fixes_along(path, antenna, recorded=True), paper_rig(), DATUM)
+    off = math.hypot(antenna.right_m, antenna.forward_m)
+    assert position_error_m(forgotten, path) == pytest.approx(off, abs=1e-4)
+
+
+@given(st.floats(-180.0, 180.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_the_lever_arm_undoes_eq_3(heading: float, right: float, forward: float) -> None:
+    nose = np.exp(1j * math.radians(90.0 - heading))
+    antenna = complex(200.0, -70.0) + nose * (forward - 1j * right)
+    east, north = carry_lever(
+        np.array([antenna.real]),
+        np.array([antenna.imag]),
+        np.array([heading]),
+        LeverArm(right, forward, 2.0),
+    )
+    assert (east[0], north[0]) == pytest.approx((200.0, -70.0), abs=1e-9)
+
+
+def test_without_a_heading_the_antenna_stays_where_it_is() -> None:
+    east, north = carry_lever(
+        np.array([5.0]), np.array([6.0]), np.array([np.nan]), LeverArm(1.0, 1.0, 0.0)
+    )
+    assert (east[0], north[0]) == (5.0, 6.0)
+
+
+# --- heading from the course
+
+
+@pytest.mark.parametrize("ahead_m", [1.0, 2.5])
+def test_the_rear_axle_s_course_is_the_heading_in_a_turn(ahead_m: float) -> None:
+    antenna = LeverArm(0.3, AXLE_M + ahead_m, 2.6)
+    path = drive(TURNING, 35.0)
+    fixes = fixes_along(path, antenna, recorded=False)
+    corrected = estimate_poses(fixes, paper_rig(antenna=antenna, rear_axle_forward_m=AXLE_M), DATUM)
+    plain = estimate_poses(fixes, paper_rig(antenna=antenna), DATUM)
+    assert corrected.heading_source == plain.heading_source == "course"
+    error, plain_error = (heading_error_deg(found, path) for found in (corrected, plain))
+    turning = np.r_[62:85, 132:145]  # well inside the two turns
+    # The antenna, ahead of the axle, leads by atan(ahead · curvature).
+    lead_deg = math.degrees(math.atan(0.18 * ahead_m))
+    assert plain_error[turning] == pytest.approx(lead_deg, rel=0.2)
+    assert error[turning].max() < 1.5
+    assert error.max() < 6.0  # where the path steps from straight to arc
+    assert np.sqrt(np.mean(error**2)) < 0.2 * np.sqrt(np.mean(plain_error**2))
+    assert position_error_m(corrected, path).max() < 0.3
+
+
+def test_reverse_keeps_the_heading_and_turns_the_speed() -> None:
+    antenna = LeverArm(0.0, AXLE_M, 2.6)
+    path = drive([Leg(15.0), Leg(6.0, gear=-1), Leg(15.0)], 35.0)
+    found = estimate_poses(
+        fixes_along(path, antenna, recorded=False), paper_rig(antenna=antenna), DATUM
+    )
+    assert heading_error_deg(found, path).max() < 1.0
+    assert position_error_m(found, path).max() < 0.05
+    assert (found.speed_mps[55:65] == -1.5).all()
+    assert (found.speed_mps[:45] == 1.5).all()
+    assert (found.speed_mps[-45:] == 1.5).all()
+
+
+def test_the_course_does_not_reach_across_a_gap() -> None:
+    antenna = LeverArm(0.0, AXLE_M, 2.6)
+    path = drive([Leg(15.0), Leg(15.0, 0.1)], 35.0)
+    fixes = fixes_along(path, antenna, recorded=False)
+    late = [fix._replace(time_ns=fix.time_ns + 5 * SECOND) for fix in fixes[50:]]
+    rig = paper_rig(antenna=antenna)
+    found = estimate_poses([*fixes[:50], *late], rig, DATUM)
+    alone = estimate_poses(fixes[:50], rig, DATUM)
+    assert np.array_equal(found.heading_deg[:50], alone.heading_deg)
+
+
+def test_a_path_too_short_for_a_course_is_rejected_in_words() -> None:
+    path = drive([Leg(0.9)])
+    found = estimate_poses(fixes_along(path, LeverArm(0, 0, 0), recorded=False), paper_rig(), DATUM)
+    assert not found.accepted.any()
+    assert all("heading unknown" in reason for reason in found.reason)
+    assert "0.90 m of path" in found.reason[0]
+
+
+def test_a_constant_heading_holds_everywhere() -> None:
+    antenna = LeverArm(0.4, 1.2, 2.6)
+    path = drive([Leg(12.0)], -100.0)
+    found = estimate_poses(
+        fixes_along(path, antenna, recorded=False),
+        paper_rig(antenna=antenna),
+        DATUM,
+        PoseSettings(heading="constant:260"),
+    )
+    assert found.heading_deg.tolist() == [-100.0] * len(found)
+    assert found.heading_source == "constant:-100"
+    assert position_error_m(found, path).max() < 1e-5
+
+
+# --- heading sources
+
+
+WITH = [PLAIN, PLAIN._replace(heading_deg=20.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "fixes", "expected"),
+    [
+        ("auto", [PLAIN], "course"),
+        ("auto", WITH, "recorded"),
+        ("course", WITH, "course"),
+        ("recorded", WITH, "recorded"),
+        ("constant:80", [], "constant:80"),
+        ("constant:-100.5", [], "constant:-100.5"),
+        ("constant:+270", [], "constant:-90"),
+        ("constant:360", [], "constant:0"),
+    ],
+)
+def test_heading_sources(text: str, fixes: Sequence[Fix], expected: str) -> None:
+    assert str(heading_source(text, fixes)) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "gyro", "constant", "constant:", "constant:north", "constant:1e2", "constant:400",
+     "constant:nan", "constant:80 ", "Course"],
+)  # fmt: skip
+def test_other_heading_sources_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="constant:DEG") as caught:
+        heading_source(text, WITH)
+    assert repr(text) in str(caught.value)
+
+
+def test_a_recorded_heading_must_be_there() -> None:
+    with pytest.raises(GnssError, match="--heading course"):
+        heading_source("recorded", [PLAIN])
+
+
+def test_unknown_settings_are_refused() -> None:
+    with pytest.raises(ValidationError, match="basline"):
+        PoseSettings(basline_m=3.0)  # type: ignore[call-arg]
+
+
+# --- the datum, and what cannot be used
+
+
+def test_the_datum_is_the_first_accepted_fix_rounded() -> None:
+    fixes = [
+        PLAIN._replace(quality=0, lat_deg=0.0, lon_deg=0.0),
+        PLAIN._replace(
+            time_ns=START + 1, lat_deg=39.123456789, lon_deg=-1.987654321, height_m=700.12345
+        ),
+        PLAIN._replace(time_ns=START + SECOND),
+    ]
+    assert datum_of(fixes, condition(fixes)) == Datum(39.1234568, -1.9876543, 700.123)
+
+
+def test_a_drive_has_the_datum_that_it_is_given_or_its_own() -> None:
+    fixes = fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True)
+    other = Datum(39.51, -1.1, 650.0)
+    assert estimate_poses(fixes, paper_rig(), other).datum == other
+    own = estimate_poses(fixes, paper_rig())
+    assert own.datum == Datum(
+        round(fixes[0].lat_deg, 7), round(fixes[0].lon_deg, 7), round(fixes[0].height_m, 3)
+    )
+    moved = estimate_poses(fixes, paper_rig(), other)
+    # 0.01° of latitude is 1110 m; the second plane lies that much farther north.
+    assert (own.north_m - moved.north_m).mean() == pytest.approx(1110.3, abs=2.0)
+
+
+def test_without_a_usable_fix_the_commonest_reason_is_told() -> None:
+    fixes = [
+        PLAIN._replace(time_ns=START + k * SECOND, satellites=3 if k < 4 else 12, hdop=9.0)
+        for k in range(6)
+    ]
+    for attempt in (lambda: estimate_poses(fixes, paper_rig()), lambda: datum_of(fixes, VERDICTS)):
+        with pytest.raises(GnssError, match="None of the 6 fixes") as caught:
+            attempt()
+        assert "3 satellites < 5" in str(caught.value)
+        assert "--gnss" in str(caught.value)
+
+
+VERDICTS = [Verdict(Status.REJECTED, "3 satellites < 5")] * 4 + [
+    Verdict(Status.REJECTED, "HDOP 9 > 4")
+] * 2
+
+
+def test_no_fix_at_all_is_told() -> None:
+    with pytest.raises(GnssError, match="no position at all"):
+        estimate_poses([], paper_rig())
+
+
+def test_rejected_fixes_stay_as_rows_with_their_reasons() -> None:
+    path = drive([Leg(12.0)], 35.0)
+    fixes = fixes_along(path, LeverArm(0, AXLE_M, 2.6), recorded=True)
+    fixes[10] = fixes[10]._replace(hdop=9.0)
+    fixes[20] = fixes[20]._replace(quality=0)
+    fixes[30] = fixes[30]._replace(lat_deg=fixes[30].lat_deg + 1e-4)  # 11 m aside
+    found = estimate_poses(fixes, paper_rig(antenna=LeverArm(0, AXLE_M, 2.6)), DATUM)
+    assert len(found) == len(fixes)
+    assert np.flatnonzero(~found.accepted).tolist() == [10, 20, 30]
+    assert "HDOP 9" in found.reason[10]
+    assert "quality 0" in found.reason[20]
+    assert "jump of 11" in found.reason[30]
+    assert found.reason[11] == ""
+    assert found.quality[20] == 0
+    assert position_error_m(found, path)[found.accepted].max() < 1e-5
+
+
+def test_a_rejected_fix_does_not_bend_the_course() -> None:
+    path = drive([Leg(15.0)], 35.0)
+    fixes = fixes_along(path, LeverArm(0, AXLE_M, 2.6), recorded=False)
+    fixes[25] = fixes[25]._replace(lat_deg=fixes[25].lat_deg + 5e-5)
+    found = estimate_poses(fixes, paper_rig(antenna=LeverArm(0, AXLE_M, 2.6)), DATUM)
+    assert found.status[25] is Status.REJECTED
+    assert heading_error_deg(found, path)[found.accepted].max() < 0.01
+
+
+def test_the_seam_of_a_solution_that_has_moved_is_accepted_with_its_reason() -> None:
+    path = drive([Leg(45.0)], 35.0)
+    fixes = fixes_along(path, LeverArm(0, AXLE_M, 2.6), recorded=True)
+    moved = [fix._replace(lat_deg=fix.lat_deg + 1e-4) for fix in fixes[60:]]
+    fixes = [*fixes[:60], *moved]
+    verdicts = condition(fixes)
+    found = estimate_poses(fixes, paper_rig(antenna=LeverArm(0, AXLE_M, 2.6)), DATUM)
+    (seam,) = [k for k, v in enumerate(verdicts) if v.status is Status.OK and v.reason]
+    assert "the solution has moved" in found.reason[seam]
+    assert found.status[seam] is Status.OK
+
+
+def test_fixes_are_put_in_the_order_of_time() -> None:
+    fixes = fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True)
+    shuffled = [fixes[k] for k in np.random.default_rng(0).permutation(len(fixes))]
+    a, b = (estimate_poses(some, paper_rig(), DATUM) for some in (fixes, shuffled))
+    assert np.array_equal(a.time_ns, b.time_ns)
+    assert np.array_equal(a.east_m, b.east_m)
+
+
+# --- the limits of certainty
+
+
+def test_poses_that_are_not_sure_enough_are_rejected_in_words() -> None:
+    fixes = fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True)
+    unsure = [fix._replace(heading_sigma_deg=5.0) for fix in fixes[:5]] + fixes[5:]
+    unsure[10] = unsure[10]._replace(sigma_m=4.5)
+    found = estimate_poses(unsure, paper_rig(), DATUM)
+    assert found.reason[0] == "heading sigma 5.0° > 3°"
+    assert found.reason[10] == "position sigma 4.50 m > 2 m"
+    assert np.flatnonzero(~found.accepted).tolist() == [0, 1, 2, 3, 4, 10]
+    wider = PoseSettings(max_heading_sigma_deg=6.0, max_position_sigma_m=5.0)
+    assert estimate_poses(unsure, paper_rig(), DATUM, wider).accepted.all()
+
+
+def test_a_fix_without_its_recorded_heading_is_rejected() -> None:
+    fixes = fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True)
+    fixes[3] = fixes[3]._replace(heading_deg=None)
+    found = estimate_poses(fixes, paper_rig(), DATUM)
+    assert np.flatnonzero(~found.accepted).tolist() == [3]
+    assert "heading unknown" in found.reason[3]
+
+
+@pytest.mark.parametrize(("sigma_m", "expected_m"), [(0.01, 3.0), (0.04, 6.0), (0.5, 12.0)])
+def test_poorer_fixes_get_a_longer_baseline(sigma_m: float, expected_m: float) -> None:
+    assert default_baseline_m(np.full(5, sigma_m)) == pytest.approx(expected_m)
