@@ -1,0 +1,31 @@
+"""The map file: one GeoPackage that holds a field, drive after drive.
+
+A map keeps the evidence, each frame's local grid and pose, and the universal grid that follows
+from it. QGIS and GDAL open the file as it is; `docs/map-format.md` says what is in it::
+
+    with open_map("vineyard.gpkg", datum=trajectory.datum, cell_m=0.05) as universal:
+        with universal.add_session("june-03", trajectory=trajectory) as session:
+            session.add(local_grid, trajectory.at(time_ns), frame_id="000000")
+
+    view = open_map("vineyard.gpkg").read(cell_m=0.25)
+    view.density, view.observed, view.bounds
+
+A session is in the map when its block ends, or not at all; a new map appears when its own
+block ends. One process adds a session at a time, any number read meanwhile.
+"""
+
+from fieldgrid.mapfile.records import FrameRecord, SessionInfo
+from fieldgrid.mapfile.session import Session
+from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
+from fieldgrid.mapfile.view import MapView
+
+__all__ = [
+    "FrameRecord",
+    "MapFile",
+    "MapView",
+    "Session",
+    "SessionInfo",
+    "create_map",
+    "open_map",
+    "read_datum",
+]

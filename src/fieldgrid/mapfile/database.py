@@ -1,0 +1,127 @@
+"""SQLite as this package uses it: how a file is opened, and what its errors mean to a user."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from fieldgrid.errors import MapError, MapWriteError
+
+BUSY_TIMEOUT_S = 30.0
+"""How long a writer waits for another one, or a reader for a commit to end."""
+
+MAX_VALUE_BYTES = 64 << 20
+"""The largest text or blob that is accepted from a file; the largest written is 8 MB."""
+
+
+def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
+    """Open an existing database; `name` is what errors call it.
+
+    Also a reader opens it for writing, because a writer that was killed leaves a journal that
+    the next one to open the file must play back; `query_only` then keeps the reader one.
+    """
+    with explained(name, writing=writable):
+        connection = sqlite3.connect(
+            f"{file.resolve().as_uri()}?mode=rw",
+            uri=True,
+            timeout=BUSY_TIMEOUT_S,
+            isolation_level=None,  # transactions begin and end where this package says
+            check_same_thread=False,  # a forgotten map may be closed by the garbage collector
+        )
+    try:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+        with explained(name, writing=writable):
+            # What a hostile file can do is limited: no functions with side effects from its
+            # views and triggers, and no page that lies about its cells.
+            connection.execute("PRAGMA trusted_schema = OFF")
+            connection.execute("PRAGMA cell_size_check = ON")
+            connection.execute("PRAGMA cache_size = -16384")
+            connection.execute(f"PRAGMA query_only = {0 if writable else 1}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def keep_one_file(connection: sqlite3.Connection, *, durable: bool) -> None:
+    """Choose a rollback journal, so that a map at rest is always this one file.
+
+    A write-ahead log would let readers in during a commit, but leaves two more files beside
+    the map while anyone has it open, and copying the map without them loses what they hold.
+    A program that edited the map may have switched it to one; this switches it back.
+    """
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
+
+
+@contextmanager
+def writing(connection: sqlite3.Connection, name: Path) -> Iterator[None]:
+    """One transaction: all of it is in the file afterwards, or, on any error, nothing."""
+    with explained(name, writing=True):
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            connection.execute("COMMIT")
+        except BaseException:
+            _roll_back(connection)
+            raise
+
+
+@contextmanager
+def reading(connection: sqlite3.Connection, name: Path) -> Iterator[None]:
+    """One state of the map for several queries, whatever a writer commits meanwhile."""
+    with explained(name, writing=False):
+        if connection.in_transaction:
+            yield
+            return
+        connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            _roll_back(connection)
+
+
+@contextmanager
+def explained(name: Path, *, writing: bool) -> Iterator[None]:
+    """Turn SQLite's errors into one sentence about the map called `name`."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _explanation(error, name, writing) from error
+
+
+def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
+    if isinstance(error, sqlite3.ProgrammingError):
+        return MapError(f"{name} is closed ({error}); open it again.")
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        if not writing:
+            return MapError(f"{name} is being written by another program; try again shortly.")
+        return MapWriteError(
+            f"{name} is in use by another program, and was not changed; wait until that one has "
+            "finished, or close it, and try again."
+        )
+    if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT):
+        return MapError(f"{name} is not a fieldgrid map: it is not an SQLite file. Check the name.")
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG):
+        return MapError(f"{name} is damaged ({error}); restore it from a copy, or build it again.")
+    if not writing:
+        return MapError(f"{name} cannot be read ({error}); check the file.")
+    if code == sqlite3.SQLITE_FULL:
+        return MapWriteError(
+            f"The disk is full and {name} was not changed; free some space and try again."
+        )
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+        return MapWriteError(
+            f"{name} cannot be written ({error}); check the permissions of the file and its folder."
+        )
+    return MapWriteError(f"{name} could not be written ({error}) and was not changed.")
+
+
+def _roll_back(connection: sqlite3.Connection) -> None:
+    # After a full disk SQLite has often rolled back by itself.
+    with suppress(sqlite3.Error):
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")

@@ -1,0 +1,107 @@
+"""What never changes in a map: its datum, its base cells and its transfer rule."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Lattice
+from fieldgrid.mapfile import schema
+from fieldgrid.transfer import Transfer
+
+_SAME_ANGLE_DEG = 1e-9
+_SAME_HEIGHT_M = 1e-3
+
+
+class Header(NamedTuple):
+    """The settings that a map was made with."""
+
+    datum: Datum
+    lattice: Lattice
+    transfer: Transfer
+
+    def lattice_of(self, cell_m: float | None) -> Lattice:
+        """The lattice for a cell size; the map's own when none is given, or up to rounding."""
+        own = self.lattice
+        if cell_m is None or math.isclose(cell_m, own.cell_m, rel_tol=1e-9):
+            return own
+        return Lattice(cell_m)
+
+    def check_datum(self, path: Path, datum: Datum) -> None:
+        """Raise DatumError unless `datum` is that of the map."""
+        own = self.datum
+        if (
+            abs(datum.lat_deg - own.lat_deg) > _SAME_ANGLE_DEG
+            or abs(datum.lon_deg - own.lon_deg) > _SAME_ANGLE_DEG
+            or abs(datum.height_m - own.height_m) > _SAME_HEIGHT_M
+        ):
+            raise DatumError(
+                f"The datum of {path} is {_described(own)} for good, not {_described(datum)}; "
+                "estimate the trajectory with the map's datum, or make another map."
+            )
+
+    def check_settings(self, path: Path, cell_m: float | None, transfer: Transfer | None) -> None:
+        """Raise ConfigError when a cell size or a rule is given that is not the map's."""
+        if self.lattice_of(cell_m) != self.lattice:
+            raise ConfigError(
+                f"{path} has cells of {self.lattice.cell_m} m, not {cell_m} m; leave the cell "
+                "size out to add to it (it can be read with another), or make another map."
+            )
+        if transfer not in (None, self.transfer):
+            raise ConfigError(
+                f"{path} is made with the {self.transfer} rule, not {transfer}; leave the rule "
+                "out to add to it (it can be read with another), or make another map."
+            )
+
+
+def read_header(connection: sqlite3.Connection, path: Path) -> Header:
+    """The settings of a map; MapError when the file is none, is damaged or is too new."""
+    (application_id,) = connection.execute("PRAGMA application_id").fetchone()
+    tables = {
+        row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")
+    }
+    if application_id != schema.APPLICATION_ID or "fieldgrid_meta" not in tables:
+        kind = "a GeoPackage of something else" if "gpkg_contents" in tables else "another database"
+        raise MapError(f"{path} is not a fieldgrid map but {kind}. Check the name.")
+    _check_whole(connection, path)
+    meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
+    try:
+        version = int(meta["format_version"])
+        if version > schema.FORMAT_VERSION:
+            raise MapError(
+                f"{path} has format version {version}, and this fieldgrid reads up to "
+                f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
+            )
+        missing = sorted(({*schema.OWN_TABLES, *schema.LAYERS}) - tables)
+        if missing:
+            raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
+        return Header(
+            Datum(*(float(meta[f"datum_{key}"]) for key in ("lat_deg", "lon_deg", "height_m"))),
+            Lattice(float(meta["cell_m"])),
+            Transfer(meta["transfer"]),
+        )
+    except MapError:
+        raise
+    except (KeyError, TypeError, ValueError, FieldgridError) as error:
+        raise MapError(
+            f"{path} is damaged: its settings cannot be read ({error}). Restore a copy."
+        ) from error
+
+
+def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise MapError for a file that lost its end: SQLite overlooks a part of the last page."""
+    pages, page_bytes, mode = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_count", "page_size", "journal_mode")
+    )
+    # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
+    if mode != "wal" and path.stat().st_size < pages * page_bytes:
+        raise MapError(f"{path} is damaged: its end is missing. Restore it from a copy.")
+
+
+def _described(datum: Datum) -> str:
+    return f"{datum.lat_deg:.9f} {datum.lon_deg:.9f} {datum.height_m:.3f} m"

@@ -1,0 +1,109 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from pathlib import Path
+
+from fieldgrid.errors import MapExistsError, MapWriteError
+
+_NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
+
+
+class Draft:
+    """A file in the making beside `target`, which is untouched until `publish`.
+
+    `advice` completes the error for a target that exists: what to do other than overwrite.
+    """
+
+    def __init__(self, target: Path, *, overwrite: bool, advice: str = "") -> None:
+        self.target = target
+        self._overwrite = overwrite
+        self._exists = (
+            f"{target} exists already; give another name, {advice}or --overwrite to replace it."
+        )
+        if target.is_dir():
+            raise MapExistsError(f"{target} is a folder; give the name of a file.")
+        if target.exists() and not target.is_file():
+            raise MapExistsError(f"{target} is a pipe or a device; give the name of a file.")
+        if os.path.lexists(target) and not overwrite:
+            raise MapExistsError(self._exists)
+        place = target.resolve()
+        self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        try:
+            # Made here, so that it gets the usual permissions and nobody else's file is taken.
+            os.close(os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
+        except OSError as error:
+            raise _unwritable(target, error) from error
+
+    def publish(self) -> None:
+        """Bring the file to its final name, at once and for good; no file is replaced unasked."""
+        place = self.target.resolve()
+        try:
+            self._refuse_strays(place)
+            _sync(self.file)
+            if self._overwrite:
+                self.file.replace(place)
+            else:
+                self._publish_new(place)
+            _sync(place.parent)
+        except FileExistsError as error:
+            raise MapExistsError(self._exists) from error
+        except OSError as error:
+            if isinstance(error, MapWriteError):
+                raise
+            raise _unwritable(self.target, error) from error
+        finally:
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what was made so far; nothing happens when it is published or gone."""
+        for stray in (self.file, *_companions(self.file)):
+            stray.unlink(missing_ok=True)
+
+    def _publish_new(self, place: Path) -> None:
+        try:
+            os.link(self.file, place)  # fails when the name is taken, unlike a rename
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+            # Without hard links: whoever makes the empty file owns the name.
+            os.close(os.open(place, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            try:
+                self.file.replace(place)
+            except OSError:
+                place.unlink()
+                raise
+
+    def _refuse_strays(self, place: Path) -> None:
+        # SQLite would play the journal of an older map back into this one.
+        for stray in _companions(place):
+            if stray.exists():
+                raise MapWriteError(
+                    f"{stray} lies beside {self.target}: an older map of that name is in use, or "
+                    "its writer was interrupted. Open that map once, or delete the journal."
+                )
+
+
+def _companions(file: Path) -> tuple[Path, ...]:
+    return tuple(file.with_name(file.name + end) for end in ("-journal", "-wal", "-shm"))
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _unwritable(target: Path, error: OSError) -> MapWriteError:
+    if error.errno == errno.ENOSPC:
+        return MapWriteError(f"The disk is full and {target} was not written; free some space.")
+    if error.errno == errno.ENOENT:
+        return MapWriteError(f"{target} was not written: its folder does not exist; make it first.")
+    return MapWriteError(
+        f"{target} could not be written ({error.strerror}); check the folder and its permissions."
+    )

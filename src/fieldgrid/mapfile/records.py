@@ -1,0 +1,161 @@
+"""What a map tells of its sessions and frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from fieldgrid.errors import FieldgridError, MapError
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.mapfile.codec import decode_grid, encode_grid
+from fieldgrid.trajectory import Pose, Status
+
+SESSION_SQL = (
+    "SELECT name, created, source, config, software_version, heading_source, first_time_ns, "
+    "last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m "
+    "FROM fieldgrid_session"
+)
+
+FRAME_SQL = (
+    "SELECT f.id, s.name, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.frame_id, f.time_ns, "
+    "f.east_m, f.north_m, f.up_m, f.heading_deg, f.position_sigma_m, f.heading_sigma_deg, "
+    "f.speed_mps, f.status, f.reason, f.images "
+    "FROM fieldgrid_frame AS f JOIN fieldgrid_session AS s ON s.id = f.session_id"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionInfo:
+    """One drive in the map.
+
+    `created` is ISO 8601 in UTC. The times are those of the first and the last frame; None,
+    like `grid`, in a session without frames. `accepted` counts the frames that are in the
+    universal grid.
+    """
+
+    name: str
+    created: str
+    source: str
+    config: Mapping[str, Any]
+    software_version: str
+    heading_source: str
+    first_time_ns: int | None
+    last_time_ns: int | None
+    frames: int
+    accepted: int
+    grid: GridSpec | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """One frame as the map keeps it: where it was, the verdict, and what it saw."""
+
+    session: str
+    frame_id: str
+    pose: Pose
+    images: tuple[str, ...]
+    spec: GridSpec
+    load: Callable[[], LocalGrid] = field(repr=False, compare=False)
+
+    @property
+    def status(self) -> Status:
+        """The verdict on the pose; only `ok` is in the universal grid."""
+        return self.pose.status
+
+    @property
+    def reason(self) -> str:
+        """Why it is not in the universal grid; empty when it is."""
+        return self.pose.reason
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the frame is in the universal grid."""
+        return is_accepted(self.pose)
+
+    def grid(self) -> LocalGrid:
+        """The local grid, decompressed at each call."""
+        return self.load()
+
+
+def is_accepted(pose: Pose) -> bool:
+    """The one rule for what enters the universal grid."""
+    return pose.status is Status.OK
+
+
+def frame_row(
+    grid: LocalGrid, pose: Pose, frame_id: str, images: tuple[str, ...]
+) -> tuple[Any, ...]:
+    """A frame as stored, in the order of `schema.FRAME_COLUMNS`."""
+    return (
+        frame_id,
+        int(pose.time_ns),
+        float(pose.east_m),
+        float(pose.north_m),
+        float(pose.up_m),
+        float(pose.heading_deg),
+        float(pose.position_sigma_m),
+        float(pose.heading_sigma_deg),
+        float(pose.speed_mps),
+        pose.status.value,
+        pose.reason,
+        json.dumps(images, ensure_ascii=False),
+        *encode_grid(grid),
+    )
+
+
+def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]]) -> FrameRecord:
+    """A frame from a row of `FRAME_SQL`; `blobs` fetches its density and observed blobs."""
+    _, session, width_m, length_m, cell_m, frame_id, time_ns, *pose, status, reason, images = row
+    try:
+        spec = GridSpec(width_m, length_m, cell_m)
+        return FrameRecord(
+            session=str(session),
+            frame_id=str(frame_id),
+            pose=Pose(
+                time_ns=int(time_ns),
+                east_m=number(pose[0]),
+                north_m=number(pose[1]),
+                up_m=number(pose[2]),
+                heading_deg=number(pose[3]),
+                position_sigma_m=number(pose[4]),
+                heading_sigma_deg=number(pose[5]),
+                speed_mps=number(pose[6]),
+                status=Status(status),
+                reason=str(reason),
+            ),
+            images=tuple(str(name) for name in json.loads(images)),
+            spec=spec,
+            load=lambda: decode_grid(spec, *blobs(), f"grid of frame {frame_id!r}"),
+        )
+    except (TypeError, ValueError, FieldgridError) as error:
+        raise MapError(f"Frame {frame_id!r} of session {session!r} is damaged: {error}") from error
+
+
+def session_info(row: tuple[Any, ...]) -> SessionInfo:
+    """A session from a row of `SESSION_SQL`."""
+    name, created, source, config, software, heading_source, first, last, *counts = row
+    frames, accepted, width_m, length_m, cell_m = counts
+    try:
+        return SessionInfo(
+            name=str(name),
+            created=str(created),
+            source=str(source),
+            config=dict(json.loads(config)),
+            software_version=str(software),
+            heading_source=str(heading_source),
+            first_time_ns=None if first is None else int(first),
+            last_time_ns=None if last is None else int(last),
+            frames=int(frames),
+            accepted=int(accepted),
+            grid=None if cell_m is None else GridSpec(width_m, length_m, cell_m),
+        )
+    except (TypeError, ValueError, FieldgridError) as error:
+        raise MapError(f"Session {name!r} is damaged: {error}") from error
+
+
+def number(value: Any) -> float:
+    """A stored number; SQLite has no NaN and keeps NULL in its place."""
+    return math.nan if value is None else float(value)

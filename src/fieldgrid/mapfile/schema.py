@@ -1,0 +1,260 @@
+"""The tables of a map file; `docs/map-format.md` explains each.
+
+Those that start with `gpkg_` and the layers they announce are GeoPackage 1.3, for any GIS.
+Those that start with `fieldgrid_` hold the evidence and the sums, for this package.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from importlib.metadata import PackageNotFoundError, version
+
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import TILE_CELLS, Lattice
+from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.transfer import CELL_WEIGHT, Transfer
+
+FORMAT_VERSION = 1
+"""Of the `fieldgrid_` tables; a map of a newer one is refused."""
+
+APPLICATION_ID = 0x47504B47
+"""'GPKG', in the header of the file."""
+
+GEOPACKAGE_VERSION = 10300
+"""1.3, in the header of the file: GDAL 3.6 warns at anything later."""
+
+SRS_ID = 100001
+"""The map's own plane in gpkg_spatial_ref_sys."""
+
+NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ', 'now')"
+
+_WGS84_WKT = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
+    'AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0,'
+    'AUTHORITY["EPSG","8901"]],UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]],'
+    'AXIS["Latitude",NORTH],AXIS["Longitude",EAST],AUTHORITY["EPSG","4326"]]'
+)
+
+_GEOPACKAGE = f"""
+CREATE TABLE gpkg_spatial_ref_sys (
+    srs_name TEXT NOT NULL,
+    srs_id INTEGER NOT NULL PRIMARY KEY,
+    organization TEXT NOT NULL,
+    organization_coordsys_id INTEGER NOT NULL,
+    definition TEXT NOT NULL,
+    description TEXT
+);
+CREATE TABLE gpkg_contents (
+    table_name TEXT NOT NULL PRIMARY KEY,
+    data_type TEXT NOT NULL,
+    identifier TEXT UNIQUE,
+    description TEXT DEFAULT '',
+    last_change DATETIME NOT NULL DEFAULT ({NOW_SQL}),
+    min_x DOUBLE,
+    min_y DOUBLE,
+    max_x DOUBLE,
+    max_y DOUBLE,
+    srs_id INTEGER REFERENCES gpkg_spatial_ref_sys (srs_id)
+);
+CREATE TABLE gpkg_geometry_columns (
+    table_name TEXT NOT NULL UNIQUE REFERENCES gpkg_contents (table_name),
+    column_name TEXT NOT NULL,
+    geometry_type_name TEXT NOT NULL,
+    srs_id INTEGER NOT NULL REFERENCES gpkg_spatial_ref_sys (srs_id),
+    z TINYINT NOT NULL,
+    m TINYINT NOT NULL,
+    PRIMARY KEY (table_name, column_name)
+);
+CREATE TABLE gpkg_tile_matrix_set (
+    table_name TEXT NOT NULL PRIMARY KEY REFERENCES gpkg_contents (table_name),
+    srs_id INTEGER NOT NULL REFERENCES gpkg_spatial_ref_sys (srs_id),
+    min_x DOUBLE NOT NULL,
+    min_y DOUBLE NOT NULL,
+    max_x DOUBLE NOT NULL,
+    max_y DOUBLE NOT NULL
+);
+CREATE TABLE gpkg_tile_matrix (
+    table_name TEXT NOT NULL REFERENCES gpkg_contents (table_name),
+    zoom_level INTEGER NOT NULL,
+    matrix_width INTEGER NOT NULL,
+    matrix_height INTEGER NOT NULL,
+    tile_width INTEGER NOT NULL,
+    tile_height INTEGER NOT NULL,
+    pixel_x_size DOUBLE NOT NULL,
+    pixel_y_size DOUBLE NOT NULL,
+    PRIMARY KEY (table_name, zoom_level)
+);
+CREATE TABLE density (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    zoom_level INTEGER NOT NULL,
+    tile_column INTEGER NOT NULL,
+    tile_row INTEGER NOT NULL,
+    tile_data BLOB NOT NULL,
+    UNIQUE (zoom_level, tile_column, tile_row)
+);
+CREATE TABLE trajectory (
+    fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    geom POINT,
+    session TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    up_m DOUBLE,
+    heading_deg DOUBLE,
+    heading_sigma_deg DOUBLE,
+    position_sigma_m DOUBLE,
+    speed_mps DOUBLE,
+    quality INTEGER,
+    status TEXT NOT NULL,
+    reason TEXT NOT NULL
+);
+CREATE INDEX trajectory_by_session ON trajectory (session, time_ns);
+CREATE TABLE frame_position (
+    fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    geom POINT,
+    session TEXT NOT NULL,
+    frame_id TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    heading_deg DOUBLE,
+    status TEXT NOT NULL,
+    reason TEXT NOT NULL
+);
+"""
+
+_OWN = """
+CREATE TABLE fieldgrid_meta (
+    key TEXT NOT NULL PRIMARY KEY,
+    value TEXT NOT NULL
+);
+CREATE TABLE fieldgrid_session (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    name TEXT NOT NULL UNIQUE,
+    created DATETIME NOT NULL,
+    source TEXT NOT NULL,
+    config TEXT NOT NULL,
+    software_version TEXT NOT NULL,
+    heading_source TEXT NOT NULL,
+    first_time_ns INTEGER,
+    last_time_ns INTEGER,
+    frames INTEGER NOT NULL,
+    accepted INTEGER NOT NULL,
+    grid_width_m DOUBLE,
+    grid_length_m DOUBLE,
+    grid_cell_m DOUBLE
+);
+CREATE TABLE fieldgrid_tile (
+    zoom INTEGER NOT NULL,
+    ty INTEGER NOT NULL,
+    tx INTEGER NOT NULL,
+    sums BLOB NOT NULL,
+    PRIMARY KEY (zoom, ty, tx)
+);
+"""
+
+FRAME_COLUMNS = """
+    frame_id TEXT NOT NULL UNIQUE,
+    time_ns INTEGER NOT NULL,
+    east_m DOUBLE,
+    north_m DOUBLE,
+    up_m DOUBLE,
+    heading_deg DOUBLE,
+    position_sigma_m DOUBLE,
+    heading_sigma_deg DOUBLE,
+    speed_mps DOUBLE,
+    status TEXT NOT NULL,
+    reason TEXT NOT NULL,
+    images TEXT NOT NULL,
+    density BLOB NOT NULL,
+    observed BLOB NOT NULL
+"""
+"""What is kept of a frame. The blobs come last: a scan of the poses does not read past them."""
+
+_FRAME = f"""
+CREATE TABLE fieldgrid_frame (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
+    {FRAME_COLUMNS.replace(" UNIQUE", "").strip()},
+    UNIQUE (session_id, frame_id)
+);
+"""
+
+OWN_TABLES = ("fieldgrid_meta", "fieldgrid_session", "fieldgrid_frame", "fieldgrid_tile")
+
+LAYERS = {
+    "density": ("tiles", "3D density 0..255, bright alpha where observed"),
+    "trajectory": ("features", "Where the vehicle was: one point per fix"),
+    "frame_position": ("features", "Where each local grid was taken"),
+    # As the only table without geometry that is announced, it also keeps GDAL from listing
+    # the binary tables as layers.
+    "fieldgrid_session": ("attributes", "The drives in this map"),
+}
+
+
+def software_version() -> str:
+    """The version of this package, as it is written into maps."""
+    try:
+        return version("fieldgrid")
+    except PackageNotFoundError:  # run from a source tree that was never installed
+        return "unknown"
+
+
+def create(
+    connection: sqlite3.Connection, datum: Datum, matrices: TileMatrixSet, transfer: Transfer
+) -> None:
+    """Lay out an empty map. To be called within one transaction."""
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {GEOPACKAGE_VERSION}")
+    for statement in (_GEOPACKAGE + _OWN + _FRAME).split(";\n"):
+        connection.execute(statement)
+    connection.executemany(
+        "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _reference_systems(datum)
+    )
+    for table, (data_type, description) in LAYERS.items():
+        srs_id = None if data_type == "attributes" else SRS_ID
+        connection.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
+            "VALUES (?, ?, ?, ?, ?)",
+            (table, data_type, table, description, srs_id),
+        )
+        if data_type == "features":
+            connection.execute(
+                "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', 'POINT', ?, 0, 0)",
+                (table, SRS_ID),
+            )
+    half_m = matrices.half_m
+    connection.execute(
+        "INSERT INTO gpkg_tile_matrix_set VALUES ('density', ?, ?, ?, ?, ?)",
+        (SRS_ID, -half_m, -half_m, half_m, half_m),
+    )
+    connection.executemany(
+        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
+    )
+
+
+def _reference_systems(datum: Datum) -> tuple[tuple[str, int, str, int, str, str], ...]:
+    return (
+        ("Undefined cartesian SRS", -1, "NONE", -1, "undefined", "undefined, cartesian"),
+        ("Undefined geographic SRS", 0, "NONE", 0, "undefined", "undefined, geographic"),
+        ("WGS 84 geodetic", 4326, "EPSG", 4326, _WGS84_WKT, "latitude and longitude, degrees"),
+        (
+            f"fieldgrid LTP {datum.lat_deg:.9f} {datum.lon_deg:.9f} {datum.height_m:.3f}",
+            SRS_ID,
+            "fieldgrid",
+            SRS_ID,
+            datum.crs_wkt("WKT1_GDAL"),
+            "metres east and north in the tangent plane of the map's datum",
+        ),
+    )
+
+
+def _meta(datum: Datum, lattice: Lattice, transfer: Transfer) -> dict[str, str]:
+    # repr gives the shortest text that reads back as the same number.
+    return {
+        "format_version": str(FORMAT_VERSION),
+        "software_version": software_version(),
+        "datum_lat_deg": repr(float(datum.lat_deg)),
+        "datum_lon_deg": repr(float(datum.lon_deg)),
+        "datum_height_m": repr(float(datum.height_m)),
+        "cell_m": repr(float(lattice.cell_m)),
+        "transfer": transfer.value,
+        "tile_cells": str(TILE_CELLS),
+        "cell_weight": str(CELL_WEIGHT),
+    }

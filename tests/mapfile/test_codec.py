@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldgrid.errors import MapError
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.mapfile.codec import (
+    decode_grid,
+    decode_sums,
+    encode_grid,
+    encode_sums,
+    inflate,
+)
+
+
+@given(columns=st.integers(1, 40), rows=st.integers(1, 40), seed=st.integers(0, 99))
+def test_a_grid_reads_back(columns: int, rows: int, seed: int) -> None:
+    spec = GridSpec(columns * 0.25, rows * 0.25, 0.25)
+    random = np.random.default_rng(seed)
+    observed = random.random(spec.shape) < 0.5
+    density = random.integers(0, 256, spec.shape, dtype=np.uint8)
+    read = decode_grid(spec, *encode_grid(LocalGrid(spec, density, observed)), "grid")
+    np.testing.assert_array_equal(read.observed, observed)
+    np.testing.assert_array_equal(read.density, np.where(observed, density, 0))
+    assert read.density.dtype == np.uint8
+    assert read.observed.dtype == np.bool_
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    weight_bits=st.integers(0, 40),
+    sum_bits=st.integers(0, 50),
+    unit=st.sampled_from([1, 2, 16, 64]),
+    seed=st.integers(0, 99),
+)
+def test_sums_read_back(weight_bits: int, sum_bits: int, unit: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    sums = np.stack(
+        [
+            random.integers(0, 1 << bits, (256, 256), dtype=np.uint64, endpoint=True)
+            for bits in (weight_bits, sum_bits)
+        ],
+        axis=-1,
+    ) * np.uint64(unit)
+    read = decode_sums(encode_sums(sums), "tile")
+    assert read.dtype == np.uint64
+    np.testing.assert_array_equal(read, sums)
+
+
+def test_sums_of_whole_cells_take_three_bytes_a_cell_before_compression() -> None:
+    sums = np.zeros((256, 256, 2), dtype=np.uint64)
+    sums[3, 5] = (16 * 200, 16 * 200 * 255)
+    assert tuple(encode_sums(sums)[:3]) == (1, 2, 4)
+
+
+def test_a_stream_that_unfolds_to_too_much_is_refused_without_unfolding_it() -> None:
+    bomb = zlib.compress(bytes(64 << 20), 9)
+    tracemalloc.start()
+    try:
+        with pytest.raises(MapError, match="grid is damaged"):
+            inflate(bomb, 60_000, "grid")
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "blob",
+    [
+        b"",
+        b"no stream",
+        zlib.compress(bytes(99)),
+        zlib.compress(bytes(101)),
+        zlib.compress(bytes(100))[:-5],
+        "text",
+        None,
+        7,
+    ],
+)
+def test_anything_but_the_expected_bytes_is_damage(blob: object) -> None:
+    with pytest.raises(MapError, match="damaged"):
+        inflate(blob, 100, "grid")
+
+
+@pytest.mark.parametrize("header", [b"", b"\1\1", b"\0\1\0", b"\1\x08\0", b"\1\1\x05"])
+def test_a_senseless_header_of_sums_is_damage(header: bytes) -> None:
+    body = zlib.compress(bytes(2 * 65536))
+    assert decode_sums(b"\1\1\0" + body, "tile").sum() == 0
+    with pytest.raises(MapError, match="damaged"):
+        decode_sums(header + (body if len(header) == 3 else b""), "tile")

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from fieldgrid.mapfile.png import encode_png
+
+
+def test_another_reader_sees_grey_and_alpha_with_the_north_on_top() -> None:
+    random = np.random.default_rng(3)
+    density = random.integers(0, 256, (256, 256), dtype=np.uint8)
+    observed = random.random((256, 256)) < 0.4
+    image = Image.open(io.BytesIO(encode_png(density, observed)))
+    image.load()  # checks the checksums
+    assert (image.mode, image.size) == ("LA", (256, 256))
+    pixels = np.asarray(image)
+    np.testing.assert_array_equal(pixels[::-1, :, 0], density)
+    np.testing.assert_array_equal(pixels[::-1, :, 1], np.where(observed, 255, 0))

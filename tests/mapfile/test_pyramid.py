@@ -1,0 +1,105 @@
+"""Tiles and overviews against a fold of everything at once."""
+
+from __future__ import annotations
+
+import io
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import staging as staging_module
+from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.transfer import MeanFold, mean_density
+from tests.mapfile.maps import CELL_M, DATUM, Frame, drive, write_map, write_session
+
+LATTICE = Lattice(CELL_M)
+SIDE = 16 * TILE_CELLS
+AROUND_DATUM = Window(-SIDE // 2, -SIDE // 2, SIDE, SIDE)
+
+
+def expected_sums(frames: list[Frame]) -> npt.NDArray[np.uint64]:
+    fold = MeanFold(LATTICE, AROUND_DATUM)
+    for grid, pose in frames:
+        fold.add(grid, pose)
+    return fold.sums
+
+
+def picture(path: Path, zoom: int) -> npt.NDArray[np.uint8]:
+    """The whole window as the tiles of a zoom level show it, [rows north, columns, LA]."""
+    matrices = TileMatrixSet(LATTICE)
+    shrink = 1 << (matrices.base_zoom - zoom)
+    size = SIDE // shrink
+    first = (1 << (zoom - 1)) - size // 2 // TILE_CELLS
+    pixels = np.zeros((max(size, 2 * TILE_CELLS), max(size, 2 * TILE_CELLS), 2), dtype=np.uint8)
+    first = (1 << (zoom - 1)) - pixels.shape[0] // 2 // TILE_CELLS
+    with sqlite3.connect(path) as database:
+        rows = database.execute(
+            "SELECT tile_column, tile_row, tile_data FROM density WHERE zoom_level = ?", (zoom,)
+        ).fetchall()
+    database.close()
+    for column, row, data in rows:
+        y, x = (row - first) * TILE_CELLS, (column - first) * TILE_CELLS
+        pixels[y : y + TILE_CELLS, x : x + TILE_CELLS] = np.asarray(Image.open(io.BytesIO(data)))
+    margin = (pixels.shape[0] - size) // 2
+    return pixels[margin : margin + size, margin : margin + size][::-1]
+
+
+def assert_levels_show(path: Path, frames: list[Frame]) -> None:
+    sums = expected_sums(frames)
+    assert sums[..., 0].any()
+    with sqlite3.connect(path) as database:
+        zooms = [
+            row[0]
+            for row in database.execute("SELECT DISTINCT zoom_level FROM density ORDER BY 1 DESC")
+        ]
+        listed = {row[0] for row in database.execute("SELECT zoom_level FROM gpkg_tile_matrix")}
+    database.close()
+    base = TileMatrixSet(LATTICE).base_zoom
+    assert zooms == list(range(base, base - len(zooms), -1))
+    assert set(zooms) <= listed
+    for zoom in zooms:
+        density, observed = mean_density(sums)
+        shown = picture(path, zoom)
+        np.testing.assert_array_equal(shown[..., 0], density)
+        np.testing.assert_array_equal(shown[..., 1], observed * 255)
+        size = len(sums) // 2
+        sums = sums.reshape(size, 2, size, 2, 2).sum(axis=(1, 3))
+    # The uppermost level is small enough to be looked at whole.
+    rows, columns = np.nonzero(observed)
+    assert max(np.ptp(rows), np.ptp(columns)) < 2 * TILE_CELLS
+
+
+def test_every_level_is_the_mean_over_all_that_fell_into_its_cells(tmp_path: Path) -> None:
+    frames = drive(60)
+    assert_levels_show(write_map(tmp_path / "map.gpkg", [frames]), frames)
+
+
+def test_a_map_that_grows_gets_the_levels_that_it_would_have_had_at_once(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    frames = drive(1)
+    for name, more in (
+        ("b", drive(3, start=9)),
+        ("c", drive(25, heading_deg=-110.0)),
+        ("d", drive(45)),
+    ):
+        with open_map(path, datum=DATUM) as universal:
+            write_session(universal, name, more)
+        frames += more
+        assert_levels_show(path, frames)
+
+
+def test_a_drive_longer_than_the_memory_gives_the_same_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = drive(30)
+    frames = [*there, *drive(30, heading_deg=37.3, start=0)[::-1], *drive(10, heading_deg=140.0)]
+    monkeypatch.setattr(staging_module, "POOL_TILES", 3)
+    monkeypatch.setattr(staging_module, "PART_CELLS", 50)
+    path = write_map(tmp_path / "map.gpkg", [frames])
+    assert_levels_show(path, frames)
