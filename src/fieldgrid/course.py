@@ -23,11 +23,17 @@ CUSP_DEG = 110.0
 """A path whose direction before and after a point differs by more has turned back there."""
 
 
+NOISE_SHARE = 0.3
+"""Of the error of a fix this share is noise; the rest wanders slowly and cancels in a slope."""
+
 CUSP_REACH_M = 1.5
 """How far around a point its turning is looked at: a U-turn of a radius over 1.6 m is no cusp."""
 
 TURN_SHARE = 0.06
 """A parabola follows a turn to about this share of it: 0.6° where the window turns by 10°."""
+
+NOSE_DEG = 0.4
+"""How far a nose that follows its course still wanders from it: slip, sway, short weaving."""
 
 SWAY_DEG = 0.4
 """How much a vehicle rolls on a field; an antenna 3 m up sways by 2 cm with it."""
@@ -66,26 +72,30 @@ def course(
     for number in np.unique(part):
         members = np.flatnonzero(part == number)
         points = np.stack([east_m[members], north_m[members]], axis=1)
-        legs = _legs(points, baseline_m)
+        legs = _legs(points, sigma_m[members], baseline_m)
         forward_parity = _longer_parity(points, legs)
         for k, (start, stop) in enumerate(legs):
             gear = 1 if k % 2 == forward_parity else -1
             result.gear[members[start:stop]] = gear
             leg = points[start:stop]
-            # A third of the fixes' error is noise, the rest wanders and cancels.
-            noise_m = np.hypot(0.3 * sigma_m[members[start:stop]], sway_m)
+            noise_m = np.hypot(NOISE_SHARE * sigma_m[members[start:stop]], sway_m)
             for at, window in enumerate(_windows(leg, baseline_m)):
                 direction, sigma, span = _direction(leg, noise_m, at, window, baseline_m)
                 index = members[start + at]
                 result.heading_deg[index] = wrap_deg(direction if gear > 0 else direction + 180.0)
-                result.sigma_deg[index] = sigma
+                # What no residual shows: the nose's own wandering, and that of the fixes
+                # between the ends of the window.
+                drift_m = NOISE_SHARE * math.sqrt(2.0) * sigma_m[index]
+                wander_deg = math.degrees(drift_m / max(span, 1e-3))
+                result.sigma_deg[index] = math.hypot(sigma, NOSE_DEG, wander_deg)
                 result.span_m[index] = span
     return result
 
 
-def cusps(points: _Float64, baseline_m: float) -> list[int]:
+def cusps(points: _Float64, sigma_m: _Float64, baseline_m: float) -> list[int]:
     """Indices of the positions [n, 2] (metres) at which the path turns back on itself."""
-    reach_m = min(baseline_m / 2.0, CUSP_REACH_M)
+    noise_m = NOISE_SHARE * float(np.median(sigma_m))
+    reach_m = min(baseline_m / 2.0, max(CUSP_REACH_M, 6.0 * noise_m))
     before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
     known = (before >= 0) & (after >= 0)
     incoming, outgoing = points - points[before], points[after] - points
@@ -110,9 +120,9 @@ def _farthest(points: _Float64, feet: _Float64) -> int:
     return int(np.argmax(np.hypot(*(points - feet).T)))
 
 
-def _legs(points: _Float64, baseline_m: float) -> list[tuple[int, int]]:
+def _legs(points: _Float64, sigma_m: _Float64, baseline_m: float) -> list[tuple[int, int]]:
     """The path cut at its cusps: (start, stop) of each leg; a cusp ends the earlier one."""
-    cuts = [0, *(k + 1 for k in cusps(points, baseline_m)), len(points)]
+    cuts = [0, *(k + 1 for k in cusps(points, sigma_m, baseline_m)), len(points)]
     return [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
 
 

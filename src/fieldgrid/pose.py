@@ -110,11 +110,12 @@ def estimate_poses(
     datum = datum or datum_of(fixes, verdicts)
     source = heading_source(settings.heading, fixes)
 
-    antenna_e, antenna_n, antenna_u = datum.to_enu(
-        [fix.lat_deg for fix in fixes],
-        [fix.lon_deg for fix in fixes],
-        [fix.height_m for fix in fixes],
-    )
+    with np.errstate(invalid="ignore"):  # rejected fixes may hold anything
+        antenna_e, antenna_n, antenna_u = datum.to_enu(
+            [fix.lat_deg for fix in fixes],
+            [fix.lon_deg for fix in fixes],
+            [fix.height_m for fix in fixes],
+        )
     sigma_m = np.array([position_sigma_m(fix) for fix in fixes])
     ok = np.array([verdict.status is Status.OK for verdict in verdicts])
     headings = _headings(fixes, source, ok, antenna_e, antenna_n, sigma_m, rig, settings)

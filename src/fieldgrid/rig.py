@@ -49,8 +49,10 @@ class StereoCamera:
                 f"A stereo baseline of {self.baseline_m} m is outside 0.005..10 m; the right "
                 "camera's P[3] is -f·b, so a wrong sign or unit there shows here."
             )
+        right_px = self.cx_px if self.cx_right_px is None else self.cx_right_px
         for name, value, size in (
             ("cx", self.cx_px, self.width_px),
+            ("cx of the right camera", right_px, self.width_px),
             ("cy", self.cy_px, self.height_px),
         ):
             if not (math.isfinite(value) and -size < value < 2 * size):

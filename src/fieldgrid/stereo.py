@@ -43,7 +43,7 @@ class StereoSettings(BaseModel):
         default=None, ge=3, le=51, description="Odd; 9 for sgbm3way and sgbm, 15 for bm."
     )
     uniqueness_percent: int = Field(default=10, ge=0, le=50)
-    left_right_px: int = Field(default=1, ge=-1, le=10, description="-1 switches the check off.")
+    left_right_px: int = Field(default=1, ge=0, le=10, description="0 switches the check off.")
     speckle_px: int = Field(default=100, ge=0, le=10_000, description="Smaller blobs are dropped.")
     speckle_step_px: int = Field(default=2, ge=1, le=16)
     disparity_sigma_px: float = Field(default=0.25, gt=0.0, le=5.0)
@@ -100,7 +100,8 @@ def search_region(
     """
     camera, mount = rig.camera, rig.mount
     nearest_px = camera.focal_baseline_px_m / settings.min_range_m + camera.disparity_offset_px
-    num_disparities = max(16, math.ceil(nearest_px / 16.0) * 16)
+    # n disparities are 0 … n - 1, and OpenCV wants a multiple of 16.
+    num_disparities = max(16, math.ceil((nearest_px + 1.0) / 16.0) * 16)
     if num_disparities > camera.width_px // 2:
         raise ConfigError(
             f"A nearest range of {settings.min_range_m} m asks for {num_disparities} disparities "
@@ -149,10 +150,12 @@ class StereoMatcher:
 def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
     """OpenCV's matcher for these settings, disparities 0 … num_disparities - 1."""
     block = settings.block()
+    # OpenCV's SGBM takes 0 and -1 for 1; only a large difference switches its check off.
+    left_right_px = settings.left_right_px or num_disparities
     if settings.matcher is MatcherKind.BM:
         bm = cv2.StereoBM_create(num_disparities, block)
         bm.setUniquenessRatio(settings.uniqueness_percent)
-        bm.setDisp12MaxDiff(settings.left_right_px)
+        bm.setDisp12MaxDiff(left_right_px)
         bm.setSpeckleWindowSize(settings.speckle_px)
         bm.setSpeckleRange(settings.speckle_step_px)
         return bm  # type: ignore[no-any-return]
@@ -167,7 +170,7 @@ def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
         blockSize=block,
         P1=8 * block * block,
         P2=32 * block * block,
-        disp12MaxDiff=settings.left_right_px,
+        disp12MaxDiff=left_right_px,
         uniquenessRatio=settings.uniqueness_percent,
         speckleWindowSize=settings.speckle_px,
         speckleRange=settings.speckle_step_px,

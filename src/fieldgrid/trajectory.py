@@ -156,8 +156,12 @@ class Trajectory:
         )
 
     def _why(self, time_ns: int) -> str:
-        """The reason of the rejected fix next to an instant, or that there was none."""
-        k = int(np.clip(np.searchsorted(self.time_ns, time_ns), 0, len(self) - 1))
-        neighbours = [i for i in (k - 1, k) if 0 <= i < len(self)]
-        nearest = min(neighbours, key=lambda i: abs(int(self.time_ns[i]) - time_ns))
-        return self.reason[nearest] or "the receiver wrote none"
+        """Why there is no accepted fix at an instant: the reason of the nearest rejected one
+        between the accepted ones around it, or that there was none."""
+        after = int(np.searchsorted(self.time_ns[self._ok], time_ns))
+        start = int(self._ok[after - 1]) + 1 if after > 0 else 0
+        stop = int(self._ok[after]) if after < self._ok.size else len(self)
+        if start >= stop:
+            return "the receiver wrote none"
+        gaps_ns = np.abs(self.time_ns[start:stop] - time_ns)
+        return self.reason[start + int(np.argmin(gaps_ns))]

@@ -91,10 +91,7 @@ class MeanFold:
 
     def add(self, grid: LocalGrid, pose: Pose) -> None:
         """Carry one local grid into the window; what falls outside is left out."""
-        check_cell_sizes(self.lattice.cell_m, grid.spec.cell_m)
-        shift = AREA_SHIFT if self.transfer is Transfer.AREA else 0
-        axes = universal_axes(grid.spec, pose, self.lattice, self.window, shift)
-        accumulate(grid.density, grid.observed, *axes, shift, self.sums)
+        add_to_sums(self.sums, self.window, grid, pose, self.lattice, self.transfer)
 
     def density(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """Mean 3D density rounded to uint8, and the observed mask, both [rows, columns]."""
@@ -115,14 +112,33 @@ class PaperFold:
     def add(self, grid: LocalGrid, pose: Pose) -> None:
         """Carry one local grid into the window by cell centres, row by row."""
         check_cell_sizes(self.lattice.cell_m, grid.spec.cell_m)
-        axes = universal_axes(grid.spec, pose, self.lattice, self.window)
-        average_pairwise(grid.density, grid.observed, *axes, self.value)
+        axes = universal_axes(grid.spec, pose, self.lattice)
+        i0, j0 = self.window.i0, self.window.j0
+        average_pairwise(grid.density, grid.observed, *axes, i0, j0, self.value)
 
     def density(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """Averaged 3D density rounded to uint8, and the observed mask."""
         observed = ~np.isnan(self.value)
         rounded = np.floor(np.where(observed, self.value, 0.0) + 0.5)
         return rounded.astype(np.uint8), observed
+
+
+def add_to_sums(
+    sums: npt.NDArray[np.uint64],
+    window: Window,
+    grid: LocalGrid,
+    pose: Pose,
+    lattice: Lattice,
+    transfer: Transfer,
+) -> None:
+    """Carry one local grid into (weight, weighted sum) over a window, uint64 [rows, columns, 2].
+
+    Raises ConfigError when universal cells are smaller than the grid's.
+    """
+    check_cell_sizes(lattice.cell_m, grid.spec.cell_m)
+    shift = AREA_SHIFT if transfer is Transfer.AREA else 0
+    axes = universal_axes(grid.spec, pose, lattice, shift)
+    accumulate(grid.density, grid.observed, *axes, shift, window.i0, window.j0, sums)
 
 
 def mean_density(
@@ -139,13 +155,14 @@ def mean_density(
 
 
 def universal_axes(
-    spec: GridSpec, pose: Pose, lattice: Lattice, window: Window, shift: int = 0
+    spec: GridSpec, pose: Pose, lattice: Lattice, shift: int = 0
 ) -> tuple[_Float64, _Float64, _Float64, _Float64]:
-    """Eq. 3 split into what a column and what a row contributes, in cells of the window.
+    """Eq. 3 split into what a column and what a row contributes, in cells of the lattice.
 
-    The centre of column c and row r lies in window column floor(column_i[c] + row_i[r]) and
-    window row floor(column_j[c] + row_j[r]). With `shift` s there are 2^s columns and rows a
-    local cell. Returns (column_i, column_j, row_i, row_j).
+    The centre of column c and row r lies in cell (floor(column_i[c] + row_i[r]),
+    floor(column_j[c] + row_j[r])), whatever window is looked at: a centre on the very edge of
+    a cell must not fall to one side in one window and to the other in another. With `shift` s
+    there are 2^s columns and rows a local cell. Returns (column_i, column_j, row_i, row_j).
     """
     parts = 1 << shift
     fine_m = spec.cell_m / parts
@@ -155,13 +172,15 @@ def universal_axes(
     return (
         x * (math.cos(phi) * scale),
         -x * (math.sin(phi) * scale),
-        (pose.east_m * scale - window.i0) + y * (math.sin(phi) * scale),
-        (pose.north_m * scale - window.j0) + y * (math.cos(phi) * scale),
+        pose.east_m * scale + y * (math.sin(phi) * scale),
+        pose.north_m * scale + y * (math.cos(phi) * scale),
     )
 
 
 @kernel
-def accumulate(density, observed, column_i, column_j, row_i, row_j, shift, sums):  # type: ignore[no-untyped-def]
+def accumulate(  # type: ignore[no-untyped-def]
+    density, observed, column_i, column_j, row_i, row_j, shift, i0, j0, sums
+):
     """Add every observed cell to (weight, weighted sum); see `accumulate_reference`.
 
     Two short loops a row, because the first then runs in vector registers.
@@ -174,9 +193,10 @@ def accumulate(density, observed, column_i, column_j, row_i, row_j, shift, sums)
     for fine_r in range(row_i.size):
         r, i_r, j_r = fine_r >> shift, row_i[fine_r], row_j[fine_r]
         for c in range(columns):
-            u, v = column_i[c] + i_r, column_j[c] + j_r
-            inside = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
-            cell[c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
+            u = math.floor(column_i[c] + i_r) - i0
+            v = math.floor(column_j[c] + j_r) - j0
+            inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+            cell[c] = v * width + u if inside else -1
         for c in range(columns):
             if cell[c] >= 0 and observed[r, c >> shift]:
                 k = 2 * np.intp(cell[c])
@@ -192,13 +212,15 @@ def accumulate_reference(
     row_i: _Float64,
     row_j: _Float64,
     shift: int,
+    i0: int,
+    j0: int,
     sums: npt.NDArray[np.uint64],
 ) -> None:
     """The same as `accumulate`, in NumPy: what the compiled kernel is held to."""
     unit = np.uint64(1 << (2 * (AREA_SHIFT - shift)))
     rows, columns = np.arange(row_i.size) >> shift, np.arange(column_i.size) >> shift
-    i = np.floor(column_i[None, :] + row_i[:, None])
-    j = np.floor(column_j[None, :] + row_j[:, None])
+    i = np.floor(column_i[None, :] + row_i[:, None]) - i0
+    j = np.floor(column_j[None, :] + row_j[:, None]) - j0
     height, width = sums.shape[:2]
     inside = observed[np.ix_(rows, columns)] & (i >= 0) & (j >= 0) & (i < width) & (j < height)
     cells = (j[inside].astype(np.intp), i[inside].astype(np.intp))
@@ -208,17 +230,18 @@ def accumulate_reference(
 
 
 @kernel
-def average_pairwise(density, observed, column_i, column_j, row_i, row_j, value):  # type: ignore[no-untyped-def]
+def average_pairwise(  # type: ignore[no-untyped-def]
+    density, observed, column_i, column_j, row_i, row_j, i0, j0, value
+):
     """The flow chart of the paper's Fig. 5: a new value, or the average of old and new."""
     height, width = value.shape
     for r in range(density.shape[0]):
         for c in range(density.shape[1]):
             if not observed[r, c]:
                 continue
-            u = column_i[c] + row_i[r]
-            v = column_j[c] + row_j[r]
-            if u >= 0.0 and v >= 0.0 and u < width and v < height:
-                i, j = np.intp(u), np.intp(v)
+            i = math.floor(column_i[c] + row_i[r]) - i0
+            j = math.floor(column_j[c] + row_j[r]) - j0
+            if i >= 0 and j >= 0 and i < width and j < height:
                 new = np.float32(density[r, c])
                 old = value[j, i]
                 value[j, i] = new if np.isnan(old) else np.float32(0.5) * (old + new)

@@ -1,0 +1,85 @@
+"""One map in metres east and north from a stereo camera and a GNSS receiver.
+
+The names below are the whole public surface for a script; each is imported when it is first
+used, so that `import fieldgrid` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fieldgrid import figures
+    from fieldgrid.build import add_recording, estimate_trajectory, local_grid
+    from fieldgrid.errors import FieldgridError
+    from fieldgrid.evaluate import evaluate, read_truth
+    from fieldgrid.export import export_geotiff
+    from fieldgrid.geodesy import Datum
+    from fieldgrid.grids import GridSpec, LocalGrid
+    from fieldgrid.lattice import Bounds
+    from fieldgrid.mapfile import open_map
+    from fieldgrid.recording import open_recording
+    from fieldgrid.settings import BuildSettings
+    from fieldgrid.trajectory import Pose, Trajectory
+    from fieldgrid.transfer import Averaging, Transfer
+
+_HOMES = {
+    "Averaging": "transfer",
+    "Bounds": "lattice",
+    "BuildSettings": "settings",
+    "Datum": "geodesy",
+    "FieldgridError": "errors",
+    "GridSpec": "grids",
+    "LocalGrid": "grids",
+    "Pose": "trajectory",
+    "Trajectory": "trajectory",
+    "Transfer": "transfer",
+    "add_recording": "build",
+    "estimate_trajectory": "build",
+    "evaluate": "evaluate",
+    "export_geotiff": "export",
+    "figures": "",
+    "local_grid": "build",
+    "open_map": "mapfile",
+    "open_recording": "recording",
+    "read_truth": "evaluate",
+}
+
+__all__ = [
+    "Averaging",
+    "Bounds",
+    "BuildSettings",
+    "Datum",
+    "FieldgridError",
+    "GridSpec",
+    "LocalGrid",
+    "Pose",
+    "Trajectory",
+    "Transfer",
+    "add_recording",
+    "estimate_trajectory",
+    "evaluate",
+    "export_geotiff",
+    "figures",
+    "local_grid",
+    "open_map",
+    "open_recording",
+    "read_truth",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.metadata.version("fieldgrid")
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'fieldgrid' has no attribute {name!r}")
+    if not home:
+        return importlib.import_module(f"fieldgrid.{name}")
+    return getattr(importlib.import_module(f"fieldgrid.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

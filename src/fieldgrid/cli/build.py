@@ -1,0 +1,243 @@
+"""`fieldgrid build`: the main job."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import output, parse
+
+if TYPE_CHECKING:
+    from fieldgrid.build import Progress, SessionReport
+    from fieldgrid.settings import BuildSettings
+
+
+def command(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP.gpkg", help="The map file.")],
+    gnss: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Which GNSS log of the recording.")
+    ] = None,
+    heading: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|recorded|course|constant:DEG",
+            help="Where headings come from; auto takes the recording's own where it has them.",
+        ),
+    ] = None,
+    append: Annotated[bool, typer.Option("--append", help="Add to an existing map.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an existing map.")
+    ] = False,
+    name: Annotated[
+        str | None, typer.Option(help="The session's name, for a single recording.")
+    ] = None,
+    datum: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON,HEIGHT",
+            help="Origin of a new map [recording's own, else its first accepted fix].",
+        ),
+    ] = None,
+    cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Universal cell, L_U [that of --local-cell].")
+    ] = None,
+    grid: Annotated[
+        str | None, typer.Option(metavar="WxL", help="Local grid, metres [10x15].")
+    ] = None,
+    local_cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Local cell, L_L [0.05].")
+    ] = None,
+    slice_: Annotated[
+        str | None,
+        typer.Option("--slice", metavar="BOTTOM:TOP", help="Above the local ground [0.2:2.2]."),
+    ] = None,
+    max_range: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Farthest points used [15, less where range is unsure]."),
+    ] = None,
+    matcher: Annotated[
+        str | None, typer.Option(metavar="sgbm3way|sgbm|bm", help="Stereo matcher [sgbm3way].")
+    ] = None,
+    transfer: Annotated[
+        str | None,
+        typer.Option(metavar="centre|area", help="Local to universal cells [centre]."),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Take every N-th frame.")] = 1,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Settings; flags override them.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, max=256, help="Threads [one a core].")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Make a map from recordings (stereo pairs and GNSS), or append them to one.
+
+    Examples:
+
+        fieldgrid build june-03 -o vineyard.gpkg --gnss rtk.nmea
+
+        fieldgrid build june-10 june-17 -o vineyard.gpkg --append
+
+        fieldgrid build 2011_09_30_drive_0020_sync -o road.gpkg --grid 20x15
+    """
+    if name is not None and len(recordings) > 1:
+        raise typer.BadParameter("--name is for a single recording", param_hint="--name")
+    settings = _settings(
+        config, heading, cell, grid, local_cell, slice_, max_range, matcher, transfer
+    )
+    try:
+        reports = _run(
+            recordings,
+            out,
+            gnss,
+            settings,
+            parse.datum(datum),
+            append,
+            overwrite,
+            name,
+            every,
+            jobs,
+        )
+    except KeyboardInterrupt:
+        typer.echo("fieldgrid: interrupted; the drive is not in the map.", err=True)
+        raise typer.Exit(130) from None
+    if as_json:
+        output.print_json({"map": str(out), "sessions": [report.as_dict() for report in reports]})
+    else:
+        _print_reports(out, reports)
+
+
+def _settings(
+    config: Path | None,
+    heading: str | None,
+    cell: float | None,
+    grid: str | None,
+    local_cell: float | None,
+    slice_: str | None,
+    max_range: float | None,
+    matcher: str | None,
+    transfer: str | None,
+) -> BuildSettings:
+    from fieldgrid.settings import resolve
+
+    width_m, length_m = parse.size(grid) or (None, None)
+    bottom_m, top_m = parse.span(slice_) or (None, None)
+    overrides: dict[str, dict[str, Any]] = {
+        "grid": {"width_m": width_m, "length_m": length_m, "cell_m": local_cell},
+        "stereo": {"matcher": matcher},
+        "density": {
+            "slice_bottom_m": bottom_m,
+            "slice_top_m": top_m,
+            "max_range_m": max_range,
+        },
+        "pose": {"heading": heading},
+        "map": {"cell_m": cell, "transfer": transfer},
+    }
+    return resolve(config, overrides)
+
+
+def _run(
+    paths: list[Path],
+    out: Path,
+    gnss: str | None,
+    settings: BuildSettings,
+    datum: Any,
+    append: bool,
+    overwrite: bool,
+    name: str | None,
+    every: int,
+    jobs: int | None,
+) -> list[SessionReport]:
+    from fieldgrid.build import build_map
+
+    with _progress() as show:
+        return build_map(
+            paths,
+            out,
+            settings,
+            gnss=gnss,
+            datum=datum,
+            append=append,
+            overwrite=overwrite,
+            name=name,
+            every=every,
+            jobs=jobs or os.cpu_count(),
+            progress=show,
+        )
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[Progress], None] | None]:
+    """A progress line on stderr: frames, rate, distance; None where no terminal watches."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    with Bar(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}  {task.fields[distance]}"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(now: Progress) -> None:
+            if now.session not in tasks:
+                tasks[now.session] = bar.add_task(
+                    now.session, total=now.frames_total, rate="", distance=""
+                )
+            task = tasks[now.session]
+            speed = bar.tasks[task].speed
+            bar.update(
+                task,
+                completed=now.frames_done,
+                rate=f"{speed:.1f} frames/s" if speed else "",
+                distance=f"{now.distance_m:.0f} m",
+            )
+
+        yield show
+
+
+def _print_reports(out: Path, reports: list[SessionReport]) -> None:
+    for report in reports:
+        rows = [
+            ("frames used", f"{report.used} of {report.frames}"),
+            ("fixes accepted", f"{report.fixes_accepted} of {report.fixes}"),
+            ("distance mapped", output.number(report.distance_m, 1, "m")),
+            (f"heading sigma, median ({report.heading_source})",
+             output.number(report.heading_sigma_deg, 2, "°")),
+            ("position sigma, median", output.number(report.position_sigma_m, 3, "m")),
+            ("points used up to", output.number(report.max_range_m, 1, "m")),
+            ("ground plane refined in", f"{report.ground_refined} frames"),
+            ("rate", output.number(report.frames_per_s, 1, "frames/s")),
+        ]  # fmt: skip
+        output.print_table(("", ""), rows, title=f"session {report.session}")
+        for count, example in grouped_reasons(report.reasons):
+            print(f"rejected {count}: {example}")
+        for note in report.notes:
+            print(f"note: {note}")
+    print(f"map {out}")
+
+
+def grouped_reasons(reasons: Mapping[str, int]) -> list[tuple[int, str]]:
+    """Reasons that differ in their numbers only, together: how many, and one of them."""
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for reason, count in reasons.items():
+        groups.setdefault(re.sub(r"\d+(\.\d+)?", "#", reason), []).append((count, reason))
+    totals = [(sum(n for n, _ in group), max(group)[1]) for group in groups.values()]
+    return sorted(totals, key=lambda total: -total[0])

@@ -1,0 +1,41 @@
+"""`fieldgrid export`: the map for those who do not read GeoPackage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fieldgrid.cli import parse
+
+
+def command(
+    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.tif", help="A GeoTIFF.")],
+    cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
+    ] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="W S E N", help="Crop, metres east and north."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an existing file.")
+    ] = False,
+) -> None:
+    """Write the density as GeoTIFF: band 1 the value, band 2 whether it was seen.
+
+    Example:
+
+        fieldgrid export vineyard.gpkg vineyard.tif --cell 0.25
+    """
+    if out.suffix.lower() not in {".tif", ".tiff"}:
+        raise typer.BadParameter(f"{out.name} does not end in .tif, the format there is")
+    from fieldgrid.export import export_geotiff
+    from fieldgrid.mapfile import open_map
+
+    with open_map(map_) as universal:
+        view = universal.read(parse.bounds(bounds), cell)
+    export_geotiff(view, out, overwrite=overwrite)
+    typer.echo(f"GeoTIFF {out}")

@@ -1,0 +1,123 @@
+"""`fieldgrid show`: the paper's figures."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fieldgrid.cli import parse
+from fieldgrid.errors import ConfigError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fieldgrid.lattice import Bounds
+    from fieldgrid.mapfile import MapFile, MapView
+
+MAX_PIXELS = 4000
+"""A picture of more cells than this a side is drawn with larger cells."""
+
+
+class Kind(StrEnum):
+    """Which figure."""
+
+    SHEET = "sheet"
+    GRID = "grid"
+    TRAJECTORY = "trajectory"
+    HEADING = "heading"
+
+
+def command(
+    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png", help="PNG, PDF or SVG.")],
+    figure: Annotated[Kind, typer.Option(help="Which of the paper's figures.")] = Kind.SHEET,
+    cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
+    ] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="W S E N", help="Crop, metres east and north."),
+    ] = None,
+    at: Annotated[str | None, typer.Option(metavar="SESSION", help="Only this session.")] = None,
+    averaging: Annotated[
+        str, typer.Option(metavar="mean|paper", help="How values meet in a cell.")
+    ] = "mean",
+) -> None:
+    """Draw a map: universal grid, trajectory with grid positions, heading against time.
+
+    Examples:
+
+        fieldgrid show vineyard.gpkg -o vineyard.png
+
+        fieldgrid show vineyard.gpkg -o row.png --figure grid --cell 0.25 --bounds -20 40 0 60
+    """
+    from fieldgrid.mapfile import open_map
+
+    with open_map(map_) as universal:
+        drawn = _draw(universal, figure, cell, parse.bounds(bounds), at, averaging, map_.stem)
+    try:
+        drawn.savefig(out)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"The figure {out} cannot be written: {error}; choose another."
+        ) from error
+    typer.echo(f"figure {out}")
+
+
+def _draw(
+    universal: MapFile,
+    kind: Kind,
+    cell_m: float | None,
+    bounds: Bounds | None,
+    session: str | None,
+    averaging: str,
+    title: str,
+) -> Figure:
+    from fieldgrid import figures
+
+    frames = list(universal.frames(session))
+    if kind is Kind.GRID:
+        view = _view(universal, cell_m, bounds, session, averaging)
+        return figures.universal_grid(view, frames, title=_title(title, view))
+    names = [info.name for info in universal.sessions() if session in (None, info.name)]
+    tracks = [universal.trajectory(name) for name in names]
+    if kind is Kind.TRAJECTORY:
+        return figures.trajectory(tracks, frames)
+    if kind is Kind.HEADING:
+        return figures.heading(tracks, frames)
+    view = _view(universal, cell_m, bounds, session, averaging)
+    return figures.sheet(view, tracks, frames, title=_title(title, view))
+
+
+def _title(stem: str, view: MapView) -> str:
+    return f"{stem}: universal grid, cells of {view.lattice.cell_m * 100:g} cm"
+
+
+def _view(
+    universal: MapFile,
+    cell_m: float | None,
+    bounds: Bounds | None,
+    session: str | None,
+    averaging: str,
+) -> MapView:
+    """The part of the map to draw; cells are enlarged where a picture could not show them."""
+    from fieldgrid.transfer import Averaging
+
+    if averaging not in {rule.value for rule in Averaging}:
+        raise typer.BadParameter(
+            f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
+        )
+    if cell_m is None:
+        extent = bounds or universal.bounds
+        side_m = max(extent.east_m - extent.west_m, extent.north_m - extent.south_m)
+        cell_m = universal.cell_m * max(1, math.ceil(side_m / universal.cell_m / MAX_PIXELS))
+    return universal.read(
+        bounds,
+        cell_m,
+        averaging=Averaging(averaging),
+        sessions=None if session is None else [session],
+    )

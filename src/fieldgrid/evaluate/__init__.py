@@ -1,0 +1,23 @@
+"""A map against surveyed or simulated truth, absolute: nothing is shifted or turned to fit."""
+
+from fieldgrid.evaluate.scores import (
+    Evaluation,
+    FrameError,
+    Group,
+    ObstacleScores,
+    PoseErrors,
+    evaluate,
+)
+from fieldgrid.evaluate.truth import Truth, TruthPose, read_truth
+
+__all__ = [
+    "Evaluation",
+    "FrameError",
+    "Group",
+    "ObstacleScores",
+    "PoseErrors",
+    "Truth",
+    "TruthPose",
+    "evaluate",
+    "read_truth",
+]

@@ -1,0 +1,128 @@
+"""Truth folders: obstacle cells, how often each could be seen, and poses by frame."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import TruthError
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Lattice, Window
+
+_MAX_TRUTH_CELLS = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class TruthPose:
+    """Where the middle of the stereo baseline really was, and what was being driven."""
+
+    time_ns: int
+    east_m: float
+    north_m: float
+    heading_deg: float
+    direction: str
+    segment: str
+
+    @property
+    def forward_on_row(self) -> bool:
+        """Driven forward along a lane between rows."""
+        return self.segment.startswith("lane") and self.direction == "forward"
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A truth folder: obstacle cells, how often each could be seen, and poses by frame."""
+
+    lattice: Lattice
+    window: Window
+    occupied: npt.NDArray[np.bool_]
+    obstacle_pixels: npt.NDArray[np.int32]
+    poses: tuple[TruthPose, ...]
+    datum: Datum | None
+
+
+def read_truth(folder: Path) -> Truth:
+    """Read a truth folder; every problem with it is a TruthError that names the file."""
+    if not folder.is_dir():
+        raise TruthError(f"There is no truth folder {folder}; give the folder with the rasters.")
+    obstacles = _read_npz(
+        folder / "obstacle_raster_5cm.npz", ("occupied", "east0", "north0", "cell")
+    )
+    observable = _read_npz(folder / "observable_raster_5cm.npz", ("obstacle_pixels",))
+    lattice = Lattice(float(obstacles["cell"]))
+    occupied = obstacles["occupied"].astype(bool)
+    pixels = observable["obstacle_pixels"].astype(np.int32)
+    if occupied.ndim != 2 or occupied.shape != pixels.shape or occupied.size > _MAX_TRUTH_CELLS:
+        raise TruthError(
+            f"The obstacle raster {occupied.shape} and the observable raster {pixels.shape} in "
+            f"{folder} do not belong together; they must have one shape."
+        )
+    i0, j0 = lattice.index(
+        float(obstacles["east0"]) + lattice.cell_m / 2,
+        float(obstacles["north0"]) + lattice.cell_m / 2,
+    )
+    window = Window(int(i0), int(j0), occupied.shape[1], occupied.shape[0])
+    poses = _read_poses(folder / "poses_frames.csv")
+    return Truth(lattice, window, occupied, pixels, poses, _read_datum(folder))
+
+
+def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names}
+    except FileNotFoundError as error:
+        raise TruthError(f"The truth folder lacks {path.name}; looked for {path}.") from error
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise TruthError(f"{path} cannot be read as a truth raster: {error}.") from error
+
+
+def _read_poses(path: Path) -> tuple[TruthPose, ...]:
+    try:
+        with path.open(newline="", encoding="utf-8") as lines:
+            return tuple(_truth_pose(row) for row in csv.DictReader(lines))
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        raise TruthError(f"{path} cannot be read as poses by frame: {error!r}.") from error
+
+
+def _truth_pose(row: dict[str, str]) -> TruthPose:
+    columns = ("timestamp_utc_s", "cam_mid_E", "cam_mid_N", "heading_deg")
+    time_s, east_m, north_m, heading_deg = (float(row[column]) for column in columns)
+    if not all(math.isfinite(v) for v in (time_s, east_m, north_m, heading_deg)):
+        raise ValueError(f"{time_s}, {east_m}, {north_m}, {heading_deg} are not all numbers")
+    if not row["direction"] or not row["segment"]:
+        raise ValueError(f"the row of {time_s} s lacks its direction or segment")
+    time_ns = round(time_s * 1000) * 1_000_000
+    return TruthPose(time_ns, east_m, north_m, heading_deg, row["direction"], row["segment"])
+
+
+def _read_datum(folder: Path) -> Datum | None:
+    """The truth's origin, from the session.json that stands in the folder or beside it."""
+    for path in (folder / "session.json", folder.parent / "session.json"):
+        if path.is_file():
+            try:
+                origin = json.loads(path.read_text(encoding="utf-8"))["ltp_origin"]
+                return Datum(
+                    float(origin["lat_deg"]),
+                    float(origin["lon_deg"]),
+                    float(origin["ellipsoid_height_m"]),
+                )
+            except (OSError, KeyError, TypeError, ValueError) as error:
+                raise TruthError(f"{path} does not state the truth's origin: {error!r}.") from error
+    return None
