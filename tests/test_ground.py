@@ -153,6 +153,20 @@ def test_a_canopy_does_not_lift_the_plane() -> None:
     assert plane.height_m == pytest.approx(2.83, abs=0.04)
 
 
+def test_grass_does_not_lift_the_ground() -> None:
+    """Every other pixel sees blades of up to 20 cm, the rest the ground between them."""
+    rng = np.random.default_rng(4)
+    image = render(RIG, LEVEL, DISPARITIES)
+    for height_m in (0.05, 0.1, 0.15, 0.2):
+        blades = render(RIG, [Ground(height_m)], DISPARITIES)
+        image = np.where(rng.random(image.shape) < 0.16, blades, image)
+    table = depth_table(RIG, DISPARITIES, 16)
+    plane, patches = estimate_ground(image, 0, table, RIG, HALF_WIDTH_M, LENGTH_M)
+    assert up_error_deg(plane, RIG.mount) < 0.15
+    x, y, z = true_heights(plane, patches, RIG.mount)
+    assert np.abs(z[seen(x, y)]).max() < 0.04
+
+
 # --- following the ground
 
 

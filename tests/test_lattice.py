@@ -85,6 +85,14 @@ def test_the_window_of_bounds_covers_them_with_no_cell_too_many(
     assert window.width == round((covered.east_m - covered.west_m) / cell_m)
 
 
+@pytest.mark.parametrize("cell_m", [0.07, 0.3, 0.11])
+def test_a_bound_on_an_edge_up_to_rounding_opens_no_more_cells(cell_m: float) -> None:
+    lattice = Lattice(cell_m)
+    for k in range(-3000, 3000, 7):
+        bounds = Bounds(k * cell_m, -k * cell_m, (k + 3) * cell_m, (5 - k) * cell_m)
+        assert lattice.window(bounds) == Window(k, -k, 3, 5)
+
+
 @pytest.mark.parametrize(
     "bounds",
     [Bounds(1.0, 0.0, 1.0, 1.0), Bounds(0.0, 2.0, 1.0, 1.0), Bounds(0.0, 0.0, math.nan, 1.0)],
@@ -167,6 +175,14 @@ def test_union_and_overlap_of_bounds_agree_with_their_cells(a: Window, b: Window
     union = cells(lattice.window(bounds_a.union(bounds_b)))
     i, j = zip(*(cells(a) | cells(b)), strict=True)
     assert union == cells(Window(min(i), min(j), max(i) - min(i) + 1, max(j) - min(j) + 1))
+
+
+def test_bounds_that_touch_do_not_overlap() -> None:
+    middle = Bounds(0.0, 0.0, 2.0, 2.0)
+    for i, j in [(-2.0, 0.0), (2.0, 0.0), (0.0, -2.0), (0.0, 2.0)]:
+        neighbour = Bounds(i, j, i + 2.0, j + 2.0)
+        assert not middle.overlaps(neighbour)
+        assert middle.overlaps(Bounds(0.9 * i, 0.9 * j, 0.9 * i + 2.0, 0.9 * j + 2.0))
 
 
 @settings(max_examples=30)

@@ -341,6 +341,28 @@ def test_a_box_appears_where_it_stands(left_m: float, mount: Mount | None) -> No
     assert not grid.observed[hidden].any()
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_verge_is_no_obstacle_and_a_post_on_it_is_one(side: float) -> None:
+    """A bank to 30 cm, three times as high as the slice begins: that is above the bank."""
+    low_slice = DensitySettings(slice_bottom_m=0.1)
+    low, high = (1.0, 2.0) if side > 0 else (-2.0, -1.0)
+    outside = (high, math.inf) if side > 0 else (-math.inf, low)
+    inside = (-math.inf, low) if side > 0 else (high, math.inf)
+    things: list[Ground | Box] = [
+        Ground(x_from_m=inside[0], x_to_m=inside[1]),
+        Ground(-0.3, 0.3 * side, x_from_m=low, x_to_m=high),
+        Ground(0.3, x_from_m=outside[0], x_to_m=outside[1]),
+    ]
+    grid = frame(things, density=low_slice)
+    assert not (grid.density > OBSTACLE_ABOVE).any()
+    assert np.count_nonzero(grid.density) < 10
+    post = Box((2.3 * side - 0.1, 2.3 * side + 0.1), (9.0, 9.2), (0.3, 1.5))
+    rows, columns = np.nonzero(frame([*things, post]).density > OBSTACLE_ABOVE)
+    assert rows.size > 0
+    assert np.abs((columns + 0.5) * 0.05 - 5.0 - 2.3 * side).max() < 0.25
+    assert np.abs((rows + 0.5) * 0.05 - 9.1).max() < 0.3
+
+
 def test_the_blind_strip_and_what_is_out_of_range_are_unseen() -> None:
     grid = frame([Ground()])
     _, y = SPEC.centres_m()

@@ -83,6 +83,12 @@ def test_yaw_turns_the_tilted_camera_about_the_vertical() -> None:
     assert math.degrees(math.atan2(axis[0], axis[1])) == pytest.approx(30.0)
 
 
+def test_roll_is_about_the_camera_s_own_forward_before_yaw() -> None:
+    R = Mount(2.8, 0.0, roll_deg=10.0, yaw_deg=30.0).rotation()
+    assert R[2, 2] == pytest.approx(0.0, abs=1e-12)  # a level camera stays level
+    assert math.degrees(math.asin(-R[2, 0])) == pytest.approx(10.0)
+
+
 @given(st.floats(1.0, 50.0), st.floats(0.01, 1.0))
 def test_range_error_is_that_of_the_disparity(range_m: float, sigma_px: float) -> None:
     disparity = 780.0 * 0.2 / range_m

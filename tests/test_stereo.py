@@ -85,6 +85,31 @@ def test_what_has_no_match_is_invalid(kind: MatcherKind) -> None:
     assert values[values < 0].max() == INVALID
 
 
+def matched_without_a_match(kind: MatcherKind, **checks: int) -> float:
+    """Share of pixels matched in images that have nothing in common: each one a mistake."""
+    off = {"uniqueness_percent": 0, "left_right_px": 10, "speckle_px": 0}
+    chosen = StereoSettings(matcher=kind, **{**off, **checks})
+    images = pair(10.0)[0], pair(10.0, seed=1)[1]
+    found = StereoMatcher(SMALL, chosen, whole_image(SMALL, 48)).disparity(*images)
+    return float((found.values >= 0).mean())
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+def test_each_check_drops_mistakes(kind: MatcherKind) -> None:
+    unchecked = matched_without_a_match(kind)
+    assert unchecked > 0.5
+    assert matched_without_a_match(kind, uniqueness_percent=20) < 0.8 * unchecked
+    assert matched_without_a_match(kind, speckle_px=400) < 0.8 * unchecked
+    assert matched_without_a_match(kind, left_right_px=1) < 0.95 * unchecked
+
+
+@pytest.mark.parametrize("kind", list(MatcherKind))
+def test_the_left_right_check_can_be_switched_off(kind: MatcherKind) -> None:
+    off = matched_without_a_match(kind, left_right_px=0)
+    assert off > matched_without_a_match(kind, left_right_px=10)
+    assert off > 1.05 * matched_without_a_match(kind, left_right_px=1)
+
+
 def test_only_the_rows_of_the_region_are_matched() -> None:
     left, right = pair(11.0)
     region = SearchRegion(40, 110, 48)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -159,9 +160,5 @@ def test_times_must_increase() -> None:
 
 
 def test_columns_must_agree() -> None:
-    whole = trajectory([0.0, 0.2])
     with pytest.raises(GnssError, match="length"):
-        Trajectory(
-            **{name: getattr(whole, name) for name in whole.__slots__ if name != "up_m"},
-            up_m=np.zeros(3),
-        )
+        replace(trajectory([0.0, 0.2]), up_m=np.zeros(3))

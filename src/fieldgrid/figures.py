@@ -6,6 +6,9 @@ pyplot, so that no window system and no global state is involved.
 
 from __future__ import annotations
 
+from io import BytesIO
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -13,7 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.mapfile import FrameRecord, MapView
+from fieldgrid.mapfile.publish import Draft
 from fieldgrid.trajectory import Status, Trajectory
 
 UNSEEN = "#cfdbe6"
@@ -65,6 +70,34 @@ def sheet(
     draw_trajectory(figure.add_subplot(rows[0]), track, frames)
     draw_heading(figure.add_subplot(rows[1]), track, frames)
     return figure
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure, whole or not at all, in the format that the name ends in.
+
+    An earlier file of that name is replaced. Raises ConfigError for a name of no known format,
+    MapWriteError where it cannot be written.
+    """
+    path = Path(path)
+    written = BytesIO()
+    try:
+        figure.savefig(written, format=path.suffix.lstrip(".").lower() or "png")
+    except ValueError as error:
+        raise ConfigError(
+            f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
+        ) from error
+    draft = Draft(path, overwrite=True)
+    try:
+        draft.file.write_bytes(written.getvalue())
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
 
 
 def draw_grid(axes: Axes, view: MapView, frames: list[FrameRecord], title: str) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fieldgrid.cli import parse
-from fieldgrid.errors import ConfigError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,16 +54,12 @@ def command(
 
         fieldgrid show vineyard.gpkg -o row.png --figure grid --cell 0.25 --bounds -20 40 0 60
     """
+    from fieldgrid.figures import save
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:
         drawn = _draw(universal, figure, cell, parse.bounds(bounds), at, averaging, map_.stem)
-    try:
-        drawn.savefig(out)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"The figure {out} cannot be written: {error}; choose another."
-        ) from error
+    save(drawn, out)
     typer.echo(f"figure {out}")
 
 
