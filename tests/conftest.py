@@ -6,7 +6,6 @@ import csv
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
-
 from typing import TYPE_CHECKING
 
 import pytest

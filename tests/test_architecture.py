@@ -21,7 +21,7 @@ LAYERS = (
     ("gnss", "course", "stereo", "odometry", "ground", "transfer"),
     ("pose", "localgrid", "recording"),
     ("mapfile", "settings"),
-    ("rows", "route", "export", "figures", "evaluate", "view"),
+    ("rows", "route", "export", "figures", "evaluation", "view"),
     ("build", "live"),
     ("cli",),
 )

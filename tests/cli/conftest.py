@@ -1,0 +1,89 @@
+"""Running commands, in this process and in one of their own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+import pytest
+
+from fieldgrid.cli import main
+
+
+class Result(NamedTuple):
+    """What a command left: its exit status, its data, and its messages."""
+
+    status: int
+    out: str
+    err: str
+
+    def sentence(self) -> str:
+        """The one sentence of a command that failed for its data, without the name."""
+        assert self.status == 1, self
+        assert self.out == ""
+        assert self.err.startswith("fieldgrid: ")
+        assert self.err.endswith(".\n"), self.err
+        assert self.err.count("\n") == 1, self.err
+        assert "Traceback" not in self.err
+        return self.err.removeprefix("fieldgrid: ").rstrip("\n")
+
+    def usage(self) -> str:
+        """The message of a command that was used wrongly."""
+        assert self.status == 2, self
+        assert self.out == ""
+        assert self.err.startswith("Usage: ")
+        assert "Traceback" not in self.err
+        return self.err
+
+    def output(self) -> str:
+        """The data of a command that succeeded, and had nothing to say beside it."""
+        assert self.status == 0, self
+        assert self.err == ""
+        return self.out
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs `fieldgrid ARGUMENTS...` in this process."""
+
+    def run(*arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", ["fieldgrid", *map(str, arguments)])
+        capsys.readouterr()
+        try:
+            main()
+            status = 0
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
+        return Result(status, *capsys.readouterr())
+
+    return run
+
+
+def in_a_process(*arguments: object, before: str = "") -> list[str]:
+    """The command line of a process of its own; `before` is Python to run first in it."""
+    code = (
+        f"import sys\nfrom fieldgrid.cli import main\n{before}\nsys.argv[0] = 'fieldgrid'\nmain()"
+    )
+    return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+@pytest.fixture
+def fieldgrid_process() -> Run:
+    """Runs `fieldgrid ARGUMENTS...` in a process of its own."""
+
+    def run(*arguments: object, before: str = "", prefix: tuple[str, ...] = ()) -> Result:
+        done = subprocess.run(
+            [*prefix, *in_a_process(*arguments, before=before)],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        return Result(done.returncode, done.stdout, done.stderr)
+
+    return run

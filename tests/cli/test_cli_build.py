@@ -1,0 +1,604 @@
+"""`fieldgrid build` as a user meets it: what it prints, and how it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from fieldgrid.cli.build import grouped_reasons
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import open_map
+from fieldgrid.settings import BuildSettings
+from fieldgrid.transfer import Transfer
+from tests.cli.conftest import Run, in_a_process
+from tests.conftest import TWO_LANES
+
+MakeDrive = Callable[..., Path]
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, hidden ones too, with its bytes."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A name for a map, in a folder of its own."""
+    (tmp_path / "out").mkdir()
+    return tmp_path / "out" / "m.gpkg"
+
+
+@pytest.fixture
+def existing(out: Path, two_lanes_map: Path) -> Path:
+    """A map that is there already, with a session two_lanes."""
+    shutil.copy(two_lanes_map, out)
+    return out
+
+
+# --- when all is well
+
+
+def test_the_table(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    text = fieldgrid("build", make_drive("june-03"), "-o", out).output()
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert lines[0] == "session june-03"
+    assert lines[-1] == f"map {out}"
+    assert re.search(r"^frames used +3 of 3$", text, re.MULTILINE)
+    assert re.search(r"^fixes accepted +\d+ of 437$", text, re.MULTILINE)
+    assert re.search(r"^rate +\d+\.\d frames/s$", text, re.MULTILINE)
+    assert re.search(r"^heading sigma, median \(course\) +0\.\d\d °$", text, re.MULTILINE)
+    assert "rejected" not in text
+
+
+def test_json_is_one_object_and_nothing_else(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    drives = [make_drive("june-03"), make_drive("june-10", range(40, 42))]
+    result = json.loads(fieldgrid("build", *drives, "-o", out, "--json").output())
+    assert result["map"] == str(out)
+    assert [s["session"] for s in result["sessions"]] == ["june-03", "june-10"]
+    assert [s["frames"] for s in result["sessions"]] == [3, 2]
+    first = result["sessions"][0]
+    assert first["used"] == 3
+    assert first["reasons"] == {}
+    assert first["frames_per_s"] > 0
+    assert set(first["stages"]) == {"decode_s", "match_s", "grid_s", "map_s"}
+
+
+def test_every_flag_reaches_the_map(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    drive = make_drive(frames=range(3, 7))
+    shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
+    flags = (
+        "--gnss gnss_rtk.nmea --heading constant:-100 --name rows --datum 41.6501,-4.7201,780 "
+        "--cell 0.2 --grid 6.6x14 --local-cell 0.1 --slice 0.3:1.8 --max-range 9 --matcher bm "
+        "--transfer area --every 2 --jobs 1"
+    )
+    fieldgrid("build", drive, "-o", out, *flags.split()).output()
+    with open_map(out) as universal:
+        (info,) = universal.sessions()
+        records = list(universal.frames(with_grid=True))
+        assert (universal.cell_m, universal.transfer) == (0.2, Transfer.AREA)
+        assert universal.datum.height_m == 780.0
+        assert universal.datum.lat_deg == 41.6501
+    settings = BuildSettings.model_validate(info.config["settings"])
+    assert info.name == "rows"
+    assert info.heading_source == "constant:-100"
+    assert info.source == "gnss/gnss_rtk.nmea"
+    assert (settings.density.slice_bottom_m, settings.density.slice_top_m) == (0.3, 1.8)
+    assert settings.density.max_range_m == 9.0
+    assert settings.stereo.matcher == "bm"
+    assert [r.frame_id for r in records] == ["000003", "000005"]
+    assert records[0].grid().density.shape == (140, 66)
+    assert records[0].pose.heading_deg == -100.0
+
+
+def test_a_flag_beats_the_settings_file(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path, tmp_path: Path
+) -> None:
+    config = tmp_path / "field.toml"
+    config.write_text("[grid]\nwidth_m = 6.0\nlength_m = 12.0\n[pose]\nheading = 'constant:1'\n")
+    fieldgrid(
+        "build", make_drive(), "-o", out, "--config", config, "--heading", "constant:2"
+    ).output()
+    with open_map(out) as universal:
+        record = next(iter(universal.frames()))
+    assert record.pose.heading_deg == 2.0
+    assert (record.spec.width_m, record.spec.length_m) == (6.0, 12.0)
+
+
+def test_append_and_overwrite(fieldgrid: Run, make_drive: MakeDrive, existing: Path) -> None:
+    drive = make_drive("june-10")
+    fieldgrid("build", drive, "-o", existing, "--append").output()
+    with open_map(existing) as universal:
+        assert [info.name for info in universal.sessions()] == ["two_lanes", "june-10"]
+    fieldgrid("build", drive, "-o", existing, "--overwrite").output()
+    with open_map(existing) as universal:
+        assert [info.name for info in universal.sessions()] == ["june-10"]
+    assert os.listdir(existing.parent) == [existing.name]
+
+
+def test_rejected_frames_are_told_by_reason(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    drive = make_drive(frames=[4, 5, 22, 23, 40])
+    shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
+    text = fieldgrid("build", drive, "-o", out, "--gnss", "gnss_sf1.nmea").output()
+    assert re.search(r"^frames used +3 of 5$", text, re.MULTILINE)
+    assert re.search(
+        r"^rejected 2: no accepted fix for \d+\.\d\d s around it: ", text, re.MULTILINE
+    )
+    assert re.search(r"^note: gnss_sf1.nmea: 6 damaged sentences skipped\.$", text, re.MULTILINE)
+
+
+def test_reasons_that_differ_in_numbers_are_counted_together() -> None:
+    reasons = {"0.5 s before": 1, "gone": 2, "1.26 s before": 3, "0.85 s before": 1}
+    assert grouped_reasons(reasons) == [(5, "1.26 s before"), (2, "gone")]
+    assert grouped_reasons({}) == []
+
+
+def test_in_a_process_of_its_own_stderr_is_silent(
+    fieldgrid_process: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    result = fieldgrid_process("build", make_drive(), "-o", out, "--json")
+    assert json.loads(result.output())["sessions"][0]["used"] == 3
+
+
+def test_on_a_terminal_there_is_progress_on_stderr_alone(make_drive: MakeDrive, out: Path) -> None:
+    drive = make_drive("june-03", range(3, 15))
+    ours, theirs = pty.openpty()
+    try:
+        child = subprocess.Popen(
+            in_a_process("build", drive, "-o", out, "--jobs", 1),
+            stdout=subprocess.PIPE,
+            stderr=theirs,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "120"},
+            text=True,
+        )
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                part = os.read(ours, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            shown += part
+        text, _ = child.communicate(timeout=60)
+    finally:
+        os.close(ours)
+    assert child.returncode == 0
+    assert text.startswith("session june-03")
+    assert "\x1b" not in text
+    progress = shown.decode()
+    assert "june-03" in progress
+    assert re.search(r"\d+/12", progress)
+    assert re.search(r"\d m\b", progress)
+    assert "frames/s" in progress
+
+
+# --- what is wrong with the data: one sentence, exit status 1, nothing left behind
+
+
+def missing_image(drive: Path) -> None:
+    (drive / "right" / "000004.jpg").unlink()
+
+
+def unreadable_image(drive: Path) -> None:
+    (drive / "left" / "000004.jpg").unlink()
+    (drive / "left" / "000004.jpg").write_bytes(b"\x00" * 1000)
+
+
+def truncated_image(drive: Path) -> None:
+    data = (TWO_LANES / "left" / "000004.jpg").read_bytes()
+    (drive / "left" / "000004.jpg").unlink()
+    (drive / "left" / "000004.jpg").write_bytes(data[:5000])
+
+
+def empty_image(drive: Path) -> None:
+    (drive / "left" / "000004.jpg").unlink()
+    (drive / "left" / "000004.jpg").touch()
+
+
+def images_of(drive: Path, sides: tuple[str, ...], size: tuple[int, int]) -> None:
+    for side in sides:
+        path = drive / side / "000004.jpg"
+        path.unlink()
+        cv2.imwrite(str(path), np.full(size, 128, dtype=np.uint8))
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def without_positions(drive: Path) -> None:
+    path = drive / "gnss" / "gnss_rtk.nmea"
+    kept = [line for line in path.read_text().splitlines(keepends=True) if "GGA" not in line]
+    path.write_text("".join(kept))
+
+
+CALIBRATION, MOUNTING = "calibration/stereo_opencv.yaml", "calibration/mounting.json"
+
+FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "missing image": (missing_image, r"1 of 6 images are missing from .*right/000004\.jpg"),
+    "unreadable image": (unreadable_image, r"left/000004\.jpg is no PNG, JPEG, .*convert it, or"),
+    "truncated image": (truncated_image, r"left/000004\.jpg is truncated or damaged; copy it"),
+    "empty image": (empty_image, r"left/000004\.jpg is empty; record or copy it again"),
+    "pair of different sizes": (
+        lambda drive: images_of(drive, ("right",), (240, 320)),
+        r"The pair of frame 000004 differs in size: .* 640 x 480 px, .* 320 x 240 px; record both",
+    ),
+    "calibration of another size": (
+        lambda drive: images_of(drive, ("left", "right"), (240, 320)),
+        r"left/000004\.jpg has 320 x 240 px, but the calibration is for 640 x 480 px; give",
+    ),
+    "calibration that cannot be": (
+        lambda drive: edit(drive / CALIBRATION, "-162.972", "162.972"),
+        r"stereo_opencv\.yaml: A stereo baseline of -0\.18\d* m is outside",
+    ),
+    "calibration and mounting at odds": (
+        lambda drive: edit(drive / MOUNTING, '"stereo_baseline_m": 0.18', '"stereo_baseline_m": 1'),
+        r"mounting\.json.*stereo_baseline_m is 1(\.0)?, but the calibration says",
+    ),
+    "no calibration": (
+        lambda drive: (drive / CALIBRATION).unlink(),
+        r"calibration has neither stereo_opencv\.yaml nor .*; put the calibration",
+    ),
+    "no mounting": (
+        lambda drive: (drive / MOUNTING).unlink(),
+        r"mounting\.json cannot be read: No such file",
+    ),
+    "no overlap in time": (
+        lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),
+        r"Images \(2011-06-15T13:16:59\.840Z to .*\) and fixes \(2011-06-15T10:30:.*\) do not "
+        r"overlap in time; choose the log of this drive with --gnss, or set image_time_offset_s",
+    ),
+    "no log": (
+        lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
+        r"The GNSS log holds no position at all; record one, or choose another with --gnss",
+    ),
+    "no fix in the log": (without_positions, "holds no position at all; .*--gnss"),
+    "no frame": (
+        lambda drive: (drive / "frames.csv").write_text("frame_id,timestamp_utc_s,left,right\n"),
+        "has no stereo pair; a recording needs at least one",
+    ),
+    "several logs": (
+        lambda drive: shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss"),
+        r"has several GNSS logs: gnss_rtk\.nmea, gnss_sf1\.nmea; give --gnss NAME",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("mode", ["new", "append", "overwrite"])
+def test_a_recording_with_a_fault(
+    fault: str, mode: str, fieldgrid: Run, make_drive: MakeDrive, out: Path, two_lanes_map: Path
+) -> None:
+    spoil, message = FAULTS[fault]
+    drive = make_drive()
+    spoil(drive)
+    flags = []
+    if mode != "new":
+        shutil.copy(two_lanes_map, out)
+        flags = [f"--{mode}"]
+    before = tree(out.parent)
+    sentence = fieldgrid("build", drive, "-o", out, *flags).sentence()
+    assert re.search(message, sentence), sentence
+    assert tree(out.parent) == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--matcher orb", r"stereo\.matcher = 'orb' cannot be: input should be 'sgbm3way', 'sgbm'"),
+        (
+            "--transfer best",
+            r"map\.transfer = 'best' cannot be: input should be 'centre' or 'area'",
+        ),
+        ("--heading north", "'north' is none of auto, recorded, course, constant:DEG"),
+        ("--heading constant:400", "'constant:400' is none of"),
+        ("--heading recorded", "has a heading of its own; use --heading course"),
+        ("--gnss nowhere.nmea", r"'nowhere\.nmea' is neither in .* has: gnss_rtk\.nmea"),
+        ("--config nowhere.toml", r"nowhere\.toml cannot be read \(No such file or directory\)"),
+        ("--cell 0.02", r"0\.02 m are smaller than the local cells of 0\.05 m"),
+        ("--cell 0", r"map\.cell_m = 0\.0 cannot be: input should be greater than 0"),
+        ("--cell nan", r"map\.cell_m = nan cannot be"),
+        ("--local-cell 0.07", r"width of 10\.0 m is not a whole number of cells of 0\.07 m"),
+        ("--grid 0x0", r"width of 0\.0 m is outside 0\.05\.\.200 m"),
+        ("--slice 2:1", r"slice from 2\.0 to 1\.0 m has no height"),
+        ("--max-range -1", r"density\.max_range_m = -1\.0 cannot be"),
+        ("--max-range inf", r"density\.max_range_m = inf cannot be"),
+        ("--datum 99,0,0", r"latitude 99\.0 and longitude 0\.0 are not on Earth"),
+        ("--datum 0,0,0", r"over 50 km from the map's datum"),
+        ("--append", r"There is no map .*m\.gpkg to append to; leave out --append to make it"),
+        ("--append --overwrite", "--append and --overwrite exclude each other; give one of them"),
+    ],
+)
+def test_values_that_cannot_be(
+    flags: str, message: str, fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    sentence = fieldgrid("build", make_drive(), "-o", out, *flags.split()).sentence()
+    assert re.search(message, sentence), sentence
+    assert tree(out.parent) == {}
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("", "exists already; give another name, --append to add a session to it, or --overwrite"),
+        ("--append --name two_lanes", "has a session 'two_lanes' already; .*--name"),
+        ("--append --cell 0.25", r"has cells of 0\.05 m, not 0\.25 m"),
+        ("--append --datum 41.65,-4.72,700", r"is 41\.65.* for good, not 41\.65.* 700\.000 m"),
+        ("--append --local-cell 0.1", r"0\.05 m are smaller than the local cells of 0\.1 m"),
+    ],
+)
+def test_an_existing_map_that_does_not_fit(
+    flags: str, message: str, fieldgrid: Run, make_drive: MakeDrive, existing: Path
+) -> None:
+    before = tree(existing.parent)
+    sentence = fieldgrid("build", make_drive(), "-o", existing, *flags.split()).sentence()
+    assert re.search(message, sentence), sentence
+    assert tree(existing.parent) == before
+
+
+@pytest.mark.parametrize("content", [b"", b"my notes\n" * 200, b"SQLite format 3\x00" + b"x" * 500])
+def test_appending_to_what_is_no_map(
+    content: bytes, fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    out.write_bytes(content)
+    sentence = fieldgrid("build", make_drive(), "-o", out, "--append").sentence()
+    assert str(out) in sentence
+    assert tree(out.parent) == {out.name: content}
+
+
+def test_appending_to_another_program_s_database(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    connection = sqlite3.connect(out)
+    connection.execute("CREATE TABLE contacts (name)")
+    connection.commit()
+    connection.close()
+    before = tree(out.parent)
+    assert "m.gpkg" in fieldgrid("build", make_drive(), "-o", out, "--append").sentence()
+    assert tree(out.parent) == before
+
+
+@pytest.mark.parametrize("flags", [[], ["--overwrite"], ["--append"]])
+def test_a_folder_as_output(
+    flags: list[str], fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    sentence = fieldgrid("build", make_drive(), "-o", out.parent, *flags).sentence()
+    assert str(out.parent) in sentence
+    assert tree(out.parent) == {}
+
+
+def test_an_output_below_no_folder(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    drive = make_drive()
+    sentence = fieldgrid("build", drive, "-o", out.parent / "not" / "m.gpkg").sentence()
+    assert "its folder does not exist; make it first" in sentence
+    out.write_text("notes")
+    sentence = fieldgrid("build", drive, "-o", out / "m.gpkg").sentence()
+    assert str(out / "m.gpkg") in sentence
+    assert tree(out.parent) == {out.name: b"notes"}
+
+
+def test_what_is_no_regular_file_is_not_overwritten(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    os.mkfifo(out)
+    result = fieldgrid("build", make_drive(), "-o", out, "--overwrite")
+    assert out.is_fifo()
+    assert str(out) in result.sentence()
+
+
+def test_a_link_to_a_map_stays_a_link(
+    fieldgrid: Run, make_drive: MakeDrive, existing: Path
+) -> None:
+    link = existing.with_name("latest.gpkg")
+    link.symlink_to(existing.name)
+    fieldgrid("build", make_drive("new"), "-o", link, "--overwrite").output()
+    assert link.is_symlink()
+    with open_map(existing) as universal:
+        assert [info.name for info in universal.sessions()] == ["new"]
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("nowhere", r"nowhere does not exist; give the folder of a recording"),
+        ("frames.csv", r"frames\.csv is a file; give the folder of a recording"),
+        ("gnss", r"gnss is no recording; looked for one KITTI drive .*frames\.csv, or left/ and"),
+    ],
+)
+def test_what_is_no_recording(
+    path: str, message: str, fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    drive = make_drive()
+    sentence = fieldgrid("build", drive, drive / path, "-o", out).sentence()
+    assert re.search(message, sentence), sentence
+    assert tree(out.parent) == {}
+
+
+# --- the same in a process of its own, and what only that can show
+
+
+def test_an_error_in_a_process_of_its_own(
+    fieldgrid_process: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    drive = make_drive()
+    truncated_image(drive)
+    result = fieldgrid_process("build", drive, "-o", out, "--json")
+    assert "left/000004.jpg is truncated or damaged" in result.sentence()
+    assert tree(out.parent) == {}
+
+
+LIMIT = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
+
+
+@pytest.mark.parametrize(
+    ("mode", "room"), [("new", 0), ("new", 60_000), ("new", 250_000), ("append", 0), ("append", 1)]
+)
+def test_a_disk_with_too_little_room(
+    mode: str,
+    room: int,
+    fieldgrid_process: Run,
+    make_drive: MakeDrive,
+    out: Path,
+    two_lanes_map: Path,
+) -> None:
+    """No file may grow beyond `room` bytes, or an existing map beyond what it has."""
+    flags = []
+    if mode == "append":
+        shutil.copy(two_lanes_map, out)
+        flags = ["--append"]
+        room *= out.stat().st_size + 20_000
+    before = tree(out.parent)
+    drive = make_drive(frames=range(19, 30, 2))
+    result = fieldgrid_process(
+        "build", drive, "-o", out, *flags, "--jobs", 1, before=LIMIT.format(room)
+    )
+    assert str(out) in result.sentence()
+    assert tree(out.parent) == before
+
+
+def test_a_folder_that_may_not_be_written(
+    fieldgrid_process: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    prefix: tuple[str, ...] = ()
+    if os.geteuid() == 0:  # whom no permission stops, unless that power is given up
+        if shutil.which("setpriv") is None:
+            pytest.skip("root without setpriv")
+        prefix = ("setpriv", "--bounding-set=-dac_override,-dac_read_search")
+    drive = make_drive()
+    out.parent.chmod(0o555)
+    try:
+        result = fieldgrid_process("build", drive, "-o", out, prefix=prefix)
+    finally:
+        out.parent.chmod(0o755)
+    sentence = result.sentence()
+    assert "m.gpkg could not be written (Permission denied); check the folder" in sentence
+    assert tree(out.parent) == {}
+
+
+def started(drive: Path, out: Path) -> subprocess.Popen[str]:
+    """A build that has begun to write, and will take some seconds more."""
+    child = subprocess.Popen(
+        in_a_process("build", drive, "-o", out, "--jobs", 1, "--matcher", "sgbm"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 60.0
+    while not any(out.parent.iterdir()) and time.monotonic() < until:
+        assert child.poll() is None
+        time.sleep(0.01)
+    return child
+
+
+def test_ctrl_c_leaves_nothing(out: Path, make_drive: MakeDrive) -> None:
+    child = started(make_drive(frames=range(50)), out)
+    child.send_signal(signal.SIGINT)
+    text, errors = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert text == ""
+    assert "Traceback" not in errors
+    assert tree(out.parent) == {}
+
+
+def test_ctrl_c_is_answered(out: Path, make_drive: MakeDrive) -> None:
+    child = started(make_drive(frames=range(50)), out)
+    child.send_signal(signal.SIGINT)
+    assert child.communicate(timeout=60)[1].startswith("fieldgrid: interrupted")
+
+
+def test_a_terminated_build_leaves_nothing(out: Path, make_drive: MakeDrive) -> None:
+    child = started(make_drive(frames=range(50)), out)
+    child.terminate()
+    child.communicate(timeout=60)
+    assert tree(out.parent) == {}
+
+
+# --- wrong use: exit status 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("build", "Missing argument 'RECORDING...'"),
+        ("build DRIVE", "Missing option '--out' / '-o'"),
+        ("build DRIVE -o OUT --wrong", "No such option: --wrong"),
+        ("build DRIVE -o OUT --every 0", "Invalid value for '--every'"),
+        ("build DRIVE -o OUT --every two", "Invalid value for '--every'"),
+        ("build DRIVE -o OUT --jobs 0", "Invalid value for '--jobs'"),
+        ("build DRIVE -o OUT --cell wide", "Invalid value for '--cell'"),
+        ("build DRIVE -o OUT --grid 10", "'10' is not WIDTHxLENGTH in metres, as in 6.65x14"),
+        ("build DRIVE -o OUT --grid -1x5", "'-1x5' is not WIDTHxLENGTH"),
+        ("build DRIVE -o OUT --slice 1", "'1' is not BOTTOM:TOP in metres, as in 0.2:2.2"),
+        ("build DRIVE -o OUT --datum 41,2", "'41,2' is not LAT,LON,HEIGHT, as in 41.65"),
+        ("build DRIVE -o OUT --datum a,b,c", "'a,b,c' is not LAT,LON,HEIGHT"),
+        ("build DRIVE DRIVE -o OUT --name x", "--name is for a single recording"),
+    ],
+)
+def test_wrong_use(
+    arguments: str, message: str, fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    places = {"DRIVE": str(make_drive()), "OUT": str(out)}
+    usage = fieldgrid(*(places.get(word, word) for word in arguments.split())).usage()
+    assert message in " ".join(usage.split())
+    assert tree(out.parent) == {}
+
+
+# --- names
+
+
+@pytest.mark.parametrize("name", ["Riesling, Süd 3", "2024-06-03", "a 'b' \"c\"", "-"])
+def test_names_of_sessions(name: str, fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    text = fieldgrid("build", make_drive(), "-o", out, "--name", name).output()
+    assert text.startswith(f"session {name}")
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == [name]
+
+
+def test_a_name_that_cannot_be_printed(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    sentence = fieldgrid("build", make_drive(), "-o", out, "--name", "a\nb").sentence()
+    assert r"cannot be called 'a\nb'; give --name a printable one" in sentence
+    assert tree(out.parent) == {}
+
+
+def test_an_empty_name(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    assert "--name" in fieldgrid("build", make_drive(), "-o", out, "--name", "").sentence()
+
+
+@pytest.mark.parametrize("name", ["lane [north] 3", "lane [/b] 3"])
+def test_a_name_with_brackets(name: str, fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
+    text = fieldgrid("build", make_drive(), "-o", out, "--name", name).output()
+    assert text.startswith(f"session {name}")
+
+
+def test_a_map_made_by_the_command_is_the_map_of_the_function(
+    fieldgrid: Run, two_lanes_map: Path, out: Path
+) -> None:
+    fieldgrid("build", TWO_LANES, "-o", out, "--gnss", "gnss_rtk.nmea").output()
+    bounds = Bounds(-10.0, 50.0, 0.0, 60.0)
+    with open_map(out) as one, open_map(two_lanes_map) as other:
+        np.testing.assert_array_equal(one.read(bounds).density, other.read(bounds).density)

@@ -1,0 +1,790 @@
+"""From a drive to a map: how good it is, that it is always the same, and all or nothing."""
+
+from __future__ import annotations
+
+import gc
+import shutil
+import sqlite3
+import threading
+import time
+import weakref
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fieldgrid.build import (
+    Progress,
+    SessionReport,
+    add_recording,
+    build_map,
+    estimate_trajectory,
+    local_grid,
+    perceive,
+)
+from fieldgrid.errors import ConfigError, FieldgridError, GnssError, MapExistsError, RecordingError
+from fieldgrid.evaluation import Evaluation, evaluate, read_truth
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import Fix
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.lattice import Bounds
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.recording import Frame, Image, ImageSource, open_recording
+from fieldgrid.settings import BuildSettings, resolve
+from fieldgrid.trajectory import Status
+from fieldgrid.transfer import Transfer
+from tests.conftest import TWO_LANES
+
+MakeDrive = Callable[..., Path]
+SharedData = Callable[[str], Path]
+
+DEFAULTS = BuildSettings()
+
+
+def build(paths: list[Path], out: Path, **options: Any) -> list[SessionReport]:
+    return build_map(paths, out, options.pop("settings", DEFAULTS), **options)
+
+
+def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
+    """Every row of every table of a map, but for the times at which they were written."""
+    written = {"created", "last_change"}
+    connection = sqlite3.connect(path)
+    try:
+        names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        rows = {}
+        for (name,) in names.fetchall():
+            info = connection.execute(f"PRAGMA table_info('{name}')").fetchall()
+            columns = ", ".join(f'"{column[1]}"' for column in info if column[1] not in written)
+            rows[name] = connection.execute(f'SELECT {columns} FROM "{name}"').fetchall()
+        return rows
+    finally:
+        connection.close()
+
+
+def damage(image: Path) -> None:
+    """Cut an image of a small drive off in the middle."""
+    data = image.read_bytes()
+    image.unlink()
+    image.write_bytes(data[: len(data) // 2])
+
+
+def pipeline_threads() -> list[str]:
+    return [t.name for t in threading.enumerate() if t.name.startswith("fieldgrid")]
+
+
+# --- the example: how good the map is
+
+
+@pytest.fixture(scope="module")
+def scores(two_lanes_map: Path) -> Evaluation:
+    with open_map(two_lanes_map) as universal:
+        return evaluate(universal, read_truth(TWO_LANES / "truth"))
+
+
+def test_obstacles_of_the_example_are_where_they_stand(scores: Evaluation) -> None:
+    on_rows = scores.groups[0]
+    assert on_rows.name == "forward on the rows"
+    assert on_rows.poses.frames == 31
+    assert on_rows.obstacles.observable_cells > 6000
+    precision, recall = on_rows.obstacles.precision["0.10"], on_rows.obstacles.recall["0.10"]
+    free_with_obstacle = on_rows.obstacles.free_with_obstacle
+    assert precision is not None
+    assert precision >= 0.94
+    assert recall is not None
+    assert recall >= 0.95
+    assert free_with_obstacle is not None
+    assert free_with_obstacle <= 0.005
+    assert on_rows.obstacles.free_cells > 70_000
+
+
+def test_poses_of_the_example_are_true(scores: Evaluation) -> None:
+    for group in scores.groups:
+        assert group.poses.heading_median_deg is not None
+        assert group.poses.heading_median_deg <= 0.6
+        assert group.poses.heading_max_deg is not None
+        assert group.poses.heading_max_deg <= 3.0
+        assert group.poses.position_max_m is not None
+        assert group.poses.position_max_m <= 0.10
+
+
+def test_frames_are_used_also_in_reverse_and_rejected_only_for_doubt(
+    built_two_lanes: tuple[Path, SessionReport], scores: Evaluation
+) -> None:
+    report = built_two_lanes[1]
+    assert (report.frames, report.used + report.rejected) == (50, 50)
+    assert report.rejected <= 4
+    assert all("heading sigma" in reason for reason in report.reasons)
+    reverse = [frame for frame in scores.frames if frame.direction == "reverse"]
+    assert [frame.frame_id for frame in reverse] == ["000025", "000026", "000027"]
+    assert all(frame.status == "ok" for frame in reverse)
+    assert max(abs(frame.heading_error_deg) for frame in reverse) <= 4.0
+    on_rows = [frame for frame in scores.frames if frame.segment.startswith("lane")]
+    assert all(frame.status == "ok" for frame in on_rows)
+
+
+def test_the_report_of_the_example_adds_up(built_two_lanes: tuple[Path, SessionReport]) -> None:
+    report = built_two_lanes[1]
+    assert report.session == "two_lanes"
+    assert report.heading_source == "course"
+    assert report.distance_m == pytest.approx(93.0, abs=4.0)
+    assert report.fixes == 437
+    assert 350 < report.fixes_accepted <= 437
+    assert report.frames_per_s == pytest.approx(50 / report.wall_s)
+    stages = report.stages
+    assert min(stages.decode_s, stages.match_s, stages.grid_s, stages.map_s) > 0.0
+    assert report.max_range_m < 12.0
+
+
+def test_the_session_keeps_what_made_it(two_lanes_map: Path) -> None:
+    with open_map(two_lanes_map) as universal, open_recording(TWO_LANES, "gnss_rtk.nmea") as drive:
+        (info,) = universal.sessions()
+        trajectory = universal.trajectory(info.name)
+        expected = estimate_trajectory(drive)
+        first = next(iter(universal.frames()))
+    assert info.source == "gnss/gnss_rtk.nmea"
+    assert BuildSettings.model_validate(info.config["settings"]) == DEFAULTS
+    assert info.config["rig"]["camera"]["focal_px"] == 905.4
+    assert info.config["every"] == 1
+    assert universal.datum == Datum(41.65, -4.72, 787.4)
+    np.testing.assert_array_equal(trajectory.east_m, expected.east_m)
+    np.testing.assert_array_equal(trajectory.heading_deg, expected.heading_deg)
+    assert [Path(name).parts[-2:] for name in first.images] == [
+        ("left", "000000.jpg"),
+        ("right", "000000.jpg"),
+    ]
+
+
+def test_with_the_rough_log_no_pose_is_silently_wrong(tmp_path: Path) -> None:
+    """Decimetres, jumps of 1 to 6 m, a hole of 6 s: what is off is rejected and says why."""
+    out = tmp_path / "rough.gpkg"
+    (report,) = build([TWO_LANES], out, gnss="gnss_sf1.nmea")
+    with open_map(out) as universal:
+        scores = evaluate(universal, read_truth(TWO_LANES / "truth"))
+        records = {record.frame_id: record for record in universal.frames()}
+    assert (report.frames, report.used + report.rejected) == (50, 50)
+    assert report.used >= 30
+    assert sum(report.reasons.values()) == report.rejected
+    for frame in scores.frames:
+        error_m = np.hypot(frame.east_error_m, frame.north_error_m)
+        if frame.status == "ok":
+            assert error_m <= 0.5, frame
+            assert abs(frame.heading_error_deg) <= max(3.0, 3.0 * frame.heading_sigma_deg), frame
+            assert frame.heading_sigma_deg <= DEFAULTS.pose.max_heading_sigma_deg
+        else:
+            assert len(records[frame.frame_id].reason) > 10
+    assert {f.frame_id for f in scores.frames if f.status != "ok"} >= {"000013", "000037", "000038"}
+    assert any("jump of" in reason for reason in report.reasons)
+    assert any("damaged sentences" in note for note in report.notes)
+
+
+# --- a real road
+
+
+def shares(universal: MapFile, *bounds: float) -> tuple[float, float, float]:
+    """How much of an area was seen, and of that, how much is obstacle, and how much free."""
+    view = universal.read(Bounds(*bounds))
+    seen = view.density[view.observed]
+    return (
+        float(view.observed.mean()),
+        float((seen > OBSTACLE_ABOVE).mean()),
+        float((seen <= FREE_UP_TO).mean()),
+    )
+
+
+def test_a_real_drive_shows_the_parked_car_and_the_free_road(
+    shared_data: SharedData, tmp_path: Path
+) -> None:
+    out = tmp_path / "road.gpkg"
+    (report,) = build([shared_data("kitti_2011_09_30_drive_0020")], out)
+    assert (report.frames, report.used) == (51, 38)
+    assert report.heading_source == "recorded"
+    with open_map(out) as universal:
+        records = list(universal.frames())
+        # The vehicle drives to the west: the car is parked on its right, the verge is left.
+        car = shares(universal, -26.0, 0.3, -22.0, 2.3)
+        road_before_it = shares(universal, -21.5, -1.5, -9.0, 1.0)
+        road_beside_it = shares(universal, -30.0, -2.0, -20.0, -0.2)
+        verge = shares(universal, -25.0, -6.0, -16.0, -4.0)
+        tree = shares(universal, -27.9, -6.0, -26.9, -5.2)
+    assert [r.frame_id for r in records] == [f"{k:010d}" for k in range(51)]
+    assert all("quality 6 (estimated) is not allowed" in r.reason for r in records[:12])
+    assert all(r.status is Status.REJECTED for r in records[:13])
+    assert all(r.status is Status.OK for r in records[13:])
+    assert car[0] > 0.5
+    assert car[1] > 0.5
+    assert tree[1] > 0.5
+    assert road_before_it[0] > 0.8
+    assert road_before_it[1] < 0.01
+    assert road_beside_it[1] < 0.01
+    assert verge[0] > 0.6
+    assert verge[2] > 0.95
+
+
+# --- always the same
+
+
+def test_a_map_has_the_same_bits_whatever_the_number_of_threads(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive(frames=range(18, 30))  # the end of a row and the turn
+    outs = [tmp_path / f"{jobs}.gpkg" for jobs in (1, 2, 3)]
+    for jobs, out in zip((1, 2, 3), outs, strict=True):
+        build([drive], out, jobs=jobs)
+    first, *others = [content(out) for out in outs]
+    assert len(first["fieldgrid_frame"]) == 12
+    assert len(first["fieldgrid_tile"]) > 3
+    assert len(first["density"]) > 3
+    for other in others:
+        assert other.keys() == first.keys()
+        for table, rows in first.items():
+            assert other[table] == rows, table
+    views = []
+    for out in outs:
+        with open_map(out) as universal:
+            views.append(universal.read(cell_m=0.25))
+    for view in views[1:]:
+        np.testing.assert_array_equal(view.density, views[0].density)
+        np.testing.assert_array_equal(view.observed, views[0].observed)
+
+
+def test_a_grid_by_hand_is_the_one_in_the_map(two_lanes_map: Path) -> None:
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as drive:
+        frame = list(drive.frames())[7]
+        grid = local_grid(frame, drive.rig)
+    with open_map(two_lanes_map) as universal:
+        record = list(universal.frames(with_grid=True))[7]
+    assert record.frame_id == frame.frame_id
+    np.testing.assert_array_equal(record.grid().density, grid.density)
+    np.testing.assert_array_equal(record.grid().observed, grid.observed)
+
+
+def test_every_nth_frame(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(3, 11))
+    seen: list[Progress] = []
+    (report,) = build([drive], tmp_path / "m.gpkg", every=3, progress=seen.append)
+    with open_map(tmp_path / "m.gpkg") as universal:
+        ids = [record.frame_id for record in universal.frames()]
+        assert universal.sessions()[0].config["every"] == 3
+    assert ids == ["000003", "000006", "000009"]
+    assert report.frames == 3
+    after_a_frame = [now for now in seen if now.frames_done > 0]
+    assert [now.frames_done for now in after_a_frame] == [1, 2, 3]
+    assert {(now.session, now.frames_total) for now in seen} == {("drive", 3)}
+    assert after_a_frame[0].distance_m == 0.0
+    assert after_a_frame[2].distance_m == pytest.approx(report.distance_m)
+    assert report.distance_m == pytest.approx(11.3, abs=1.0)
+
+
+def test_settings_reach_the_map(make_drive: MakeDrive, tmp_path: Path) -> None:
+    settings = resolve(
+        None,
+        {
+            "grid": {"width_m": 6.0, "length_m": 12.0, "cell_m": 0.1},
+            "density": {"max_range_m": 8.0},
+            "pose": {"heading": "constant:20"},
+            "map": {"cell_m": 0.2, "transfer": "area"},
+        },
+    )
+    out = tmp_path / "m.gpkg"
+    (report,) = build([make_drive()], out, settings=settings)
+    assert report.max_range_m == 8.0
+    with open_map(out) as universal:
+        assert (universal.cell_m, universal.transfer) == (0.2, Transfer.AREA)
+        for record in universal.frames(with_grid=True):
+            assert record.pose.heading_deg == 20.0
+            assert record.grid().observed.shape == (120, 60)
+            y_m = (np.flatnonzero(record.grid().observed.any(axis=1)) + 0.5) * 0.1
+            assert 2.5 < y_m.min() < y_m.max() <= 8.1
+
+
+# --- more than one drive
+
+
+def test_a_second_drive_is_added_in_the_datum_of_the_map(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    first, second = make_drive("first", range(3, 6)), make_drive("second", range(5, 8))
+    (second / "session.json").unlink()  # it would ask for no datum of its own
+    out = tmp_path / "m.gpkg"
+    datum = Datum(41.6502, -4.7203, 780.0)
+    build([first], out, datum=datum)
+    build([second], out, append=True)
+    with open_map(out) as universal:
+        assert universal.datum == datum
+        assert [info.name for info in universal.sessions()] == ["first", "second"]
+        same = [r for r in universal.frames() if r.frame_id == "000005"]
+    assert same[0].pose.east_m == pytest.approx(same[1].pose.east_m, abs=1e-9)
+    assert same[0].pose.north_m == pytest.approx(same[1].pose.north_m, abs=1e-9)
+
+
+def test_two_drives_at_once_are_the_same_as_one_after_the_other(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drives = [make_drive("first", range(3, 6)), make_drive("second", range(40, 43))]
+    reports = build(drives, tmp_path / "at_once.gpkg")
+    build(drives[:1], tmp_path / "m.gpkg")
+    build(drives[1:], tmp_path / "m.gpkg", append=True)
+    assert [report.session for report in reports] == ["first", "second"]
+    at_once, in_turn = content(tmp_path / "at_once.gpkg"), content(tmp_path / "m.gpkg")
+    assert sorted(at_once["fieldgrid_tile"]) == sorted(in_turn["fieldgrid_tile"])
+    assert at_once["fieldgrid_frame"] == in_turn["fieldgrid_frame"]
+
+
+def test_drives_without_a_datum_share_that_of_the_first(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    first, second = make_drive("first", range(3, 6)), make_drive("second", range(40, 43))
+    for drive in (first, second):
+        (drive / "session.json").unlink()
+    log = second / "gnss" / "gnss_rtk.nmea"  # which begins elsewhere than that of the first
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[len(lines) // 2 :]))
+    with open_recording(first) as one, open_recording(second) as other:
+        alone = estimate_trajectory(one).datum, estimate_trajectory(other).datum
+    assert alone[0] != alone[1]
+    build([first, second], tmp_path / "m.gpkg")
+    with open_map(tmp_path / "m.gpkg") as universal:
+        assert universal.datum == alone[0]
+        assert len(universal.sessions()) == 2
+
+
+def test_a_new_map_of_several_drives_needs_all_of_them(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    first, second = make_drive("first", range(3, 6)), make_drive("second", range(5, 8))
+    damage(second / "left" / "000007.jpg")
+    (tmp_path / "out").mkdir()
+    with pytest.raises(RecordingError, match="truncated"):
+        build([first, second], tmp_path / "out" / "m.gpkg")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_drive_that_fails_half_way_leaves_the_map_as_it_was(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    build([make_drive("first")], out)
+    before, files = out.read_bytes(), sorted(tmp_path.iterdir())
+    second = make_drive("second", range(5, 13))
+    damage(second / "left" / "000009.jpg")
+    done = [0]
+    with pytest.raises(RecordingError, match=r"left/000009\.jpg is truncated or damaged"):
+        build([second], out, append=True, jobs=1, progress=lambda p: done.append(p.frames_done))
+    assert max(done) == 4  # it was in the middle of it
+    assert out.read_bytes() == before
+    assert sorted(tmp_path.iterdir()) == sorted([*files, second])
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == ["first"]
+
+
+def test_of_several_drives_appended_the_whole_ones_stay(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    build([make_drive("first")], out)
+    second, third = make_drive("second", range(5, 8)), make_drive("third", range(8, 11))
+    damage(third / "right" / "000010.jpg")
+    with pytest.raises(RecordingError, match="truncated"):
+        build([second, third], out, append=True)
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == ["first", "second"]
+
+
+def test_a_name_that_is_taken_is_refused_before_any_image_is_read(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    drive = make_drive()
+    build([drive], out)
+    before = out.read_bytes()
+    damage(drive / "left" / "000003.jpg")  # would be another error
+    with pytest.raises(ConfigError, match=r"has a session 'drive' already; .* --name"):
+        build([drive], out, append=True)
+    assert out.read_bytes() == before
+
+
+def test_two_drives_of_one_name_are_refused_before_any_image_is_read(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    (tmp_path / "june").mkdir()
+    second = make_drive("june/front", range(5, 7))
+    done: list[Progress] = []
+    with pytest.raises(ConfigError, match="front"):
+        build([make_drive("front"), second], tmp_path / "m.gpkg", progress=done.append)
+    assert max((now.frames_done for now in done), default=0) == 0
+
+
+def test_another_transfer_rule_is_refused_when_appending(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    build([make_drive("first")], out)
+    area = resolve(None, {"map": {"transfer": "area"}})
+    with pytest.raises(ConfigError, match="area"):
+        build([make_drive("second")], out, append=True, settings=area)
+
+
+# --- all or nothing
+
+
+def test_a_drive_that_fails_half_way_leaves_no_file(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(3, 11))
+    damage(drive / "right" / "000008.jpg")
+    (tmp_path / "out").mkdir()
+    done: list[Progress] = []
+    with pytest.raises(RecordingError, match=r"right/000008\.jpg is truncated"):
+        build([drive], tmp_path / "out" / "m.gpkg", progress=done.append)
+    assert 0 < max(now.frames_done for now in done) < 6
+    assert list((tmp_path / "out").iterdir()) == []
+    assert pipeline_threads() == []
+
+
+def test_an_existing_map_is_replaced_only_by_a_whole_one(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "out" / "m.gpkg"
+    out.parent.mkdir()
+    build([make_drive("first")], out)
+    before = out.read_bytes()
+    second = make_drive("second", range(5, 9))
+    with pytest.raises(MapExistsError, match=r"exists already; .*--append.*--overwrite"):
+        build([second], out)
+    assert out.read_bytes() == before
+    image = second / "left" / "000007.jpg"
+    damage(image)
+    with pytest.raises(RecordingError, match="truncated"):
+        build([second], out, overwrite=True)
+    assert out.read_bytes() == before
+    image.unlink()
+    image.symlink_to(TWO_LANES / "left" / "000007.jpg")
+    build([second], out, overwrite=True)
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == ["second"]
+    assert list(out.parent.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("append", [False, True])
+def test_an_interrupt_leaves_nothing(append: bool, make_drive: MakeDrive, tmp_path: Path) -> None:
+    out = tmp_path / "out" / "m.gpkg"
+    out.parent.mkdir()
+    if append:
+        build([make_drive("first")], out)
+    before = {path: path.read_bytes() for path in out.parent.iterdir()}
+
+    def interrupt(now: Progress) -> None:
+        if now.frames_done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build([make_drive(frames=range(3, 9))], out, append=append, progress=interrupt)
+    assert {path: path.read_bytes() for path in out.parent.iterdir()} == before
+
+
+@pytest.fixture
+def opencv_threads() -> Iterator[int]:
+    """How many threads OpenCV was told to use before the test."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    yield 2
+    cv2.setNumThreads(before)
+
+
+def test_after_an_interrupt_the_process_is_as_it_was(
+    make_drive: MakeDrive, tmp_path: Path, opencv_threads: int
+) -> None:
+    def interrupt(now: Progress) -> None:
+        if now.frames_done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        build([make_drive(frames=range(3, 9))], tmp_path / "m.gpkg", jobs=3, progress=interrupt)
+    # `caught` keeps the traceback, as an interactive Python does.
+    assert pipeline_threads() == []
+    assert cv2.getNumThreads() == opencv_threads
+    del caught
+
+
+def test_after_a_build_the_process_is_as_it_was(
+    make_drive: MakeDrive, tmp_path: Path, opencv_threads: int
+) -> None:
+    build([make_drive()], tmp_path / "m.gpkg", jobs=3)
+    assert pipeline_threads() == []
+    assert cv2.getNumThreads() == opencv_threads
+
+
+# --- what can be checked is checked before the first image is read
+
+
+def no_image_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: Frame) -> NoReturn:
+        raise AssertionError(f"the images of frame {self.frame_id} were read")
+
+    monkeypatch.setattr(Frame, "images", refuse)
+
+
+def rewrite(path: Path, change: Callable[[str], str]) -> None:
+    path.write_text(change(path.read_text()))
+
+
+def a_day_later(table: str) -> str:
+    return table.replace(",13081338", ",13082202")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error", "message"),
+    [
+        (
+            lambda drive: rewrite(drive / "frames.csv", a_day_later),
+            GnssError,
+            r"Images \(2011-06-16T10:30:19\.840Z to .*\) and fixes \(2011-06-15T.*Z to .*Z\) do "
+            r"not overlap in time; .* --gnss, or set image_time_offset_s",
+        ),
+        (
+            lambda drive: (drive / "gnss" / "gnss_rtk.nmea").write_text(""),
+            GnssError,
+            "holds no position at all; record one, or choose another with --gnss",
+        ),
+        (
+            lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
+            GnssError,
+            "holds no position at all",
+        ),
+        (
+            lambda drive: (drive / "left" / "000004.jpg").unlink(),
+            RecordingError,
+            r"1 of 6 images are missing .*000004\.jpg",
+        ),
+    ],
+)
+def test_a_drive_without_a_place(
+    spoil: Callable[[Path], object],
+    error: type[FieldgridError],
+    message: str,
+    make_drive: MakeDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    no_image_is_read(monkeypatch)
+    drive = make_drive()
+    spoil(drive)
+    with pytest.raises(error, match=message):
+        build([drive], tmp_path / "m.gpkg")
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"append": True, "overwrite": True}, "--append and --overwrite exclude each other"),
+        ({"append": True}, r"There is no map .*m\.gpkg to append to; leave out --append"),
+        (
+            {"settings": resolve(None, {"pose": {"heading": "north"}})},
+            "Heading source 'north' is none of auto, recorded, course, constant:DEG",
+        ),
+        (
+            {"settings": resolve(None, {"pose": {"heading": "recorded"}})},
+            "has a heading of its own; use --heading course",
+        ),
+    ],
+)
+def test_options_that_cannot_be(
+    options: dict[str, Any],
+    message: str,
+    make_drive: MakeDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    no_image_is_read(monkeypatch)
+    drive = make_drive()
+    with pytest.raises(FieldgridError, match=message):
+        build([drive], tmp_path / "m.gpkg", **options)
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
+def test_cells_finer_than_the_local_ones_leave_no_file(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive()
+    fine = resolve(None, {"map": {"cell_m": 0.02}})
+    with pytest.raises(ConfigError, match=r"0\.02 m are smaller than the local cells of 0\.05 m"):
+        build([drive], tmp_path / "m.gpkg", settings=fine)
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
+def test_a_drive_of_which_no_frame_can_be_placed_leaves_no_file(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive(frames=[3, 4])
+
+    def without_fixes_around_the_frames(text: str) -> str:
+        lines = text.splitlines(keepends=True)
+        return "".join(line for line in lines if not ",10301" < line[6:12] < ",10303")
+
+    rewrite(drive / "gnss" / "gnss_rtk.nmea", without_fixes_around_the_frames)
+    with pytest.raises(GnssError, match=r"None of the 2 frames of drive has a usable pose, mostly"):
+        build([drive], tmp_path / "m.gpkg")
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
+def fog(drive: Path, *frames: str) -> None:
+    """Pairs of a small drive in which there is nothing to see."""
+    for frame_id in frames:
+        for side in ("left", "right"):
+            path = drive / side / f"{frame_id}.jpg"
+            path.unlink()
+            cv2.imwrite(str(path), np.full((480, 640), 128, dtype=np.uint8))
+
+
+def test_a_frame_without_ground_is_rejected(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, out = make_drive(frames=range(4, 8)), tmp_path / "m.gpkg"
+    fog(drive, "000005")
+    (report,) = build([drive], out)
+    assert (report.used, report.rejected, report.ground_refined) == (3, 1, 3)
+    (reason,) = report.reasons
+    assert "no ground was found in the image" in reason
+    with open_map(out) as universal:
+        rejected = [r.frame_id for r in universal.frames() if r.status is not Status.OK]
+    assert rejected == ["000005"]
+
+
+def test_a_drive_without_ground_is_no_matter_of_gnss(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(4, 6))
+    fog(drive, "000004", "000005")
+    with pytest.raises(FieldgridError, match=r"no ground was found .* mounting") as caught:
+        build([drive], tmp_path / "m.gpkg")
+    assert "--gnss" not in str(caught.value)
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
+def test_a_pose_that_was_rejected_keeps_its_reason(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, out = make_drive(frames=[4, 5, 22]), tmp_path / "m.gpkg"
+    shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
+    fog(drive, "000022")
+    build([drive], out, gnss="gnss_sf1.nmea")
+    with open_map(out) as universal:
+        reasons = {record.frame_id: record.reason for record in universal.frames()}
+    assert "accepted fix" in reasons["000022"]
+
+
+# --- memory
+
+
+class Alive:
+    """Counts objects that are alive, and the most that ever were."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.now = self.most = self.ever = 0
+
+    def watch(self, thing: object) -> None:
+        weakref.finalize(thing, self._gone)
+        with self._lock:
+            self.now += 1
+            self.ever += 1
+            self.most = max(self.most, self.now)
+
+    def _gone(self) -> None:
+        with self._lock:
+            self.now -= 1
+
+
+@dataclass
+class Watched:
+    """An image of the example, counted as long as it is in memory."""
+
+    image: ImageSource
+    alive: Alive
+
+    @property
+    def name(self) -> str:
+        return self.image.name
+
+    def read(self) -> Image:
+        image = self.image.read()
+        self.alive.watch(image)
+        return image
+
+
+class LongDrive:
+    """The example over and over: a drive of any length that counts what of it is in memory."""
+
+    def __init__(self, frame_count: int) -> None:
+        self._of = open_recording(TWO_LANES, "gnss_rtk.nmea")
+        self._pairs = list(self._of.frames())[5:8]
+        self._start_ns = self._pairs[0].time_ns
+        self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
+        self.gnss_source, self.notes = self._of.gnss_source, ()
+        self.frame_count = frame_count
+        self.images = Alive()
+        self.drawn = 0
+
+    def frame_times_ns(self) -> npt.NDArray[np.int64]:
+        return self._start_ns + np.arange(self.frame_count, dtype=np.int64) * 20_000_000
+
+    def frames(self) -> Iterator[Frame]:
+        for k, time_ns in enumerate(self.frame_times_ns().tolist()):
+            self.drawn += 1
+            pair = self._pairs[k % len(self._pairs)]
+            left, right = Watched(pair.left, self.images), Watched(pair.right, self.images)
+            yield Frame(f"{k:06d}", time_ns, left, right, pair.size_px)
+
+    def fixes(self) -> Sequence[Fix]:
+        return self._of.fixes()
+
+    def close(self) -> None:
+        self._of.close()
+
+    def __enter__(self) -> LongDrive:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 4])
+def test_few_frames_are_in_memory_however_long_the_drive(jobs: int, tmp_path: Path) -> None:
+    drive = LongDrive(24)
+    trajectory = estimate_trajectory(drive)
+    ahead: list[int] = []
+    with open_map(tmp_path / "m.gpkg", datum=trajectory.datum) as universal:
+        report = add_recording(
+            universal,
+            drive,
+            trajectory,
+            jobs=jobs,
+            progress=lambda now: ahead.append(drive.drawn - now.frames_done),
+        )
+    assert (report.frames, report.used, drive.images.ever) == (24, 24, 48)
+    assert max(ahead) <= jobs + 2
+    assert drive.images.most <= 2 * jobs
+    gc.collect()
+    assert drive.images.now == 0
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_a_slow_reader_of_perceived_frames_is_waited_for(jobs: int) -> None:
+    drive, grids = LongDrive(10), Alive()
+    order = []
+    for perceived in perceive(drive.frames(), LocalGridder(drive.rig), jobs):
+        grids.watch(perceived.grid.density)
+        time.sleep(0.05)
+        order.append(perceived.frame.frame_id)
+        assert drive.drawn - len(order) <= jobs + 2
+        del perceived
+    assert order == [f"{k:06d}" for k in range(10)]
+    assert grids.most <= 2
+
+
+def test_reasons_are_counted() -> None:
+    report = SessionReport("x", frames=3, reasons=Counter({"b": 1, "a": 2}))
+    assert report.frames_per_s == 0.0
+    as_dict = report.as_dict()
+    assert as_dict["reasons"] == {"a": 2, "b": 1}
+    assert as_dict["notes"] == []
