@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fieldgrid import figures
     from fieldgrid.build import add_recording, estimate_trajectory, local_grid
     from fieldgrid.errors import FieldgridError
-    from fieldgrid.evaluate import evaluate, read_truth
+    from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import export_geotiff
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
@@ -38,13 +38,13 @@ _HOMES = {
     "Transfer": "transfer",
     "add_recording": "build",
     "estimate_trajectory": "build",
-    "evaluate": "evaluate",
+    "evaluate": "evaluation",
     "export_geotiff": "export",
     "figures": "",
     "local_grid": "build",
     "open_map": "mapfile",
     "open_recording": "recording",
-    "read_truth": "evaluate",
+    "read_truth": "evaluation",
 }
 
 __all__ = [

@@ -10,7 +10,6 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
@@ -157,9 +156,10 @@ def draw_heading(axes: Axes, track: list[Trajectory], frames: list[FrameRecord])
             continue
         time_s = (one.time_ns - one.time_ns[0]) / 1e9
         ok = one.accepted
-        value = _broken_at_wrap(np.where(ok, one.heading_deg, np.nan))
+        value = np.where(ok, one.heading_deg, np.nan)
         band = 3.0 * np.where(ok, one.heading_sigma_deg, np.nan)
-        axes.plot(time_s, value, linewidth=0.8, color="0.4")
+        # Dots, because a line would cross the plot wherever the heading passes ±180°.
+        axes.plot(time_s, value, linestyle="none", marker=".", markersize=2, color="0.4")
         axes.fill_between(time_s, value - band, value + band, color="0.85", linewidth=0)
         starts.append(int(one.time_ns[0]))
     origin = min(starts, default=min((f.pose.time_ns for f in frames), default=0))
@@ -196,14 +196,6 @@ def _mark(axes: Axes, frames: list[FrameRecord], x: list[float], y: list[float])
             )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best", fontsize="small")
-
-
-def _broken_at_wrap(heading_deg: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A copy with a gap where the heading passes ±180°, so that no line crosses the plot."""
-    broken = heading_deg.copy()
-    with np.errstate(invalid="ignore"):
-        broken[1:][np.abs(np.diff(heading_deg)) > 180.0] = np.nan
-    return broken
 
 
 def _inside(frame: FrameRecord, view: MapView) -> bool:

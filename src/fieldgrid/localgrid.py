@@ -107,6 +107,10 @@ class LocalGridder:
         plane, patches = estimate_ground(
             values, row_start, self._depth_m, self.rig, spec.width_m / 2.0, spec.length_m
         )
+        if not plane.refined:
+            # Heights above a ground that was not found are not known, so nothing is claimed.
+            unseen = np.zeros(spec.shape, dtype=np.uint8)
+            return LocalGrid(spec, unseen, unseen.astype(np.bool_)), _summary(plane)
         ground_m = local_ground(patches, spec.n_x, spec.n_y, spec.cell_m, self.max_range_m)
         counts = bin_pixels(
             values,

@@ -6,7 +6,7 @@ from fieldgrid.build.session import (
     add_recording,
     build_map,
     check_output,
-    check_overlap,
+    check_poses,
     estimate_trajectory,
 )
 
@@ -18,7 +18,7 @@ __all__ = [
     "add_recording",
     "build_map",
     "check_output",
-    "check_overlap",
+    "check_poses",
     "estimate_trajectory",
     "local_grid",
     "perceive",

@@ -65,7 +65,7 @@ def add_recording(
     """
     settings = settings or BuildSettings()
     started = time.perf_counter()
-    check_overlap(recording, trajectory)
+    check_poses(recording, trajectory)
     gridder = LocalGridder(recording.rig, settings.grid.spec(), settings.stereo, settings.density)
     report = _opening_report(
         recording.name if name is None else name, recording, trajectory, gridder
@@ -83,7 +83,7 @@ def add_recording(
             progress(Progress(report.session, 0, total, 0.0))
         for perceived in perceive(frames, gridder, jobs or os.cpu_count() or 1):
             pose = trajectory.at(perceived.frame.time_ns + recording.rig.image_time_offset_ns)
-            if not perceived.ground.refined:
+            if pose.status is Status.OK and not perceived.ground.refined:
                 pose = replace(pose, status=Status.REJECTED, reason=NO_GROUND)
             _add_frame(session, perceived, pose, report)
             if pose.status is Status.OK:
@@ -123,17 +123,17 @@ def _add_frame(session: Session, perceived: Perceived, pose: Pose, report: Sessi
         report.reasons[pose.reason] += 1
 
 
-def check_overlap(recording: Recording, trajectory: Trajectory) -> None:
-    """Raise GnssError when no image lies between the first and the last accepted fix."""
+def check_poses(recording: Recording, trajectory: Trajectory) -> None:
+    """Raise GnssError when no image has a usable pose, before the first one is read."""
     if recording.frame_count == 0:
         raise ConfigError(f"Recording {recording.name} holds no frame; record images with it.")
     offset_ns = recording.rig.image_time_offset_ns
     images = recording.frame_times_ns() + offset_ns
     fixes = trajectory.time_ns[trajectory.accepted]
     if fixes.size == 0:
-        reasons = Counter(trajectory.reason).most_common(1)[0][0]
+        commonest = Counter(trajectory.reason).most_common(1)[0][0]
         raise GnssError(
-            f"None of the {len(trajectory)} fixes gives a pose, mostly because: {reasons}; "
+            f"None of the {len(trajectory)} fixes gives a pose, mostly because: {commonest}; "
             "choose another log with --gnss or another --heading."
         )
     if images[-1] < fixes[0] or images[0] > fixes[-1]:
@@ -142,6 +142,13 @@ def check_overlap(recording: Recording, trajectory: Trajectory) -> None:
             f"({_clock(fixes[0])} to {_clock(fixes[-1])}) do not overlap in time; choose the log "
             "of this drive with --gnss, or set image_time_offset_s in recording.toml."
         )
+    poses = (trajectory.at(time_ns) for time_ns in images.tolist())
+    reasons: Counter[str] = Counter()
+    for pose in poses:
+        if pose.status is Status.OK:
+            return
+        reasons[pose.reason] += 1
+    raise _none_usable(recording.name, reasons)
 
 
 def session_config(
@@ -172,16 +179,20 @@ def _opening_report(
 
 def _check_any_used(report: SessionReport) -> None:
     if report.used == 0:
-        reason = report.reasons.most_common(1)[0][0]
-        advice = (
-            "check the camera's height and tilt in the mounting"
-            if reason == NO_GROUND
-            else "choose another log with --gnss or another --heading"
-        )
-        raise GnssError(
-            f"None of the {report.frames} frames of {report.session} has a usable pose, mostly "
-            f"because: {reason}; {advice}."
-        )
+        raise _none_usable(report.session, report.reasons)
+
+
+def _none_usable(name: str, reasons: Counter[str]) -> GnssError:
+    reason = reasons.most_common(1)[0][0]
+    advice = (
+        "check the camera's height and tilt in the mounting"
+        if reason == NO_GROUND
+        else "choose another log with --gnss or another --heading"
+    )
+    return GnssError(
+        f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
+        f"{reason}; {advice}."
+    )
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -256,7 +267,7 @@ def build_map(
         for recording in recordings:
             tracks.append(estimate_trajectory(recording, settings, datum))
             datum = tracks[0].datum
-            check_overlap(recording, tracks[-1])
+            check_poses(recording, tracks[-1])
         if not append:
             universal = open_things.enter_context(
                 create_map(

@@ -60,3 +60,8 @@ def main() -> None:
         # The reader of our stdout has gone (a pager, head): not a problem worth a message.
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:
+        # What no part of the library could foresee: a disk that fills up under a cache, say.
+        what = error.filename or "a file"
+        print(f"fieldgrid: {what}: {error.strerror or error}; check the disk.", file=sys.stderr)
+        sys.exit(1)

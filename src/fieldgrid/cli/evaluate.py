@@ -10,7 +10,7 @@ import typer
 from fieldgrid.cli import output
 
 if TYPE_CHECKING:
-    from fieldgrid.evaluate import Evaluation, Group
+    from fieldgrid.evaluation import Evaluation, Group
 
 
 def command(
@@ -31,7 +31,7 @@ def command(
 
         fieldgrid evaluate vineyard.gpkg examples/two_lanes/truth
     """
-    from fieldgrid.evaluate import evaluate, read_truth
+    from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:

@@ -35,7 +35,10 @@ def command(
     from fieldgrid.export import export_geotiff
     from fieldgrid.mapfile import open_map
 
+    crop = parse.bounds(bounds)
     with open_map(map_) as universal:
-        view = universal.read(parse.bounds(bounds), cell)
+        if crop is not None:
+            parse.check_inside(crop, universal.bounds, universal.cell_m)
+        view = universal.read(crop, cell)
     export_geotiff(view, out, overwrite=overwrite)
     typer.echo(f"GeoTIFF {out}")

@@ -32,7 +32,9 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title:
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    console = Console(file=sys.stdout, highlight=False, soft_wrap=False)
+    # Off a terminal nothing limits the width, and a folded name could not be read back.
+    width = None if sys.stdout.isatty() else 1000
+    console = Console(file=sys.stdout, highlight=False, width=width)
     console.print(table)
 
 

@@ -100,15 +100,23 @@ def _view(
     averaging: str,
 ) -> MapView:
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
+    from fieldgrid.errors import ConfigError
+    from fieldgrid.geodesy import MAX_DISTANCE_M
     from fieldgrid.transfer import Averaging
 
     if averaging not in {rule.value for rule in Averaging}:
         raise typer.BadParameter(
             f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
         )
+    extent = bounds or universal.bounds
+    parse.check_inside(extent, universal.bounds, universal.cell_m)
     if cell_m is None:
-        extent = bounds or universal.bounds
         side_m = max(extent.east_m - extent.west_m, extent.north_m - extent.south_m)
+        if side_m > 2.0 * MAX_DISTANCE_M:
+            raise ConfigError(
+                f"Bounds {tuple(extent)} are {side_m / 1000:.0f} km wide; give metres of the map, "
+                f"which reaches {MAX_DISTANCE_M / 1000:.0f} km from its datum at most."
+            )
         cell_m = universal.cell_m * max(1, math.ceil(side_m / universal.cell_m / MAX_PIXELS))
     return universal.read(
         bounds,

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import TruthError
-from fieldgrid.evaluate.truth import Truth, TruthPose
+from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec
 from fieldgrid.mapfile import FrameRecord, MapFile, MapView, SessionInfo

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -50,8 +51,9 @@ class Truth:
     datum: Datum | None
 
 
-def read_truth(folder: Path) -> Truth:
+def read_truth(folder: str | Path) -> Truth:
     """Read a truth folder; every problem with it is a TruthError that names the file."""
+    folder = Path(folder)
     if not folder.is_dir():
         raise TruthError(f"There is no truth folder {folder}; give the folder with the rasters.")
     obstacles = _read_npz(
@@ -89,6 +91,7 @@ def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]
         NotImplementedError,
         zipfile.BadZipFile,
         zlib.error,
+        tokenize.TokenError,
     ) as error:
         raise TruthError(f"{path} cannot be read as a truth raster: {error}.") from error
 

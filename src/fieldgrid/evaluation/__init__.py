@@ -1,6 +1,6 @@
 """A map against surveyed or simulated truth, absolute: nothing is shifted or turned to fit."""
 
-from fieldgrid.evaluate.scores import (
+from fieldgrid.evaluation.scores import (
     Evaluation,
     FrameError,
     Group,
@@ -8,7 +8,7 @@ from fieldgrid.evaluate.scores import (
     PoseErrors,
     evaluate,
 )
-from fieldgrid.evaluate.truth import Truth, TruthPose, read_truth
+from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth
 
 __all__ = [
     "Evaluation",
