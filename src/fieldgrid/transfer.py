@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -164,10 +165,7 @@ def universal_axes(
     a cell must not fall to one side in one window and to the other in another. With `shift` s
     there are 2^s columns and rows a local cell. Returns (column_i, column_j, row_i, row_j).
     """
-    parts = 1 << shift
-    fine_m = spec.cell_m / parts
-    x = (np.arange(spec.n_x * parts, dtype=np.float64) + 0.5) * fine_m - spec.width_m / 2.0
-    y = (np.arange(spec.n_y * parts, dtype=np.float64) + 0.5) * fine_m
+    x, y = _part_centres_m(spec, shift)
     phi, scale = math.radians(pose.heading_deg), lattice.cells_per_m
     return (
         x * (math.cos(phi) * scale),
@@ -175,6 +173,19 @@ def universal_axes(
         pose.east_m * scale + y * (math.sin(phi) * scale),
         pose.north_m * scale + y * (math.cos(phi) * scale),
     )
+
+
+@lru_cache(maxsize=8)
+def _part_centres_m(spec: GridSpec, shift: int) -> tuple[_Float64, _Float64]:
+    """x of the columns' and y of the rows' centres, 2^shift of each a cell: the same for all
+    frames of a drive."""
+    parts = 1 << shift
+    fine_m = spec.cell_m / parts
+    x = (np.arange(spec.n_x * parts, dtype=np.float64) + 0.5) * fine_m - spec.width_m / 2.0
+    y = (np.arange(spec.n_y * parts, dtype=np.float64) + 0.5) * fine_m
+    x.setflags(write=False)
+    y.setflags(write=False)
+    return x, y
 
 
 @kernel
@@ -193,10 +204,11 @@ def accumulate(  # type: ignore[no-untyped-def]
     for fine_r in range(row_i.size):
         r, i_r, j_r = fine_r >> shift, row_i[fine_r], row_j[fine_r]
         for c in range(columns):
-            u = math.floor(column_i[c] + i_r) - i0
-            v = math.floor(column_j[c] + j_r) - j0
-            inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-            cell[c] = v * width + u if inside else -1
+            # Floats until the end: whole numbers of 64 bits would not fit the vector units.
+            u = np.floor(column_i[c] + i_r) - i0
+            v = np.floor(column_j[c] + j_r) - j0
+            inside = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
+            cell[c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
         for c in range(columns):
             if cell[c] >= 0 and observed[r, c >> shift]:
                 k = 2 * np.intp(cell[c])
