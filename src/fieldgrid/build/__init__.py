@@ -8,6 +8,7 @@ from fieldgrid.build.session import (
     check_output,
     check_poses,
     estimate_trajectory,
+    session_config,
 )
 
 __all__ = [
@@ -22,4 +23,5 @@ __all__ = [
     "estimate_trajectory",
     "local_grid",
     "perceive",
+    "session_config",
 ]
