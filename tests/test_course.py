@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.course import Course, course
+from fieldgrid.course import Course, course, stations
 from tests.scenes import Leg, Path, drive
 
 _Float64 = npt.NDArray[np.float64]
@@ -213,3 +213,20 @@ def test_a_high_antenna_is_less_sure() -> None:
     low, high = course(*columns, 0.0), course(*columns, 3.0)
     assert (high.sigma_deg > 1.2 * low.sigma_deg).all()
     assert np.array_equal(low.heading_deg, high.heading_deg)
+
+
+def test_waiting_adds_no_stations() -> None:
+    """An hour at a gate is one place; a part always begins with a station."""
+    rng = np.random.default_rng(5)
+    driven = np.stack([np.arange(100) * 0.3, np.zeros(100)], axis=1)
+    waited = driven[50] + rng.normal(0.0, 0.005, (36_000, 2))
+    points = np.concatenate([driven[:51], waited, driven[51:]])
+    part = np.zeros(len(points), dtype=np.int64)
+    part[-1] = 1
+    at = stations(points, part, 0.05)
+    assert at[0] == 0
+    assert at[-1] == len(points) - 1
+    assert set(range(51)) <= set(at.tolist())
+    assert 100 <= at.size < 110
+    gaps = np.hypot(*np.diff(points[at], axis=0).T)
+    assert (gaps >= 0.05).all()

@@ -26,6 +26,12 @@ CUSP_DEG = 110.0
 NOISE_SHARE = 0.3
 """Of the error of a fix this share is noise; the rest wanders slowly and cancels in a slope."""
 
+STATION_M = 0.05
+"""Fixes closer together than this say nothing more of the course than one of them."""
+
+WINDOW_POINTS = 200
+"""A window of more points than this is thinned: a crawl at 100 Hz has no end of them."""
+
 CUSP_REACH_M = 1.5
 """How far around a point its turning is looked at: a U-turn of a radius over 1.6 m is no cusp."""
 
@@ -135,6 +141,25 @@ def _longer_parity(points: _Float64, legs: list[tuple[int, int]]) -> int:
 
 
 @kernel
+def stations(points, part, step_m):  # type: ignore[no-untyped-def]
+    """Indices of the points [n, 2] worth an estimate: each `step_m` from the one before.
+
+    A vehicle that waits an hour adds tens of thousands of fixes and nothing to its course.
+    Every part begins with a station.
+    """
+    found = np.empty(len(points), dtype=np.int64)
+    count, last = 0, -1
+    for k in range(len(points)):
+        if last >= 0 and part[k] == part[last]:
+            d_east, d_north = points[k, 0] - points[last, 0], points[k, 1] - points[last, 1]
+            if d_east * d_east + d_north * d_north < step_m * step_m:
+                continue
+        found[count], last = k, k
+        count += 1
+    return found[:count]
+
+
+@kernel
 def first_beyond(points, reach_m, step):  # type: ignore[no-untyped-def]
     """For each of n points the nearest index before (step -1) or after (+1) it that is
     `reach_m` away, int64 [n]; -1 where there is none.
@@ -181,7 +206,8 @@ def _direction(
     its tangent.
     """
     start, stop = between
-    window = leg[start:stop]
+    stride = max((stop - start) // WINDOW_POINTS, 1)
+    window = leg[start:stop:stride]
     chord = window[-1] - window[0]
     span_m = float(np.hypot(*chord))
     if span_m < baseline_m / 2.0 or len(window) < 3:

@@ -11,7 +11,14 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.course import Course, course, course_of_axle
+from fieldgrid.course import (
+    NOISE_SHARE,
+    STATION_M,
+    Course,
+    course,
+    course_of_axle,
+    stations,
+)
 from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix, Verdict, condition, position_sigma_m
@@ -196,11 +203,21 @@ def _course_of_axle(
     times = np.array([fix.time_ns for fix in fixes], dtype=np.int64)[ok]
     part = np.concatenate([[0], np.cumsum(np.diff(times) > MAX_GAP_NS)])
     baseline_m = settings.baseline_m or default_baseline_m(sigma_m)
-    found = course(antenna_e, antenna_n, sigma_m, part, baseline_m, rig.antenna.up_m)
-    if rig.rear_axle_forward_m is None:
-        return found
-    ahead_m = rig.antenna.forward_m - rig.rear_axle_forward_m
-    return course_of_axle(found, antenna_e, antenna_n, part, ahead_m)
+    step_m = max(STATION_M, 2.0 * NOISE_SHARE * float(np.median(sigma_m)))
+    at = stations(np.stack([antenna_e, antenna_n], axis=1), part, step_m)
+    east_m, north_m, part_at = antenna_e[at], antenna_n[at], part[at]
+    found = course(east_m, north_m, sigma_m[at], part_at, baseline_m, rig.antenna.up_m)
+    if rig.rear_axle_forward_m is not None:
+        ahead_m = rig.antenna.forward_m - rig.rear_axle_forward_m
+        found = course_of_axle(found, east_m, north_m, part_at, ahead_m)
+    # The fixes between two stations have the heading of the one before.
+    station = np.searchsorted(at, np.arange(len(antenna_e)), side="right") - 1
+    return Course(
+        found.heading_deg[station],
+        found.sigma_deg[station],
+        found.gear[station],
+        found.span_m[station],
+    )
 
 
 def default_baseline_m(sigma_m: _Float64) -> float:
