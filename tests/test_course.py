@@ -223,10 +223,15 @@ def test_waiting_adds_no_stations() -> None:
     points = np.concatenate([driven[:51], waited, driven[51:]])
     part = np.zeros(len(points), dtype=np.int64)
     part[-1] = 1
-    at = stations(points, part, 0.05)
+    standing = np.zeros(len(points), dtype=np.bool_)
+    at = stations(points, part, standing, 0.05)
     assert at[0] == 0
     assert at[-1] == len(points) - 1
     assert set(range(51)) <= set(at.tolist())
     assert 100 <= at.size < 110
     gaps = np.hypot(*np.diff(points[at], axis=0).T)
     assert (gaps >= 0.05).all()
+    standing[51:36_051] = True
+    wandering = points.copy()
+    wandering[51:36_051, 1] += 0.7 * np.sin(np.linspace(0.0, 60.0, 36_000))
+    assert stations(wandering, part, standing, 0.05).size == 100

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from fieldgrid.errors import CalibrationError, ConfigError
-from fieldgrid.rig import Mount, Rig, StereoCamera
+from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.stereo import (
     INVALID,
     MatcherKind,
@@ -228,7 +228,7 @@ def test_rows_above_the_slice_are_not_searched() -> None:
     assert np.tan(np.radians(2.6)) < rows_below_axis < np.tan(np.radians(7.6))
 
 
-@given(st.floats(0.6, 20.0), st.floats(300.0, 1500.0), st.floats(-8.0, 8.0))
+@given(st.floats(0.6, 20.0), st.floats(300.0, 1500.0), st.floats(-1.0, 8.0))
 def test_the_nearest_range_is_searched_and_multiples_of_16(
     min_range_m: float, focal_px: float, offset_px: float
 ) -> None:
@@ -250,3 +250,10 @@ def test_a_nearest_range_at_a_multiple_of_16_is_searched_too() -> None:
 def test_too_near_a_range_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"0\.4 m asks for 400 .* larger min_range_m"):
         search_region(paper_rig(), StereoSettings(min_range_m=0.4), 2.2, 15.0)
+
+
+def test_a_right_camera_whose_far_points_have_negative_disparity_is_refused() -> None:
+    camera = StereoCamera(640, 480, 600.0, 320.0, 240.0, 0.2, cx_right_px=340.0)
+    rig = Rig(camera, Mount(2.0, 15.0), LeverArm(0.0, 0.0, 2.0))
+    with pytest.raises(CalibrationError, match=r"cx is 20\.0 px beyond the left's"):
+        search_region(rig, StereoSettings(), 2.2, 15.0)

@@ -32,8 +32,9 @@ STATION_M = 0.05
 WINDOW_POINTS = 200
 """A window of more points than this is thinned: a crawl at 100 Hz has no end of them."""
 
-CUSP_REACH_M = 1.5
-"""How far around a point its turning is looked at: a U-turn of a radius over 1.6 m is no cusp."""
+CUSP_REACH_M = 1.0
+"""How far around a point its turning is looked at, when the fixes are good enough: two cusps
+that are closer together than twice this are taken for one."""
 
 TURN_SHARE = 0.06
 """A parabola follows a turn to about this share of it: 0.6° where the window turns by 10°."""
@@ -141,16 +142,19 @@ def _longer_parity(points: _Float64, legs: list[tuple[int, int]]) -> int:
 
 
 @kernel
-def stations(points, part, step_m):  # type: ignore[no-untyped-def]
+def stations(points, part, standing, step_m):  # type: ignore[no-untyped-def]
     """Indices of the points [n, 2] worth an estimate: each `step_m` from the one before.
 
     A vehicle that waits an hour adds tens of thousands of fixes and nothing to its course.
+    `standing` marks points at which the receiver saw no motion: what they wander is no path.
     Every part begins with a station.
     """
     found = np.empty(len(points), dtype=np.int64)
     count, last = 0, -1
     for k in range(len(points)):
         if last >= 0 and part[k] == part[last]:
+            if standing[k]:
+                continue
             d_east, d_north = points[k, 0] - points[last, 0], points[k, 1] - points[last, 1]
             if d_east * d_east + d_north * d_north < step_m * step_m:
                 continue

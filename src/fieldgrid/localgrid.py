@@ -275,9 +275,9 @@ def bin_pixels_reference(
 def scale_density(counts, gain, min_points, min_ground_points):  # type: ignore[no-untyped-def]
     """Counts to 3D density, uint8, and the observed mask, both [n_y, n_x].
 
-    A cell with enough points in the slice has a density. A cell is seen to be free only where
-    the ground shows, nothing of the slice does, and no neighbour is an obstacle: the edge of
-    an obstacle is in doubt, and doubt is not free.
+    A cell with enough points in the slice has a density. Without one a cell is seen, and empty,
+    only where the ground shows, nothing of the slice does, and no neighbour is an obstacle: the
+    edge of an obstacle is in doubt, and doubt is not free.
     """
     n_y, n_x = counts.shape[0], counts.shape[1]
     density = np.zeros((n_y, n_x), dtype=np.uint8)

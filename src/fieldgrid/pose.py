@@ -30,6 +30,9 @@ _Float64 = npt.NDArray[np.float64]
 CONSTANT_SIGMA_DEG = 1.0
 """What a heading given by hand is taken to be good for."""
 
+STANDING_MPS = 0.1
+"""Below this speed, as the receiver measured it, a vehicle stands and its positions wander."""
+
 RECORDED_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
 
@@ -204,7 +207,9 @@ def _course_of_axle(
     part = np.concatenate([[0], np.cumsum(np.diff(times) > MAX_GAP_NS)])
     baseline_m = settings.baseline_m or default_baseline_m(sigma_m)
     step_m = max(STATION_M, 2.0 * NOISE_SHARE * float(np.median(sigma_m)))
-    at = stations(np.stack([antenna_e, antenna_n], axis=1), part, step_m)
+    speeds = [fix.speed_mps for fix, used in zip(fixes, ok, strict=True) if used]
+    standing = np.array([speed is not None and speed < STANDING_MPS for speed in speeds])
+    at = stations(np.stack([antenna_e, antenna_n], axis=1), part, standing, step_m)
     east_m, north_m, part_at = antenna_e[at], antenna_n[at], part[at]
     found = course(east_m, north_m, sigma_m[at], part_at, baseline_m, rig.antenna.up_m)
     if rig.rear_axle_forward_m is not None:

@@ -99,6 +99,12 @@ def search_region(
     point of the slice can appear at any range, with a margin for the vehicle's pitch.
     """
     camera, mount = rig.camera, rig.mount
+    if camera.disparity_offset_px < -1.0:
+        raise CalibrationError(
+            f"The right camera's cx is {-camera.disparity_offset_px:.1f} px beyond the left's, so "
+            "far points have negative disparities, which are not searched; rectify with zero "
+            "disparity at infinity (CALIB_ZERO_DISPARITY)."
+        )
     nearest_px = camera.focal_baseline_px_m / settings.min_range_m + camera.disparity_offset_px
     # n disparities are 0 … n - 1, and OpenCV wants a multiple of 16.
     num_disparities = max(16, math.ceil((nearest_px + 1.0) / 16.0) * 16)

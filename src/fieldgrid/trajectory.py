@@ -16,8 +16,9 @@ from fieldgrid.angles import interpolate_deg
 from fieldgrid.errors import GnssError
 from fieldgrid.geodesy import Datum
 
-MAX_GAP_NS = 1_000_000_000
-"""Accepted fixes may be this far apart for a pose to be interpolated between them."""
+MAX_GAP_NS = 1_500_000_000
+"""Accepted fixes may be this far apart for a pose to be interpolated between them: a receiver of
+1 Hz may be late."""
 
 
 class Status(StrEnum):
@@ -70,6 +71,7 @@ class Trajectory:
     accepted: npt.NDArray[np.bool_] = field(init=False, repr=False, compare=False)
     """Mask of the rows whose verdict is ok."""
     _ok: npt.NDArray[np.intp] = field(init=False, repr=False, compare=False)
+    _ok_time_ns: npt.NDArray[np.int64] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.time_ns)
@@ -77,6 +79,7 @@ class Trajectory:
         accepted = np.array([status is Status.OK for status in self.status], dtype=np.bool_)
         object.__setattr__(self, "accepted", accepted)
         object.__setattr__(self, "_ok", np.flatnonzero(accepted))
+        object.__setattr__(self, "_ok_time_ns", self.time_ns[self._ok])
         columns = (
             self.east_m, self.north_m, self.up_m, self.heading_deg, self.position_sigma_m,
             self.heading_sigma_deg, self.speed_mps, self.quality, self.status, self.reason,
@@ -106,7 +109,7 @@ class Trajectory:
                 "The trajectory has no accepted fix, so no image can be placed; "
                 "look at the reasons for which its fixes were rejected."
             )
-        after = int(np.searchsorted(self.time_ns[ok], time_ns))
+        after = int(np.searchsorted(self._ok_time_ns, time_ns))
         if after < ok.size and self.time_ns[ok[after]] == time_ns:
             return self._row(int(ok[after]))
         if after == 0 or after == ok.size:
@@ -158,7 +161,7 @@ class Trajectory:
     def _why(self, time_ns: int) -> str:
         """Why there is no accepted fix at an instant: the reason of the nearest rejected one
         between the accepted ones around it, or that there was none."""
-        after = int(np.searchsorted(self.time_ns[self._ok], time_ns))
+        after = int(np.searchsorted(self._ok_time_ns, time_ns))
         start = int(self._ok[after - 1]) + 1 if after > 0 else 0
         stop = int(self._ok[after]) if after < self._ok.size else len(self)
         if start >= stop:

@@ -1,14 +1,15 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one.
 
 Pose is light and needs the whole drive, so it comes first; perception is heavy and needs no
-pose, so frames are matched in parallel and meet their pose in order, one at a time. Memory
-does not grow with the drive.
+pose, so frames are matched in parallel and meet their pose in order, one at a time. No image
+and no grid stays in memory.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -72,7 +73,8 @@ def add_recording(
     )
     total = len(range(0, recording.frame_count, every))
     frames = (frame for k, frame in enumerate(recording.frames()) if k % every == 0)
-    placed: list[Pose] = []
+    placed: Pose | None = None
+    heading_sigma_deg, position_sigma_m = array("d"), array("d")
     with universal.add_session(
         report.session,
         trajectory=trajectory,
@@ -88,15 +90,17 @@ def add_recording(
             _add_frame(session, perceived, pose, report)
             if pose.status is Status.OK:
                 report.distance_m += _step_m(placed, pose)
-                placed.append(pose)
+                heading_sigma_deg.append(pose.heading_sigma_deg)
+                position_sigma_m.append(pose.position_sigma_m)
+                placed = pose
             if progress is not None:
                 progress(Progress(report.session, report.frames, total, report.distance_m))
         _check_any_used(report)
         closing = time.perf_counter()
     report.stages.map_s += time.perf_counter() - closing
     report.wall_s = time.perf_counter() - started
-    report.heading_sigma_deg = _median([pose.heading_sigma_deg for pose in placed])
-    report.position_sigma_m = _median([pose.position_sigma_m for pose in placed])
+    report.heading_sigma_deg = _median(heading_sigma_deg)
+    report.position_sigma_m = _median(position_sigma_m)
     return report
 
 
@@ -199,10 +203,9 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _step_m(placed: Sequence[Pose], pose: Pose) -> float:
-    if not placed:
+def _step_m(last: Pose | None, pose: Pose) -> float:
+    if last is None:
         return 0.0
-    last = placed[-1]
     return float(np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m))
 
 
