@@ -224,7 +224,8 @@ def _print_reports(out: Path, reports: list[SessionReport]) -> None:
             ("position sigma, median", output.number(report.position_sigma_m, 3, "m")),
             ("points used up to", output.number(report.max_range_m, 1, "m")),
             ("ground plane refined in", f"{report.ground_refined} frames"),
-            ("rate", output.number(report.frames_per_s, 1, "frames/s")),
+            # As wide for a slow machine as for a fast one, so that tables can be compared.
+            ("rate", f"{report.frames_per_s:7.1f} frames/s"),
         ]  # fmt: skip
         output.print_table(("", ""), rows, title=f"session {report.session}")
         for count, example in grouped_reasons(report.reasons):
