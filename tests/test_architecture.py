@@ -17,7 +17,7 @@ PACKAGE = "fieldgrid"
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
     ("errors", "geodesy", "angles", "kernel"),
-    ("lattice", "rig", "trajectory", "grids"),
+    ("lattice", "rig", "trajectory", "grids", "motion"),
     ("gnss", "course", "stereo", "odometry", "ground", "transfer"),
     ("pose", "localgrid", "recording"),
     ("mapfile", "settings"),
