@@ -18,7 +18,7 @@ PACKAGE = "fieldgrid"
 LAYERS = (
     ("errors", "geodesy", "angles", "kernel"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
-    ("gnss", "course", "stereo", "odometry", "ground", "transfer"),
+    ("gnss", "course", "gear", "smoother", "stereo", "odometry", "ground", "transfer"),
     ("pose", "localgrid", "recording"),
     ("mapfile", "settings"),
     ("rows", "route", "export", "figures", "evaluation", "view"),

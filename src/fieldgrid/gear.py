@@ -1,0 +1,252 @@
+"""Forward or reverse, from the track: legs between cusps, and the likeliest gear of each.
+
+A vehicle that stops and drives back leaves a cusp: the course turns by half a circle and the
+nose does not. The path is cut wherever it turns sharply; whether a cut is a cusp, and which of
+two legs is the reverse one, is decided for the whole drive at once, by what it costs a nose to
+turn at each cut, by what gyro and wheels saw, and by the habit of driving forward.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.kernel import kernel
+
+_Float64 = npt.NDArray[np.float64]
+_Int64 = npt.NDArray[np.int64]
+
+CUT_DEG = 75.0
+"""A path whose direction before and after a point differs by more may have turned back there."""
+
+REACH_M, REACH_SIGMAS = 0.3, 8.0
+"""How far around a point its turning is looked at: at least this, and beyond the noise."""
+
+TANGENT_REACH_M = 1.5
+"""The direction in which a leg begins or ends is that of this much of it."""
+
+NOSE_TURN_DEG = 30.0
+"""How far a nose turns within a tangent's reach of a cut: 1.5 m at a radius of 3 m."""
+
+GYRO_TURN_DEG = 12.0
+"""The same, beyond what a gyro saw it turn."""
+
+GAP_TURN_DPS = 10.0
+"""How fast a nose may turn, degrees a second, while nobody sees it."""
+
+SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
+"""In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
+
+REVERSE_M_PER_NAT = 5.0
+"""Metres of reverse that are as unlikely, to start with, as one nat."""
+
+FIRST_FORWARD_NATS = 2.0
+"""How much likelier a drive begins forward."""
+
+WANDER_M, WANDER_SIGMAS = 0.5, 15.0
+"""A standing vehicle's positions wander about this far; such a leg may be skipped."""
+
+MAX_SKIPPED, SKIP_CAP_NATS = 4, 12.0
+"""So many legs in a row may be skipped, at so much cost together."""
+
+REVERSE_CAP_NATS = 15.0
+"""What a single leg's length can say at most of its gear."""
+
+
+class Gears(NamedTuple):
+    """For each of n points: `gear` +1 forward or -1 reverse, `doubt` 0..0.5, the probability
+    that it is the other one, and `leg`, which numbers the stretches between cuts."""
+
+    gear: _Int64
+    doubt: _Float64
+    leg: _Int64
+
+
+class Track(NamedTuple):
+    """What the gears are told from, n points in order of time.
+
+    `points_m` [n, 2] is east, north. `gap_s` is for how long the drive was not seen before a
+    point: 0 nearly everywhere, infinite at the first one.
+    `turned_deg` is the gyro's integral, NaN without one. `forward_nats` is the log odds, of
+    forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
+    """
+
+    points_m: _Float64
+    gap_s: _Float64
+    sigma_m: _Float64
+    turned_deg: _Float64
+    forward_nats: _Float64
+
+
+class _Join(NamedTuple):
+    """A way from leg `one` to leg `two`: what it costs in the same gear, and in the other."""
+
+    one: int
+    two: int
+    stay: float
+    change: float
+
+
+def gears(track: Track) -> Gears:
+    """The gear at each point of a drive, and how sure it is."""
+    n = len(track.points_m)
+    if n == 0:
+        return Gears(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
+    starts = _cut(track)
+    legs = list(zip(starts, [*starts[1:], n], strict=True))
+    forward = np.array([_forward_nats(track, a, b) for a, b in legs])
+    forward[0] += FIRST_FORWARD_NATS
+    gear, doubt = _likeliest(forward, _joins(track, legs))
+    lengths = [b - a for a, b in legs]
+    leg = np.repeat(np.arange(len(legs), dtype=np.int64), lengths)
+    return Gears(np.repeat(gear, lengths), np.repeat(doubt, lengths), leg)
+
+
+def _cut(track: Track) -> list[int]:
+    """Where legs begin: after each gap, and at each point where the path turns sharply."""
+    points = track.points_m
+    reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(track.sigma_m)))
+    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0), reach_m))
+    sharp = turning > CUT_DEG
+    starts = {0, *np.flatnonzero(track.gap_s).tolist()}
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
+    for first, last in zip(runs[::2], runs[1::2], strict=True):
+        starts |= set(_tips(points, turning, int(first), int(last), reach_m))
+    return sorted(starts)
+
+
+def _tips(points: _Float64, turning: _Float64, first: int, last: int, reach_m: float) -> list[int]:
+    """The sharpest points of a run of sharp ones, each `reach_m` of path from the next."""
+    steps = np.hypot(*np.diff(points[first:last], axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    left = turning[first:last].copy()
+    tips = []
+    while True:
+        # Among equals the middle one: where a vehicle stood there are many.
+        best = np.flatnonzero(left >= left.max() - 1e-6)
+        tip = int(best[best.size // 2])
+        tips.append(first + tip)
+        left[np.abs(along - along[tip]) < reach_m] = 0.0
+        if left.max() <= CUT_DEG:
+            return tips
+
+
+@kernel
+def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
+    """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
+    away on both sides, degrees; 0 where the part ends within that."""
+    n = points.shape[0]
+    turning = np.zeros(n)
+    for k in range(n):
+        before = _beyond(points, part, k, -1, reach_m)
+        after = _beyond(points, part, k, 1, reach_m)
+        if before >= 0 and after >= 0:
+            a_e, a_n = points[k, 0] - points[before, 0], points[k, 1] - points[before, 1]
+            b_e, b_n = points[after, 0] - points[k, 0], points[after, 1] - points[k, 1]
+            turning[k] = np.degrees(np.arctan2(a_n * b_e - a_e * b_n, a_e * b_e + a_n * b_n))
+    return turning
+
+
+@kernel
+def _beyond(points, part, k, step, reach_m):  # type: ignore[no-untyped-def]
+    i = k + step
+    while 0 <= i < points.shape[0] and part[i] == part[k]:
+        d_e, d_n = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
+        if d_e * d_e + d_n * d_n >= reach_m * reach_m:
+            return i
+        i += step
+    return -1
+
+
+def _length_m(points: _Float64) -> float:
+    return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
+
+
+def _forward_nats(track: Track, start: int, stop: int) -> float:
+    """Log odds that a leg was driven forward: its length, and what wheels or camera saw."""
+    habit = min(_length_m(track.points_m[start:stop]) / REVERSE_M_PER_NAT, REVERSE_CAP_NATS)
+    return habit + float(track.forward_nats[start + 1 : stop].sum())
+
+
+def _joins(track: Track, legs: list[tuple[int, int]]) -> list[_Join]:
+    """Every way to go on from a leg: to the next, or past a few that may be mere wander."""
+    joins = []
+    skipping = [_skip_cost(track, a, b) for a, b in legs]
+    for i in range(len(legs) - 1):
+        skipped = 0.0
+        for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
+            joins.append(_Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j]))))
+            skipped += skipping[j]
+            if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
+                break
+    return joins
+
+
+def _skip_cost(track: Track, start: int, stop: int) -> float:
+    """What it costs, in nats, to say that a vehicle did not drive this leg but stood there."""
+    points = track.points_m[start:stop]
+    wander_m = max(WANDER_M, WANDER_SIGMAS * float(track.sigma_m[start]))
+    return 1.0 + 2.0 * (float(np.hypot(*np.ptp(points, axis=0))) / wander_m) ** 2
+
+
+def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tuple[float, float]:
+    """What it costs, in nats, to go from one leg to another in the same gear, and in the other."""
+    gap_s = track.gap_s[two[0]]
+    # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
+    end = one[1] if gap_s else one[1] + 1
+    before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
+    out, out_m = _chord_deg(before[::-1])
+    into, into_m = _chord_deg(after)
+    switch = GAP_SWITCH_COST if gap_s else SWITCH_COST
+    if min(out_m, into_m) == 0.0:
+        return 0.0, switch
+    turned = track.turned_deg[min(two[0] + 1, two[1] - 1)] - track.turned_deg[one[1] - 1]
+    known = bool(np.isfinite(turned))
+    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
+    unseen_deg = 0.0 if known else GAP_TURN_DPS * gap_s
+    sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
+    beyond_deg = into - (out + 180.0) - (float(turned) if known else 0.0)
+
+    def cost(nose_turn_deg: float) -> float:
+        return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
+
+    return cost(beyond_deg), switch + cost(beyond_deg + 180.0)
+
+
+def _chord_deg(points: _Float64) -> tuple[float, float]:
+    """Direction from the first of the points to the first beyond a tangent's reach (or to the
+    farthest), degrees, and how far that is."""
+    away = np.hypot(*(points - points[0]).T)
+    beyond = np.flatnonzero(away >= TANGENT_REACH_M)
+    to = int(beyond[0]) if beyond.size else int(np.argmax(away))
+    return float(heading_deg(*(points[to] - points[0]))), float(away[to])
+
+
+def _likeliest(forward: _Float64, joins: list[_Join]) -> tuple[_Int64, _Float64]:
+    """The gear of each leg and the probability of the other: sums over all sequences of gears.
+
+    A leg that is rather skipped than driven takes the gear of the one before it.
+    """
+    n = len(forward)
+    own = np.stack([forward, -forward], axis=1) / 2.0
+    # Log weights of [forward, reverse] of all that comes before a leg, and after it.
+    left, right = np.full((n, 2), -np.inf), np.full((n, 2), -np.inf)
+    left[0], right[n - 1] = 0.0, 0.0
+    for join in joins:
+        known = left[join.one] + own[join.one]
+        reach = np.logaddexp(known - join.stay, known[::-1] - join.change)
+        left[join.two] = np.logaddexp(left[join.two], reach)
+    for join in reversed(joins):
+        known = right[join.two] + own[join.two]
+        reach = np.logaddexp(known - join.stay, known[::-1] - join.change)
+        right[join.one] = np.logaddexp(right[join.one], reach)
+    total = left + own + right
+    odds = total[:, 0] - total[:, 1]
+    every = float(np.logaddexp(*total[0]))
+    driven = np.logaddexp(total[:, 0], total[:, 1]) >= every + np.log(0.5)
+    at = np.maximum.accumulate(np.where(driven, np.arange(n), 0))
+    gear = np.where(odds >= 0.0, 1, -1).astype(np.int64)
+    return gear[at], 1.0 / (1.0 + np.exp(np.abs(odds[at])))
