@@ -6,11 +6,11 @@ BIN    := .venv/bin
 PY     := $(BIN)/python
 # -qq: errors only.
 PIP    := $(BIN)/pip -qq --disable-pip-version-check
-SOURCES := src tests tools $(wildcard benchmarks examples)
+SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench accuracy format lock clean
+.PHONY: help demo test check bench accuracy fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,9 @@ bench: .venv/installed ## Measure speed and memory
 accuracy: .venv/installed ## Measure the accuracy of the maps
 	$(PY) -m benchmarks.accuracy
 
+fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each)
+	$(PY) -m fuzz --seconds $(or $(SECONDS),30)
+
 format: .venv/installed ## Format the code and fix what can be fixed
 	$(BIN)/ruff check --fix-only $(SOURCES)
 	$(BIN)/ruff format $(SOURCES)
@@ -47,7 +50,7 @@ lock: build/uv/bin/uv ## Bring requirements.lock up to date with pyproject.toml 
 
 clean: ## Remove everything made here, .venv included
 	rm -rf .venv build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache src/*.egg-info
-	find src tests tools $(wildcard benchmarks examples) -name __pycache__ -prune -exec rm -rf {} +
+	find src tests tools $(wildcard benchmarks examples fuzz) -name __pycache__ -prune -exec rm -rf {} +
 
 # The environment is remade when the lock changes, so that it holds the lock and no more.
 .venv/locked: requirements.lock

@@ -1,17 +1,28 @@
 """GNSS: logs to fixes, and a verdict with a written reason on every fix."""
 
-from fieldgrid.gnss.conditioning import DEFAULT_LIMITS, GateLimits, Verdict, condition
+from fieldgrid.gnss.conditioning import condition
 from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
-from fieldgrid.gnss.nmea import NmeaLog, parse_nmea
+from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
+from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
+from fieldgrid.gnss.summary import ConditioningSummary, summarise
+from fieldgrid.gnss.verdict import DEFAULT_LIMITS, GateLimits, Kind, Verdict
 
 __all__ = [
     "DEFAULT_LIMITS",
     "QUALITY_NAMES",
+    "ConditioningSummary",
     "Fix",
+    "FixScatter",
     "GateLimits",
+    "Kind",
     "NmeaLog",
+    "NmeaStream",
     "Verdict",
     "condition",
     "parse_nmea",
     "position_sigma_m",
+    "quantum_m",
+    "scatter",
+    "short_term_sigma_m",
+    "summarise",
 ]

@@ -1,22 +1,33 @@
-"""The fields of an NMEA sentence: bytes to numbers, ValueError for what cannot be."""
+"""The fields of an NMEA sentence: bytes to numbers, ValueError for what cannot be.
+
+Whatever is in a field, nothing else is raised, and no number is infinite, not a number, or too
+large to be squared. Fields that repeat from sentence to sentence are remembered, up to a limit.
+"""
 
 from __future__ import annotations
 
 import re
 from datetime import date
+from functools import lru_cache
 
-_NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)")
+_NUMBER = re.compile(rb"[+-]?(?:\d{1,12}(?:\.\d{0,30})?|\.\d{1,30})")
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d)(?:\.(\d*))?")
 _ANGLE = re.compile(rb"(\d{1,3})(\d\d(?:\.\d*)?)")
 _UNIX_DAY = date(1970, 1, 1).toordinal()
+_REMEMBERED = 2048
 
 
 def checksum(text: bytes) -> int:
-    """XOR of all bytes: the number folded upon itself, faster than a loop."""
+    """XOR of at most 256 bytes: the number folded upon itself, faster than a loop."""
     value = int.from_bytes(text, "big")
-    for bits in (1024, 512, 256, 128, 64, 32, 16, 8):
-        value ^= value >> bits
-    return value & 0xFF
+    value ^= value >> 1024
+    value ^= value >> 512
+    value = (value ^ value >> 256) & (1 << 256) - 1
+    value ^= value >> 128
+    value ^= value >> 64
+    value ^= value >> 32
+    value ^= value >> 16
+    return (value ^ value >> 8) & 0xFF
 
 
 def number(field: bytes) -> float | None:
@@ -24,11 +35,31 @@ def number(field: bytes) -> float | None:
     return required(field) if field else None
 
 
+@lru_cache(_REMEMBERED)
 def required(field: bytes) -> float:
     """The number of a field that must not be empty."""
     if not _NUMBER.fullmatch(field):  # float() would also take nan, inf and 1_0
         raise ValueError(field)
     return float(field)
+
+
+def within(field: bytes, limit: float) -> float:
+    """The number of a field that must not be empty, nor beyond plus or minus a limit."""
+    value = required(field)
+    if abs(value) > limit:
+        raise ValueError(field)
+    return value
+
+
+@lru_cache(_REMEMBERED)
+def direction_deg(field: bytes) -> float | None:
+    """Degrees clockwise from north, brought into (-180, 180]; None when the field is empty."""
+    if not field:
+        return None
+    angle = within(field, 360.0)
+    if angle > 180.0:
+        return angle - 360.0
+    return angle if angle > -180.0 else angle + 360.0
 
 
 def integer(field: bytes) -> int | None:
@@ -57,13 +88,15 @@ def angle_deg(field: bytes, side: bytes, plus: bytes, minus: bytes, limit: float
     match = _ANGLE.fullmatch(field)
     if match is None or side not in (plus, minus):
         raise ValueError(field)
-    minutes = float(match[2])
-    angle = int(match[1]) + minutes / 60.0
+    degrees, whole_minutes = match.groups()
+    minutes = float(whole_minutes)
+    angle = int(degrees) + minutes / 60.0
     if minutes >= 60.0 or angle > limit:
         raise ValueError(field)
     return angle if side == plus else -angle
 
 
+@lru_cache(_REMEMBERED)
 def unix_day(day: bytes, month: bytes, year: bytes) -> int:
     """Days since 1970 of a date; a year of two digits is one of 1980..2079."""
     d, m, y = (integer(v) or 0 for v in (day, month, year))

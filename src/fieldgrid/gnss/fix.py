@@ -30,7 +30,9 @@ class Fix(NamedTuple):
     `time_ns` is UTC. `height_m` is ellipsoidal (altitude + geoid separation). `quality` is
     GGA's code. `age_s` is that of the differential correction. `sigma_m` is the receiver's
     own 1-sigma error along one horizontal axis. `heading_deg` is a recorded heading of the
-    nose (two antennas, INS), never the course.
+    nose (two antennas, INS), never the course; `heading_quality` is that of the baseline
+    between the antennas, in GGA's codes. `course_deg` is where the antenna moves, as the
+    receiver says it. Angles are degrees clockwise from north, (-180, 180].
     """
 
     time_ns: int
@@ -45,6 +47,8 @@ class Fix(NamedTuple):
     speed_mps: float | None = None
     heading_deg: float | None = None
     heading_sigma_deg: float | None = None
+    heading_quality: int | None = None
+    course_deg: float | None = None
 
 
 def position_sigma_m(fix: Fix) -> float:

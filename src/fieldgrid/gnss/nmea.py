@@ -1,40 +1,43 @@
-"""NMEA 0183 logs to fixes, whatever lies between the sentences.
+"""NMEA 0183 to fixes, from a live receiver or from a log.
 
-A sentence is what stands between one ``$`` and the next. That alone frames the log: a broken
-or merged line ends where the next sentence starts, binary messages and garbage match nothing,
-the result does not depend on how the bytes arrive, and no more than one sentence is held.
+A fix is what all sentences of one epoch say together. Its position is that of GGA, or of
+PTNL GGK, KSXT, BESTNAVA or PVTSLNA where there is none. RMC, VTG, GSA, GST, HDT, THS, TRA, HPR,
+PTNL AVR, PASHR, UNIHEADINGA and HEADINGA add to it; RMC, ZDA and all that have a full date
+give the date. Where a log has RMC alone, its positions serve, at height 0: it has none.
 """
 
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from itertools import islice
 from typing import NamedTuple
 
-from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss.fields import (
-    angle_deg,
-    checksum,
-    integer,
-    number,
-    of_day_ns,
-    required,
-    unix_day,
-)
+from fieldgrid.gnss import nmea_proprietary, nmea_standard, nmea_unicore
 from fieldgrid.gnss.fix import Fix
+from fieldgrid.gnss.nmea_epochs import EpochLog
+from fieldgrid.gnss.nmea_framing import Framer
 
-_MAX_SENTENCE = 256  # bytes; the standard's 82 are exceeded by many receivers
 _CHUNK = 1 << 16
-_ADDRESS = re.compile(rb"[A-Z][A-Z0-9]{3,9},")
-_SENTENCE = re.compile(rb"([A-Z][A-Z0-9]{3,9}),([ -)+-~]*)\*([0-9A-Fa-f]{2})")
+_FIELDS = 20
+_PAD = [b""] * _FIELDS
+_UNLIMITED = 1 << 60
+_START = 4096  # bytes by which a log without sentences is known
 
-_DAY_NS = 86_400_000_000_000
-_KNOT_MPS = 1852.0 / 3600.0
-_LATE_EPOCHS = 4  # a sentence may come this many epochs after the one that it belongs to
+_DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
+    **nmea_standard.DECODERS,
+    **nmea_proprietary.DECODERS,
+    **nmea_unicore.DECODERS,
+}
+
+_PACKED = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
+"""How the files of programs begin that pack others."""
 
 
 class NmeaLog(NamedTuple):
@@ -42,8 +45,10 @@ class NmeaLog(NamedTuple):
 
     `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
     checksum is wrong, `broken` those that are cut, merged, or say nothing that can be.
-    `no_position` counts GGA sentences without a fix, `repeated` those of an epoch that has
-    its position already, `no_geoid` fixes whose height lacks the geoid separation.
+    `no_position` counts sentences that say so where a position is due, `repeated` those of an
+    epoch that has its position already, `no_geoid` fixes whose height lacks the geoid
+    separation, `no_height` fixes that have no height at all, for which 0 stands. `undated`
+    counts positions that wait for a date, or have waited in vain.
     """
 
     fixes: list[Fix]
@@ -53,19 +58,90 @@ class NmeaLog(NamedTuple):
     no_position: int = 0
     repeated: int = 0
     no_geoid: int = 0
+    no_height: int = 0
+    undated: int = 0
+
+
+class NmeaStream:
+    """Fixes out of bytes as they come. What it gives does not depend on how they are cut.
+
+    A fix is given when `late_epochs` later times have been heard of, since any sentence may
+    come that late; 1 is right for a receiver that finishes an epoch before it starts another.
+    Of the positions that come before the first date the last `max_undated` are kept for it, so
+    that memory is bounded. While it is open whether a receiver that writes RMC alone will write
+    GGA as well, its first 20 epochs wait. Nothing in the stream makes it raise an error.
+    """
+
+    def __init__(self, *, late_epochs: int = 4, max_undated: int = 10_000) -> None:
+        if late_epochs < 1 or max_undated < 1:
+            raise ValueError(f"late_epochs {late_epochs} and max_undated {max_undated} must be > 0")
+        self._framer = Framer()
+        self._epochs = EpochLog(late_epochs, max_undated)
+
+    def feed(self, chunk: bytes) -> list[Fix]:
+        """The fixes that are complete after some more bytes, in their order."""
+        self._decode(self._framer.feed(chunk))
+        return self._epochs.fixes()
+
+    def finish(self) -> list[Fix]:
+        """The fixes that were still open when the stream ended."""
+        self._decode(self._framer.finish())
+        self._epochs.finish()
+        return self._epochs.fixes()
+
+    def log(self, fixes: list[Fix]) -> NmeaLog:
+        """What was found so far, with the fixes that the caller has kept."""
+        framer, counts, calendar = self._framer, self._epochs.counts, self._epochs.calendar
+        return NmeaLog(
+            fixes,
+            framer.sentences,
+            framer.bad_checksum,
+            framer.broken + counts.unreadable,
+            counts.no_position,
+            counts.repeated,
+            counts.no_geoid,
+            counts.no_height,
+            calendar.waiting + calendar.lost,
+        )
+
+    def _decode(self, sentences: Iterator[tuple[bytes, bytes]]) -> None:
+        epochs, decoder_of = self._epochs, _DECODERS.get
+        for kind, text in sentences:
+            decoder = decoder_of(kind)
+            if decoder is None:
+                continue
+            fields = text.split(b",")
+            if len(fields) < _FIELDS:
+                fields += _PAD
+            try:
+                decoder(fields, epochs)
+            except ValueError:
+                epochs.counts.unreadable += 1
 
 
 def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
     """Fixes of an NMEA log, given as chunks of bytes of any size or as an open binary file.
 
-    A fix is a GGA sentence with what RMC, VTG, GST, HDT and THS of the same epoch add. RMC or
-    ZDA give the date; :class:`GnssError` when there are positions and no date anywhere.
-    Sentences without a time of their own (VTG, HDT, THS) belong to the epoch before them.
+    :class:`GnssError` where it is empty, packed, or holds no sentence at all, and where it has
+    positions but no date anywhere. A log without any position is none.
     """
-    parser = _Parser()
-    for segment in _segments(_chunks(data)):
-        parser.take(segment)
-    return parser.log()
+    stream, start, fixes = NmeaStream(max_undated=_UNLIMITED), b"", []
+    for chunk in _chunks(data):
+        if len(start) < _START:
+            start += chunk[:_START]
+            _refuse_packed(start)
+        fixes += stream.feed(chunk)
+    fixes += stream.finish()
+    log = stream.log(fixes)
+    if not (log.sentences or log.bad_checksum or log.broken):
+        raise GnssError(_without_sentences(start))
+    if log.undated:
+        positions = "1 position" if log.undated == 1 else f"{log.undated} positions"
+        raise GnssError(
+            f"The log has {positions} but no valid RMC or ZDA sentence, which alone give the "
+            "date; let the receiver write RMC besides GGA."
+        )
+    return log
 
 
 def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
@@ -75,204 +151,22 @@ def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
     return data
 
 
-def _segments(chunks: Iterable[bytes]) -> Iterator[bytes]:
-    """What follows each ``$``, cut to the length that a sentence can have."""
-
-    def split() -> Iterator[bytes]:
-        pending = b""
-        for chunk in chunks:
-            first, *others = chunk.split(b"$")
-            pending = (pending + first[:_MAX_SENTENCE])[:_MAX_SENTENCE]
-            for other in others:
-                yield pending
-                pending = other[:_MAX_SENTENCE]
-        yield pending
-
-    return islice(split(), 1, None)  # what precedes the first `$` is no sentence
+def _refuse_packed(start: bytes) -> None:
+    for magic, name in _PACKED.items():
+        if start.startswith(magic):
+            raise GnssError(f"The log is packed with {name}; unpack it first.")
 
 
-class _Position(NamedTuple):
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    quality: int
-    satellites: int | None
-    hdop: float | None
-    age_s: float | None
-
-
-@dataclass(slots=True)
-class _Epoch:
-    """What the sentences of one time of day have said so far."""
-
-    of_day_ns: int
-    position: _Position | None = None
-    unix_day: int | None = None
-    rmc_speed_mps: float | None = None
-    vtg_speed_mps: float | None = None
-    sigma_m: float | None = None
-    heading_deg: float | None = None
-
-
-class _Parser:
-    """Collects epochs from sentences. A malformed field raises ValueError within."""
-
-    def __init__(self) -> None:
-        self._epochs: list[_Epoch] = []
-        self._current: _Epoch | None = None
-        self._sentences = self._bad_checksum = self._broken = 0
-        self._no_position = self._repeated = self._no_geoid = 0
-        self._handlers: dict[bytes, Callable[[list[bytes]], None]] = {
-            b"GGA": self._gga,
-            b"RMC": self._rmc,
-            b"ZDA": self._zda,
-            b"VTG": self._vtg,
-            b"GST": self._gst,
-            b"HDT": self._hdt,
-            b"THS": self._ths,
-        }
-
-    def take(self, segment: bytes) -> None:
-        """One candidate: everything after a ``$``."""
-        match = _SENTENCE.match(segment)
-        if match is None:
-            self._broken += _ADDRESS.match(segment) is not None
-            return
-        if checksum(segment[: match.end(2)]) != int(match[3], 16):
-            self._bad_checksum += 1
-            return
-        self._sentences += 1
-        address = match[1]
-        handler = self._handlers.get(address[2:])
-        if handler is None or address.startswith(b"P"):  # P: a maker's own sentence
-            return
-        try:
-            handler(match[2].split(b",") + [b""] * 14)
-        except ValueError:
-            self._broken += 1
-
-    def log(self) -> NmeaLog:
-        """The fixes with their dates, and the counts."""
-        return NmeaLog(
-            _dated_fixes(self._epochs),
-            self._sentences,
-            self._bad_checksum,
-            self._broken,
-            self._no_position,
-            self._repeated,
-            self._no_geoid,
+def _without_sentences(start: bytes) -> str:
+    if not start:
+        return "The log is empty; take another, or record it again."
+    if b"\xb5\x62" in start:
+        return (
+            "The log has no NMEA sentence, but messages of u-blox's binary protocol; give it the "
+            "suffix .ubx, or let the receiver write NMEA."
         )
-
-    def _epoch(self, of_day_ns: int) -> _Epoch:
-        """The epoch of a time of day: a recent one, or a new one."""
-        for epoch in reversed(self._epochs[-_LATE_EPOCHS:]):
-            if epoch.of_day_ns == of_day_ns:
-                self._current = epoch
-                return epoch
-        self._current = _Epoch(of_day_ns)
-        self._epochs.append(self._current)
-        return self._current
-
-    def _gga(self, f: list[bytes]) -> None:
-        if not (f[0] and f[1] and f[3] and f[8]) or integer(f[5]) in (None, 0):
-            self._no_position += 1
-            # Untimed sentences that follow must not be taken for the epoch before.
-            self._current = self._epoch(of_day_ns(f[0])) if f[0] else None
-            return
-        position = _Position(
-            lat_deg=angle_deg(f[1], f[2], b"N", b"S", 90.0),
-            lon_deg=angle_deg(f[3], f[4], b"E", b"W", 180.0),
-            height_m=required(f[8]) + (number(f[10]) or 0.0),
-            quality=integer(f[5]) or 0,
-            satellites=integer(f[6]),
-            hdop=number(f[7]),
-            age_s=number(f[12]),
-        )
-        epoch = self._epoch(of_day_ns(f[0]))
-        if epoch.position is not None:
-            self._repeated += 1
-            return
-        epoch.position = position
-        self._no_geoid += not f[10]
-
-    def _rmc(self, f: list[bytes]) -> None:
-        if f[1] != b"A" or not f[0]:
-            return  # a receiver without a fix writes the date of its last battery
-        speed, day = number(f[6]), unix_day(f[8][:2], f[8][2:4], f[8][4:]) if f[8] else None
-        epoch = self._epoch(of_day_ns(f[0]))
-        epoch.unix_day = day
-        epoch.rmc_speed_mps = None if speed is None else abs(speed) * _KNOT_MPS
-
-    def _zda(self, f: list[bytes]) -> None:
-        if not (f[0] and f[1] and f[2] and f[3]):
-            return
-        day = unix_day(f[1], f[2], f[3])
-        epoch = self._epoch(of_day_ns(f[0]))
-        if epoch.unix_day is None:
-            epoch.unix_day = day
-
-    def _vtg(self, f: list[bytes]) -> None:
-        speed = number(f[6]) if f[7] == b"K" else None
-        if self._current is not None and speed is not None:
-            self._current.vtg_speed_mps = abs(speed) / 3.6
-
-    def _gst(self, f: list[bytes]) -> None:
-        north, east = number(f[5]), number(f[6])
-        if f[0] and north is not None and east is not None:
-            self._epoch(of_day_ns(f[0])).sigma_m = ((north**2 + east**2) / 2.0) ** 0.5
-
-    def _hdt(self, f: list[bytes]) -> None:
-        heading = number(f[0])
-        if self._current is not None and heading is not None and f[1] == b"T":
-            self._current.heading_deg = float(wrap_deg(heading))
-
-    def _ths(self, f: list[bytes]) -> None:
-        if f[1] in (b"A", b"E"):  # autonomous or dead reckoning; V is invalid
-            self._hdt([f[0], b"T"])
-
-
-def _dated_fixes(epochs: list[_Epoch]) -> list[Fix]:
-    """Fixes of the epochs with a position; a date holds until the next, across midnight."""
-    positions = sum(epoch.position is not None for epoch in epochs)
-    days = _days_counted(epochs)
-    shift = next(
-        (e.unix_day - d for e, d in zip(epochs, days, strict=True) if e.unix_day is not None), None
+    what = "text of another kind" if start.isascii() else "binary data"
+    return (
+        f"The log has no NMEA sentence, only {what} (it begins with {start[:8]!r}); let the "
+        "receiver write the sentences GGA and RMC."
     )
-    if positions and shift is None:
-        raise GnssError(
-            f"The log has {positions} positions but no valid RMC or ZDA sentence, which alone "
-            "give their date; let the receiver write RMC besides GGA."
-        )
-    fixes = []
-    for epoch, day in zip(epochs, days, strict=True):
-        if epoch.unix_day is not None:
-            shift = epoch.unix_day - day
-        if epoch.position is None or shift is None:
-            continue
-        p, rmc = epoch.position, epoch.rmc_speed_mps
-        fixes.append(
-            Fix(
-                (day + shift) * _DAY_NS + epoch.of_day_ns,
-                *p,
-                sigma_m=epoch.sigma_m,
-                speed_mps=epoch.vtg_speed_mps if rmc is None else rmc,
-                heading_deg=epoch.heading_deg,
-            )
-        )
-    return fixes
-
-
-def _days_counted(epochs: list[_Epoch]) -> list[int]:
-    """Days since the first epoch, from the times of day alone.
-
-    Half a day back is the next day. Nearly a whole day ahead is a straggler from before
-    midnight; less than that is a logger that was switched off.
-    """
-    days, day, last_ns = [], 0, None
-    for epoch in epochs:
-        if last_ns is not None:
-            ahead_ns = epoch.of_day_ns - last_ns
-            day += (ahead_ns < -_DAY_NS // 2) - (ahead_ns > 23 * _DAY_NS // 24)
-        days.append(day)
-        last_ns = epoch.of_day_ns
-    return days

@@ -1,0 +1,99 @@
+"""What a sentence can state of an epoch, and how far it is trusted beside the others.
+
+The readers here take the fields of a sentence, its address being field 0. ValueError for what
+cannot be.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fieldgrid.gnss.fields import angle_deg, direction_deg, number
+
+MAX_HEIGHT_M = 1e5
+_MAX_SPEED_MPS = 1e4
+_KNOT_MPS = 1852.0 / 3600.0
+
+# Where an epoch has its position from, the best last. GGA alone has quality, satellites, HDOP,
+# age and geoid together; RMC has no height and the coarsest quality.
+BY_RMC, BY_PVTSLN, BY_BESTNAV, BY_KSXT, BY_GGK, BY_GGA = range(6)
+
+# Where it has its heading from. What gives a quality or a sigma goes before what gives none.
+BY_HDT, BY_THS, BY_ATTITUDE, BY_PASHR, BY_UNIHEADING = range(5)
+
+FIXED, FLOAT = 4, 5
+"""The qualities, in GGA's codes, of a baseline between two antennas that gives a heading."""
+
+_RMC_QUALITY = {
+    b"": 1, b"A": 1, b"D": 2, b"P": 3, b"R": 4, b"F": 5, b"E": 6, b"M": 7, b"S": 8,
+}  # fmt: skip
+
+
+class Position(NamedTuple):
+    """A position and what its sentence says of it. `height_m` is None where it has none."""
+
+    source: int
+    lat_deg: float
+    lon_deg: float
+    height_m: float | None
+    quality: int
+    satellites: int | None = None
+    hdop: float | None = None
+    age_s: float | None = None
+    sigma_m: float | None = None
+    has_geoid: bool = True
+
+
+class Heading(NamedTuple):
+    """A recorded heading of the nose; `deg` is None where the sentence says it has none."""
+
+    source: int
+    deg: float | None
+    sigma_deg: float | None = None
+    quality: int | None = None
+
+
+class Motion(NamedTuple):
+    """Speed and course over ground."""
+
+    speed_mps: float | None = None
+    course_deg: float | None = None
+
+
+def speed_mps(field: bytes, unit_mps: float) -> float | None:
+    """The speed of a field in a unit, None when it is empty. Some receivers sign it."""
+    value = number(field)
+    if value is None:
+        return None
+    speed = abs(value) * unit_mps
+    if speed > _MAX_SPEED_MPS:
+        raise ValueError(field)
+    return speed
+
+
+def baseline_heading(source: int, field: bytes, quality: int, sigma: float | None) -> Heading:
+    """The heading of a baseline, None unless its ambiguities are fixed or at least floating."""
+    deg = direction_deg(field) if quality in (FIXED, FLOAT) else None
+    return Heading(source, deg, sigma if sigma else None, quality)
+
+
+def rmc_motion(f: list[bytes]) -> Motion:
+    """Speed in knots and course of RMC."""
+    return Motion(speed_mps(f[7], _KNOT_MPS), direction_deg(f[8]))
+
+
+def vtg_motion(f: list[bytes]) -> Motion:
+    """Speed, in km/h or else in knots, and course of VTG."""
+    speed = speed_mps(f[7], 1 / 3.6) if f[8] == b"K" else None
+    if speed is None and f[6] == b"N":
+        speed = speed_mps(f[5], _KNOT_MPS)
+    return Motion(speed, direction_deg(f[1]) if f[2] == b"T" else None)
+
+
+def rmc_position(f: list[bytes]) -> Position | None:
+    """The position of RMC, its quality from the mode indicator (plain GPS where it has none)."""
+    quality = _RMC_QUALITY.get(f[12])
+    if quality is None:
+        return None
+    lat = angle_deg(f[3], f[4], b"N", b"S", 90.0)
+    return Position(BY_RMC, lat, angle_deg(f[5], f[6], b"E", b"W", 180.0), None, quality)

@@ -1,0 +1,153 @@
+"""Unicore's logs in ASCII, as UM98x receivers write them: a header, ``;``, and the fields.
+
+HEADINGA has the header of NovAtel and of older receivers: port, number, idle time, clock
+status, week, seconds. The newer logs have idle time, time system, clock status, week,
+milliseconds. Time is GPS time; a receiver set to BeiDou time is not read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from fieldgrid.gnss.fields import direction_deg, integer, number, required, within
+from fieldgrid.gnss.gps_time import unix_ns
+from fieldgrid.gnss.nmea_epochs import Epoch, EpochLog
+from fieldgrid.gnss.nmea_standard import state
+from fieldgrid.gnss.nmea_statements import (
+    BY_ATTITUDE,
+    BY_BESTNAV,
+    BY_PVTSLN,
+    BY_UNIHEADING,
+    FIXED,
+    FLOAT,
+    MAX_HEIGHT_M,
+    Motion,
+    Position,
+    baseline_heading,
+    speed_mps,
+)
+
+_CLOCK_SET = frozenset({b"FINE", b"FINESTEERING", b"FINEBACKUPSTEERING"})
+_PAD = [b""] * 32
+
+_QUALITY = {
+    b"SINGLE": 1,
+    b"INS_PSRSP": 1,
+    b"PSRDIFF": 2,
+    b"INS_PSRDIFF": 2,
+    b"SBAS": 9,
+    b"WAAS": 9,
+    b"L1_FLOAT": FLOAT,
+    b"IONOFREE_FLOAT": FLOAT,
+    b"NARROW_FLOAT": FLOAT,
+    b"INS_RTKFLOAT": FLOAT,
+    b"L1_INT": FIXED,
+    b"WIDE_INT": FIXED,
+    b"NARROW_INT": FIXED,
+    b"INS_RTKFIXED": FIXED,
+    b"PPP_CONVERGING": 2,
+    b"PPP": FLOAT,
+    b"INS": 6,
+    b"FIXEDPOS": 7,
+    b"FIXEDHEIGHT": 1,
+}
+"""Types of solution in GGA's codes."""
+
+
+def uniheading(f: list[bytes], log: EpochLog) -> None:
+    """Heading of the baseline between the antennas, its sigma and the type of its solution."""
+    header, body = _parts(f)
+    epoch = _epoch(header, log)
+    if epoch is not None:
+        quality = _QUALITY.get(body[1], 0) if body[0] == b"SOL_COMPUTED" else 0
+        state(epoch, baseline_heading(BY_UNIHEADING, body[3], quality, number(body[6])))
+
+
+def bestnav(f: list[bytes], log: EpochLog) -> None:
+    """Position with its sigmas, age, satellites; speed in m/s and course."""
+    header, body = _parts(f)
+    epoch = _epoch(header, log)
+    if epoch is None:
+        return
+    quality = _QUALITY.get(body[1], 0) if body[0] == b"SOL_COMPUTED" else 0
+    if not quality:
+        log.refuse(epoch, BY_BESTNAV)
+        return
+    position = Position(
+        BY_BESTNAV,
+        within(body[2], 90.0),
+        within(body[3], 180.0),
+        within(body[4], MAX_HEIGHT_M) + within(body[5], MAX_HEIGHT_M),
+        quality,
+        integer(body[14]),
+        None,
+        number(body[11]),
+        _sigma_m(body[7], body[8]),
+    )
+    motion = None
+    if body[21] == b"SOL_COMPUTED":
+        motion = Motion(speed_mps(body[25], 1.0), direction_deg(body[26]))
+    log.place(epoch, position)
+    epoch.motion = epoch.motion or motion
+
+
+def pvtsln(f: list[bytes], log: EpochLog) -> None:
+    """Position with its sigmas, age, satellites, HDOP; heading of the baseline."""
+    header, body = _parts(f)
+    epoch = _epoch(header, log)
+    if epoch is None:
+        return
+    state(epoch, baseline_heading(BY_ATTITUDE, body[22], _QUALITY.get(body[20], 0), None))
+    quality = _QUALITY.get(body[0], 0)
+    if not quality:
+        log.refuse(epoch, BY_PVTSLN)
+        return
+    position = Position(
+        BY_PVTSLN,
+        within(body[2], 90.0),
+        within(body[3], 180.0),
+        within(body[1], MAX_HEIGHT_M) + within(body[12], MAX_HEIGHT_M),
+        quality,
+        integer(body[14]),
+        number(body[30]),
+        number(body[7]),
+        _sigma_m(body[5], body[6]),
+    )
+    log.place(epoch, position)
+
+
+def _parts(f: list[bytes]) -> tuple[list[bytes], list[bytes]]:
+    header, _, body = b",".join(f).partition(b";")
+    return header.split(b",") + _PAD, body.split(b",") + _PAD
+
+
+def _epoch(header: list[bytes], log: EpochLog) -> Epoch | None:
+    """The epoch of a header, None when the receiver's clock is not set or not GPS time."""
+    if header[0] == b"HEADINGA":
+        status, week, of_week, unit_ns = header[4], header[5], header[6], 1_000_000_000
+    elif header[2] == b"GPS":
+        status, week, of_week, unit_ns = header[3], header[4], header[5], 1_000_000
+    else:
+        return None
+    if status not in _CLOCK_SET:
+        return None
+    # Milliseconds are what the receiver knows: rounding to them keeps epochs together.
+    milliseconds = round(required(of_week) * unit_ns / 1e6)
+    return log.at_utc(unix_ns(integer(week) or 0, milliseconds * 1_000_000))
+
+
+def _sigma_m(lat_std: bytes, lon_std: bytes) -> float | None:
+    north, east = number(lat_std), number(lon_std)
+    if north is None or east is None:
+        return None
+    return math.sqrt((north * north + east * east) / 2.0) or None
+
+
+DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
+    b"#UNIHEADINGA": uniheading,
+    b"#HEADINGA": uniheading,
+    b"#BESTNAVA": bestnav,
+    b"#PVTSLNA": pvtsln,
+}
+"""By name."""
