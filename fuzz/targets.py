@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from fuzz import nmea
+from fuzz import nmea, targets_formats
 from fuzz.target import Target
 
 TARGETS: list[Target] = [
     nmea.TARGET,
+    *targets_formats.TARGETS,
 ]

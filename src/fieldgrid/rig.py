@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import CalibrationError
+
+HeadingConvention = Literal["cw_north", "ccw_east"]
+"""What a recorded heading counts from, and which way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +171,10 @@ class Rig:
     `antenna` is the phase centre of the GNSS antenna. `rear_axle_forward_m` is the forward
     coordinate of the axle that does not steer, where course and heading agree; None when it
     is not known. `image_time_offset_ns` is added to image time stamps to give GNSS time.
+
+    `heading_offset_deg` is what a recorded heading has more than the nose, clockwise: 90 for a
+    baseline from left to right antenna; None when nothing is said about it.
+    `heading_convention` is that of the recorded heading, before the offset.
     """
 
     camera: StereoCamera
@@ -173,3 +182,19 @@ class Rig:
     antenna: LeverArm
     rear_axle_forward_m: float | None = None
     image_time_offset_ns: int = 0
+    heading_offset_deg: float | None = None
+    heading_convention: HeadingConvention = "cw_north"
+
+    def __post_init__(self) -> None:
+        offset = self.heading_offset_deg
+        if offset is not None and not abs(offset) <= 360.0:
+            raise CalibrationError(
+                f"A heading offset of {offset}° is beyond 360°; give degrees clockwise from the "
+                "nose to what the receiver calls its heading."
+            )
+
+    def nose_heading_deg(self, recorded_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Headings of the nose, by the declared convention and offset, of recorded ones."""
+        recorded = np.asarray(recorded_deg, dtype=np.float64)
+        clockwise = recorded if self.heading_convention == "cw_north" else 90.0 - recorded
+        return wrap_deg(clockwise - (self.heading_offset_deg or 0.0))

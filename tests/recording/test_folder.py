@@ -14,7 +14,8 @@ import pytest
 from fieldgrid.errors import CalibrationError, FieldgridError, GnssError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.motion import Motion
+from fieldgrid.recording import Columns, Recording, open_recording
 from fieldgrid.rig import LeverArm, Mount, StereoCamera
 
 SharedData = Callable[[str], Path]
@@ -28,7 +29,7 @@ MOUNTING = {
     "gnss_antenna_from_camera_mid_flu_m": [-0.5, 0.125, 0.25],
     "camera_mid_from_rear_axle_ground_flu_m": [1.5, 0, 2.5],
     "stereo_baseline_m": 0.2,
-    "painted": "green",
+    "note": "painted green",
 }
 IDENTITY = [1, 0, 0, 0, 1, 0, 0, 0, 1]
 K = [100, 0, 31.5, 0, 100, 23.5, 0, 0, 1]
@@ -248,6 +249,35 @@ def test_the_log_is_picked_by_name_or_path(drive: Path, tmp_path: Path) -> None:
     assert lat_of(elsewhere) == ("elsewhere.csv", 41.3)
 
 
+def test_the_settings_name_the_columns_of_a_log(drive: Path) -> None:
+    (drive / "gnss" / "log.csv").write_text("stamp,a,b\n1308133815,41.65,-4.72\n")
+    (drive / "recording.toml").write_text('[gnss.columns]\nlat = "a"\nlon = "b"\n')
+    (fix,) = open_recording(drive).fixes()
+    assert fix == CSV_FIX._replace(height_m=0.0)
+    (fix,) = open_recording(drive, columns=Columns({"lat": "b", "lon": "a"})).fixes()
+    assert (fix.lat_deg, fix.lon_deg) == (-4.72, 41.65)
+
+
+def test_a_mounting_declares_what_a_recorded_heading_means(drive: Path) -> None:
+    said = {**MOUNTING, "heading_offset_deg": 90, "heading_convention": "ccw_east"}
+    (drive / "calibration" / "mounting.json").write_text(json.dumps(said))
+    rig = open_recording(drive).rig
+    assert (rig.heading_offset_deg, rig.heading_convention) == (90.0, "ccw_east")
+    assert rig.nose_heading_deg([0.0, -90.0]).tolist() == [0.0, 90.0]
+
+
+def test_a_recording_knows_its_own_motion(drive: Path) -> None:
+    assert open_recording(drive).motion() == Motion()
+    for name, column in (("imu", "gyro_z_rad_s"), ("odometry", "speed_mps")):
+        (drive / name).mkdir()
+        (drive / name / "a.csv").write_text(f"timestamp_utc_s,{column}\n1308133815.5,-0.25\n")
+    motion = open_recording(drive).motion()
+    assert motion.gyro is not None
+    assert motion.wheels is not None
+    assert motion.gyro.time_ns.tolist() == [1_308_133_815_500_000_000]
+    assert (motion.gyro.rate_rad_s.tolist(), motion.wheels.speed_mps.tolist()) == ([0.25], [-0.25])
+
+
 # --- calibrations
 
 
@@ -368,6 +398,14 @@ def test_two_calibrations_must_agree(drive: Path) -> None:
         ({"camera_height_above_ground_m": float("nan")}, "is nan; give a number"),
         ({"camera_tilt_down_deg": True}, "is True; give a number"),
         ({"camera_roll_deg": 90}, "camera roll of 90"),
+        (
+            {"camera_tilt_deg": 15.0},
+            "'camera_tilt_deg' is no key of a mounting; known are camera_h",
+        ),
+        ({"heading_offset_deg": 700}, "heading offset of 700.0° is beyond 360°"),
+        ({"heading_offset_deg": None, "heading_convention": "ccw"}, "heading_convention is 'ccw'"),
+        ({"imu_axes": "fru"}, "imu_axes 'fru' is not where the three axes of an IMU point"),
+        ({"imu_axes": 3}, "imu_axes '3' is not where"),
         ({"stereo_baseline_m": 0.203}, r"stereo_baseline_m is 0\.203, but the calibration says"),
     ],
 )
@@ -465,9 +503,12 @@ def test_a_log_that_is_not_there(drive: Path) -> None:
         open_recording(drive, gnss="rtk.nmea")
 
 
-def test_ubx_is_not_supported_yet(drive: Path) -> None:
-    (drive / "gnss" / "log.csv").rename(drive / "gnss" / "log.ubx")
-    fails(drive, r"log\.ubx is a UBX log, which is not supported yet")
+def test_what_is_passed_over_is_named(drive: Path) -> None:
+    (drive / "gnss" / "log.csv").rename(drive / "gnss" / "log.rtcm3")
+    assert open_recording(drive).notes[-1] == (
+        "No GNSS log in gnss/; passed over: log.rtcm3 (name it with --gnss if it is one)."
+    )
+    assert list(open_recording(drive, gnss="log.rtcm3").fixes()) == [CSV_FIX]
 
 
 def test_an_nmea_log_without_a_date_is_named(drive: Path) -> None:
@@ -481,12 +522,11 @@ def test_an_nmea_log_without_a_date_is_named(drive: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("lat_deg", "lat", "has no column lat_deg"),
+        ("lat_deg", "y", "has no column lat_deg, and none whose name is known"),
+        ("time_ns", "when", r"has no column with UTC times; name it with time=COLUMN"),
         ("41.65", "north", r"line 2: lat_deg 'north' is not a number"),
-        ("41.65", "nan", r"line 2: lat_deg 'nan' is not a number"),
-        ("787.4", "", r"line 2: height_m '' is not a number"),
-        ("1308133815000000000", "soon", r"line 2: time_ns 'soon' is no UTC time"),
-        ("1308133815000000000", "", r"line 2: timestamp_utc_s '' is no UTC time"),
+        ("787.4", "high", r"line 2: height_m 'high' is not a number"),
+        ("1308133815000000000", "soon", r"has no column with UTC times \(time_ns can not be read"),
     ],
 )
 def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path) -> None:
@@ -501,8 +541,13 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
     ("text", "message"),
     [
         ("name = ", "is not TOML"),
-        ("speed = 3", "'speed' is not a setting; known are name, image_time_offset_s, datum"),
+        ("speed = 3", "'speed' is not a setting; known are name, image_time_offset_s, datum, gnss"),
         ("name = 3", "name is 3; give a text"),
+        ("gnss = 3", "the columns are 3; give a table"),
+        ("[gnss]\ncolumns = 3", "the columns are 3; give a table"),
+        ("[gnss]\nlog = 'a'", "'log' is not a setting; known are columns"),
+        ("[gnss.columns]\nlat = 3", "Columns: lat is 3; give a column name"),
+        ("[gnss.columns]\nlatt = 'a'", "Columns: 'latt' cannot be mapped; known are time, lat"),
         ("image_time_offset_s = '1'", "image_time_offset_s holds '1'; give a number"),
         ("image_time_offset_s = nan", "image_time_offset_s holds .*; give a number"),
         ("image_time_offset_s = true", "image_time_offset_s holds True; give a number"),

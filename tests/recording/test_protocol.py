@@ -130,7 +130,7 @@ def test_a_size_that_is_a_lie_is_damage(tmp_path: Path) -> None:
         ImageFile(claims(tmp_path / "a.png", 64, 4800)).read()
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(suffix=st.sampled_from([".png", ".jpg", ".bmp", ".pgm"]), data=st.data())
 def test_damage_is_never_more_than_a_recording_error(
     suffix: str, data: st.DataObject, tmp_path: Path

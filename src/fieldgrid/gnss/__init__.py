@@ -5,6 +5,7 @@ from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
 from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
 from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
+from fieldgrid.gnss.ubx import UbxParser, parse_ubx
 from fieldgrid.gnss.verdict import DEFAULT_LIMITS, GateLimits, Kind, Verdict
 
 __all__ = [
@@ -17,9 +18,11 @@ __all__ = [
     "Kind",
     "NmeaLog",
     "NmeaStream",
+    "UbxParser",
     "Verdict",
     "condition",
     "parse_nmea",
+    "parse_ubx",
     "position_sigma_m",
     "quantum_m",
     "scatter",

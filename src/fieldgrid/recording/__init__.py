@@ -8,16 +8,31 @@ from typing import NamedTuple
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording import folder, kitti
+from fieldgrid.recording.columns import Columns, columns_from_text
+from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.images import ImageFile
+from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.protocol import Frame, Image, ImageSource, Recording
 
-__all__ = ["Frame", "Image", "ImageFile", "ImageSource", "Recording", "open_recording"]
+__all__ = [
+    "Columns",
+    "FixLog",
+    "Frame",
+    "Image",
+    "ImageFile",
+    "ImageSource",
+    "Recording",
+    "columns_from_text",
+    "is_recording",
+    "open_log",
+    "open_recording",
+]
 
 
 class _Backend(NamedTuple):
     looks_for: str
     recognises: Callable[[Path], bool]
-    open: Callable[[Path, str | Path | None], Recording]
+    open: Callable[[Path, str | Path | None, Columns | None], Recording]
 
 
 _BACKENDS = {
@@ -26,11 +41,33 @@ _BACKENDS = {
 }
 
 
-def open_recording(path: str | Path, gnss: str | Path | None = None) -> Recording:
+def is_recording(path: str | Path) -> bool:
+    """Whether a path is the folder of a recording, rather than a log or something else."""
+    path = Path(path)
+    return path.is_dir() and any(backend.recognises(path) for backend in _BACKENDS.values())
+
+
+def open_log(path: str | Path, columns: Columns | None = None) -> FixLog:
+    """A GNSS log alone: its fixes, the motion that it also holds, and remarks.
+
+    NMEA, UBX, a table whose names are guessed where `columns` says nothing, or an ISO 11783-10
+    time log. What is wrong is a :class:`RecordingError` or a :class:`GnssError` that says so.
+    """
+    path = Path(path)
+    try:
+        return read_fix_log(path, columns)
+    except OSError as problem:
+        raise _unreadable(problem, path) from problem
+
+
+def open_recording(
+    path: str | Path, gnss: str | Path | None = None, columns: Columns | None = None
+) -> Recording:
     """The recording at a path, of whichever kind it is; use it as a context manager.
 
-    `gnss` picks one of several GNSS logs by file name, or gives the path of another. What is
-    wrong with a recording is a :class:`RecordingError` or a :class:`GnssError` that says so.
+    `gnss` picks one of several GNSS logs by file name, or gives the path of another; `columns`
+    says what the columns of a table of fixes are. What is wrong with a recording is a
+    :class:`RecordingError` or a :class:`GnssError` that says so.
     """
     path = Path(path)
     try:
@@ -39,10 +76,14 @@ def open_recording(path: str | Path, gnss: str | Path | None = None) -> Recordin
             raise RecordingError(f"{path} {what}; give the folder of a recording.")
         for backend in _BACKENDS.values():
             if backend.recognises(path):
-                return backend.open(path, gnss)
+                return backend.open(path, gnss, columns)
     except OSError as problem:
-        raise RecordingError(
-            f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."
-        ) from problem
+        raise _unreadable(problem, path) from problem
     kinds = "; ".join(f"{backend.looks_for} ({kind})" for kind, backend in _BACKENDS.items())
     raise RecordingError(f"{path} is no recording; looked for {kinds}.")
+
+
+def _unreadable(problem: OSError, path: Path) -> RecordingError:
+    return RecordingError(
+        f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."
+    )

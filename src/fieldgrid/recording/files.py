@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import re
 import stat
+import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO, cast
 
 from fieldgrid.errors import FieldgridError, RecordingError
 
 MAX_TEXT_BYTES = 256 << 20
+MAX_LOG_BYTES = 2 << 30
+"""The most that a log may hold, unpacked: a day of raw measurements, not a bomb."""
 
 MIN_TIME_NS = 315_964_800_000_000_000
 """1980-01-06, when GPS time began: what is stamped earlier is not UTC in nanoseconds."""
 
-_MAX_TIME_NS = 1 << 62  # the year 2116
+MAX_TIME_NS = 1 << 62  # the year 2116
 _SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
 
 
@@ -61,6 +67,46 @@ def read_text(
         ) from problem
 
 
+@contextmanager
+def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
+    """A log as a stream of bytes, unpacked where it is packed by gzip, whatever its name."""
+    check_regular(path)
+    try:
+        with path.open("rb") as file:
+            packed = file.read(2) == b"\x1f\x8b"
+            file.seek(0)
+            source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
+            yield cast(BinaryIO, io.BufferedReader(_Limited(source, path), 1 << 16))
+    except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
+        raise RecordingError(
+            f"{path} is a damaged gzip file: {problem}; pack it again, or unpack what is whole."
+        ) from problem
+    except OSError as problem:
+        raise _unreadable(path, problem, RecordingError) from problem
+
+
+class _Limited(io.RawIOBase):
+    """A source that ends with an error where a log can no longer be meant."""
+
+    def __init__(self, source: BinaryIO, path: Path) -> None:
+        super().__init__()
+        self._source, self._path, self._left = source, path, MAX_LOG_BYTES
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: object) -> int:
+        view = memoryview(buffer).cast("B")  # type: ignore[arg-type]
+        data = self._source.read(len(view))
+        self._left -= len(data)
+        if self._left < 0:
+            raise RecordingError(
+                f"{self._path} has more than {MAX_LOG_BYTES} bytes, unpacked; cut it into drives."
+            )
+        view[: len(data)] = data
+        return len(data)
+
+
 def read_table(
     path: Path, required: Sequence[str], error: type[FieldgridError] = RecordingError
 ) -> Iterator[tuple[int, dict[str, str]]]:
@@ -99,7 +145,7 @@ def parse_time_ns(row: dict[str, str]) -> int:
         time_ns = int(match[1]) * 1_000_000_000 + int(fraction)
     else:
         time_ns = -1
-    if not MIN_TIME_NS <= time_ns <= _MAX_TIME_NS:
+    if not MIN_TIME_NS <= time_ns <= MAX_TIME_NS:
         unit = "nanoseconds" if column == "time_ns" else "seconds"
         raise ValueError(
             f"{column} {text!r} is no UTC time after 1980 in {unit} since 1970, without exponent"

@@ -8,12 +8,15 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.errors import DatumError, RecordingError
+from fieldgrid.errors import ConfigError, DatumError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.recording.calibration import read_calibration
+from fieldgrid.recording.columns import Columns, columns_from_mapping
 from fieldgrid.recording.files import read_text
-from fieldgrid.recording.fix_log import FixLog, find_log, read_fix_log
+from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.frame_table import TABLE, read_frames
+from fieldgrid.recording.logs import find_log, passed_over, read_fix_log
+from fieldgrid.recording.motion_files import read_motion
 from fieldgrid.recording.mounting import read_mounting
 from fieldgrid.recording.stored import StoredRecording
 
@@ -30,27 +33,38 @@ def recognises(path: Path) -> bool:
     return (path / TABLE).is_file() or all((path / side).is_dir() for side in ("left", "right"))
 
 
-def open_folder(path: Path, gnss: str | Path | None = None) -> StoredRecording:
-    """The recording in a plain folder; `gnss` picks one of several logs."""
+def open_folder(
+    path: Path, gnss: str | Path | None = None, columns: Columns | None = None
+) -> StoredRecording:
+    """The recording in a plain folder; `gnss` picks one of several logs.
+
+    `columns` of a log outrank those of the settings file.
+    """
     settings = _read_settings(path / _SETTINGS)
     calibration = read_calibration(path / "calibration")
-    rig = read_mounting(
+    mounting = read_mounting(
         path / "calibration" / "mounting.json",
         calibration.camera,
         settings.image_time_offset_ns,
     )
     pairs, frame_notes = read_frames(path)
     log_path = find_log(path, gnss)
-    log = FixLog((), ("No GNSS log in gnss/.",)) if log_path is None else read_fix_log(log_path)
+    log = (
+        FixLog((), (passed_over(path),))
+        if log_path is None
+        else read_fix_log(log_path, columns or settings.columns)
+    )
+    moved = read_motion(path, mounting.imu_axes)
     return StoredRecording(
         name=settings.name or path.resolve().name,
-        rig=rig,
+        rig=mounting.rig,
         folder=path,
         pairs=pairs,
         fix_log=log.fixes,
         gnss_source="" if log_path is None else _name_of(log_path, path),
         datum_hint=settings.datum or _session_datum(path / _SESSION),
-        notes=calibration.notes + frame_notes + log.notes,
+        notes=calibration.notes + frame_notes + log.notes + moved.notes,
+        own_motion=moved.motion._replace(gyro=moved.motion.gyro or log.motion.gyro),
     )
 
 
@@ -63,6 +77,7 @@ class _Settings(NamedTuple):
     name: str = ""
     image_time_offset_ns: int = 0
     datum: Datum | None = None
+    columns: Columns | None = None
 
 
 def _read_settings(path: Path) -> _Settings:
@@ -73,7 +88,7 @@ def _read_settings(path: Path) -> _Settings:
         document = tomllib.loads(text, parse_float=Decimal)  # exact, for the nanoseconds
     except (ValueError, ArithmeticError, RecursionError) as problem:
         raise RecordingError(f"{path} is not TOML: {problem}; correct it.") from problem
-    _refuse_unknown(document, ("name", "image_time_offset_s", "datum"), path)
+    _refuse_unknown(document, ("name", "image_time_offset_s", "datum", "gnss"), path)
     name = document.get("name", "")
     if not isinstance(name, str):
         raise RecordingError(f"{path}: name is {name!r}; give a text in quotes.")
@@ -85,8 +100,26 @@ def _read_settings(path: Path) -> _Settings:
         )
     datum = document.get("datum")
     return _Settings(
-        name, round(offset_s * 1_000_000_000), None if datum is None else _datum(datum, path)
+        name,
+        round(offset_s * 1_000_000_000),
+        None if datum is None else _datum(datum, path),
+        _columns(document.get("gnss", {}), path),
     )
+
+
+def _columns(table: object, path: Path) -> Columns | None:
+    """What `[gnss.columns]` says of the columns of the log."""
+    columns = table.get("columns") if isinstance(table, dict) else table
+    if isinstance(table, dict):
+        _refuse_unknown(table, ("columns",), path)
+    if columns is None:
+        return None
+    if not isinstance(columns, dict):
+        raise RecordingError(f"{path}: the columns are {columns!r}; give a table [gnss.columns].")
+    try:
+        return columns_from_mapping(columns)
+    except ConfigError as problem:
+        raise RecordingError(f"{path}: {problem}") from problem
 
 
 def _datum(table: object, path: Path) -> Datum:

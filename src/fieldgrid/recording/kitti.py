@@ -6,27 +6,26 @@ import math
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldgrid.angles import heading_from_yaw_rad
-from fieldgrid.errors import RecordingError
-from fieldgrid.gnss import Fix
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
     read_kitti_calibration,
 )
+from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recording.stored import Pair, StoredRecording, checked_pairs
+
+_Float64 = npt.NDArray[np.float64]
+_Int64 = npt.NDArray[np.int64]
 
 LOOKS_FOR = "one KITTI drive *_sync with image_00 .. image_03 and oxts"
 
-_HEADING_SIGMA_DEG = 0.1  # of the RT3003 by its data sheet
 _MAX_OXTS_BYTES = 1 << 16
-
-# OXTS position modes as GGA qualities. -1 is a row that KITTI interpolated for a packet that
-# was lost: its position and time stamp do not belong together, so it is "estimated".
-_QUALITY_OF_POSMODE = {-1: 6, 2: 1, 3: 1, 4: 2, 5: 5, 6: 4, 7: 9, 8: 2, 9: 2}
-_OXTS_FIELDS = 30
-_YAW, _FORWARD_MPS, _LEFT_MPS, _POSITION_SIGMA_M, _SATELLITES, _POSMODE = 5, 8, 9, 23, 26, 27
 
 
 def recognises(path: Path) -> bool:
@@ -34,7 +33,9 @@ def recognises(path: Path) -> bool:
     return bool(_drives(path))
 
 
-def open_kitti(path: Path, gnss: str | Path | None = None) -> StoredRecording:
+def open_kitti(
+    path: Path, gnss: str | Path | None = None, columns: Columns | None = None
+) -> StoredRecording:
     """The drive at or below a path. Its fixes are always those of oxts."""
     drives = _drives(path)
     if len(drives) != 1:
@@ -45,20 +46,24 @@ def open_kitti(path: Path, gnss: str | Path | None = None) -> StoredRecording:
             f"A KITTI drive has its fixes in oxts, so {str(gnss)!r} cannot be used; "
             "leave --gnss out."
         )
+    if columns is not None:
+        raise ConfigError("Columns: the fixes of a KITTI drive are no table; leave them out.")
     drive = drives[0]
+    times_ns, rows = _oxts(drive)
     left, right = _cameras(drive)
     return StoredRecording(
         name=drive.resolve().name,
         rig=read_kitti_calibration(drive, left, right).rig(),
         folder=drive,
         pairs=checked_pairs(_pairs(drive, left, right), drive),
-        fix_log=tuple(_fixes(drive)),
+        fix_log=tuple(oxts_fixes(times_ns, rows)),
         gnss_source="oxts",
         notes=(
             f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; "
             "no file of the drive gives it.",
             "The heights of oxts are above mean sea level, not above the ellipsoid.",
         ),
+        own_motion=oxts_motion(times_ns, rows),
     )
 
 
@@ -94,34 +99,21 @@ def _pairs(drive: Path, left: str, right: str) -> list[Pair]:
     ]
 
 
-def _fixes(drive: Path) -> list[Fix]:
+def _oxts(drive: Path) -> tuple[_Int64, _Float64]:
+    """The times of the rows of oxts, and the rows."""
     names = _listing(drive / "oxts")
     times_ns = _read_stamps(drive / "oxts", len(names), "rows of oxts")
-    return [
-        _fix(drive / "oxts" / "data" / name, time_ns)
-        for time_ns, name in zip(times_ns, names, strict=True)
-    ]
+    rows = [_row(drive / "oxts" / "data" / name) for name in names]
+    return np.array(times_ns, dtype=np.int64), np.array(rows).reshape(len(rows), len(FIELDS))
 
 
-def _fix(path: Path, time_ns: int) -> Fix:
+def _row(path: Path) -> list[float]:
     values = floats(read_text(path, _MAX_OXTS_BYTES), path)
-    if len(values) != _OXTS_FIELDS or not all(math.isfinite(v) for v in values):
+    if len(values) != len(FIELDS) or not all(math.isfinite(v) for v in values):
         raise RecordingError(
-            f"{path} has {len(values)} numbers, not {_OXTS_FIELDS} finite ones; copy it again."
+            f"{path} has {len(values)} numbers, not {len(FIELDS)} finite ones; copy it again."
         )
-    satellites = int(values[_SATELLITES])
-    return Fix(
-        time_ns=time_ns,
-        lat_deg=values[0],
-        lon_deg=values[1],
-        height_m=values[2],
-        quality=_QUALITY_OF_POSMODE.get(int(values[_POSMODE]), 0),
-        satellites=satellites if satellites >= 0 else None,
-        sigma_m=values[_POSITION_SIGMA_M],
-        speed_mps=math.hypot(values[_FORWARD_MPS], values[_LEFT_MPS]),
-        heading_deg=float(heading_from_yaw_rad(values[_YAW])),
-        heading_sigma_deg=_HEADING_SIGMA_DEG,
-    )
+    return values
 
 
 def _listing(folder: Path) -> list[str]:

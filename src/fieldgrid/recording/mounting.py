@@ -4,44 +4,100 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, get_args
 
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.files import read_text
-from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.recording.motion_files import AXES, check_axes
+from fieldgrid.rig import HeadingConvention, LeverArm, Mount, Rig, StereoCamera
 
 _HEIGHT = "camera_height_above_ground_m"
 _TILT = "camera_tilt_down_deg"
 _ANTENNA = "gnss_antenna_from_camera_mid_flu_m"
 _AXLE = "camera_mid_from_rear_axle_ground_flu_m"
+_ROLL, _YAW, _BASELINE = "camera_roll_deg", "camera_yaw_deg", "stereo_baseline_m"
+_OFFSET, _CONVENTION, _AXES = "heading_offset_deg", "heading_convention", "imu_axes"
+_MEANT = (
+    *(_HEIGHT, _TILT, _ROLL, _YAW, _BASELINE, _ANTENNA, _AXLE),
+    *(_OFFSET, _CONVENTION, _AXES),
+)
+# What people write for other people. Nothing of it is read, so that it cannot be wrong.
+_REMARKS = (
+    *("name", "vehicle", "vehicle_frame", "camera", "camera_mid_point", "gnss_antenna", "imu"),
+    *("left_camera_from_camera_mid_flu_m", "right_camera_from_camera_mid_flu_m"),
+    *("note", "notes", "comment", "description", "date", "measured_by"),
+)
 _MAX_BYTES = 1 << 20
 
 
-def read_mounting(path: Path, camera: StereoCamera, image_time_offset_ns: int = 0) -> Rig:
-    """The rig with this camera. Keys that are not known are left to others.
+class Mounting(NamedTuple):
+    """The rig, and where the axes of the IMU point (three of f b l r u d)."""
+
+    rig: Rig
+    imu_axes: str = AXES
+
+
+def read_mounting(path: Path, camera: StereoCamera, image_time_offset_ns: int = 0) -> Mounting:
+    """The rig with this camera, and the IMU's axes.
 
     Points are [forward, left, up] in metres from the middle of the stereo baseline (FLU). Roll
     and yaw are 0 when absent; height, tilt and antenna have no usual value and must be there.
+    A key that is neither known nor one of the remarks is an error: it may be a misspelt one.
     """
     document = _load(path)
-    baseline_m = _number(document, "stereo_baseline_m", path, camera.baseline_m)
+    _refuse_unknown(document, path)
+    baseline_m = _number(document, _BASELINE, path, camera.baseline_m)
     if abs(baseline_m - camera.baseline_m) > 0.01 * camera.baseline_m:
         raise CalibrationError(
             f"{path}: stereo_baseline_m is {baseline_m}, but the calibration says "
             f"{camera.baseline_m:g} m; correct the one that is wrong."
         )
     height_m, tilt_deg = _number(document, _HEIGHT, path), _number(document, _TILT, path)
-    roll_deg = _number(document, "camera_roll_deg", path, 0.0)
-    yaw_deg = _number(document, "camera_yaw_deg", path, 0.0)
+    roll_deg = _number(document, _ROLL, path, 0.0)
+    yaw_deg = _number(document, _YAW, path, 0.0)
     forward, left, up = _point(document, _ANTENNA, path)
     # The axle's point is the middle of the baseline seen from it, on the ground.
     axle_forward_m = -_point(document, _AXLE, path)[0] if _AXLE in document else None
+    convention = _convention(document, path)
+    offset_deg = _number(document, _OFFSET, path) if _OFFSET in document else None
     try:
-        mount = Mount(height_m, tilt_deg, roll_deg, yaw_deg)
-        antenna = LeverArm(right_m=-left, forward_m=forward, up_m=height_m + up)
+        rig = Rig(
+            camera,
+            Mount(height_m, tilt_deg, roll_deg, yaw_deg),
+            LeverArm(right_m=-left, forward_m=forward, up_m=height_m + up),
+            axle_forward_m,
+            image_time_offset_ns,
+            heading_offset_deg=offset_deg,
+            heading_convention=convention,
+        )
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
-    return Rig(camera, mount, antenna, axle_forward_m, image_time_offset_ns)
+    return Mounting(rig, _imu_axes(document, path))
+
+
+def _refuse_unknown(document: dict[str, Any], path: Path) -> None:
+    unknown = sorted(document.keys() - {*_MEANT, *_REMARKS})
+    if unknown:
+        raise CalibrationError(
+            f"{path}: {unknown[0]!r} is no key of a mounting; known are {', '.join(_MEANT)}, and "
+            f"for remarks {', '.join(_REMARKS)}."
+        )
+
+
+def _convention(document: dict[str, Any], path: Path) -> HeadingConvention:
+    said = document.get(_CONVENTION, "cw_north")
+    known: tuple[HeadingConvention, ...] = get_args(HeadingConvention)
+    for convention in known:
+        if said == convention:
+            return convention
+    raise CalibrationError(f"{path}: {_CONVENTION} is {said!r}; give one of {', '.join(known)}.")
+
+
+def _imu_axes(document: dict[str, Any], path: Path) -> str:
+    try:
+        return check_axes(str(document.get(_AXES, AXES)))
+    except ValueError as problem:
+        raise CalibrationError(f"{path}: {_AXES} {problem}.") from problem
 
 
 def _load(path: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
+from fieldgrid.motion import Motion
 from fieldgrid.rig import Rig
 
 Image = npt.NDArray[np.uint8]
@@ -104,6 +105,9 @@ class Recording(Protocol):
 
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log, none left out, not yet judged."""
+
+    def motion(self) -> Motion:
+        """Gyro and wheels, as far as the drive has them; empty when it has neither."""
 
     def close(self) -> None:
         """Release what is held open; a closed recording yields nothing more."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
+from fieldgrid.motion import Motion
 from fieldgrid.recording.files import check_regular
 from fieldgrid.recording.images import ImageFile
 from fieldgrid.recording.protocol import Frame
@@ -45,6 +46,7 @@ class StoredRecording:
     gnss_source: str = ""
     datum_hint: Datum | None = None
     notes: tuple[str, ...] = ()
+    own_motion: Motion = field(default_factory=Motion)
 
     @property
     def frame_count(self) -> int:
@@ -65,6 +67,10 @@ class StoredRecording:
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log."""
         return self.fix_log
+
+    def motion(self) -> Motion:
+        """What the drive knows of its own motion."""
+        return self.own_motion
 
     def close(self) -> None:
         """Nothing to release."""

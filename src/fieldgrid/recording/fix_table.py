@@ -1,0 +1,288 @@
+"""Fixes from a table of whatever columns: guessed by name, or mapped."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
+from fieldgrid.errors import RecordingError
+from fieldgrid.gnss import Fix
+from fieldgrid.recording.columns import (
+    Columns,
+    guess,
+    is_radians,
+    length_factor,
+    speed_factor,
+    take_apart,
+)
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
+from fieldgrid.recording.qualities import read_qualities
+from fieldgrid.recording.table_time import TimeColumn, find_time
+from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
+
+_Float64 = npt.NDArray[np.float64]
+
+_OWN = {
+    "lat": "lat_deg", "lon": "lon_deg", "height": "height_m", "quality": "quality",
+    "satellites": "satellites", "hdop": "hdop", "age": "age_s", "sigma": "sigma_m",
+    "speed": "speed_mps", "heading": "heading_deg", "heading_sigma": "heading_sigma_deg",
+    "course": "course_deg",
+}  # fmt: skip
+"""The project's own column names; who writes them knows what they mean."""
+
+_NUMBERS = ("hdop", "age", "sigma", "accuracy", "speed", "heading", "heading_sigma", "course")
+# Numbers in these columns are codes of their own in every second program.
+_WORDS_ONLY = frozenset(
+    {"status", "fix_status", "fix_type", "fixtype", "fix", "carrier", "carrsoln"}
+)
+_FALSE = frozenset({"false", "no", "f", "n", "invalid", "0", "0.0"}) | NOTHING
+_CENTIMETRES_M, _DECIMETRES_M = 0.05, 0.5
+
+
+def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
+    """The fixes of a table; `columns` says what its names do not."""
+    with open_table(path) as table:
+        if set(FIELDS) <= set(table.header):
+            return _read_oxts(table)
+        plan = _Plan(table, columns or Columns())
+        fixes: list[Fix] = []
+        for block in table.blocks():
+            fixes += plan.fixes(block)
+        return FixLog(tuple(fixes), plan.notes())
+
+
+def _read_oxts(table: Table) -> FixLog:
+    time = find_time(table, Columns())
+    places = [table.header.index(name) for name in FIELDS]
+    blocks = [
+        (time.utc_ns(block), np.column_stack([table.numbers(block, k) for k in places]))
+        for block in table.blocks()
+    ]
+    times_ns = np.concatenate([times for times, _ in blocks])
+    rows = np.concatenate([values for _, values in blocks])
+    usable = (times_ns > 0) & np.isfinite(rows).all(axis=1)
+    notes: tuple[str, ...] = (
+        f"{table.path.name}: rows of an OXTS INS; their heights are above mean sea level.",
+    )
+    if not usable.all():
+        notes += (f"{table.path.name}: {(~usable).sum()} incomplete rows skipped.",)
+    times_ns, rows = times_ns[usable], rows[usable]
+    return FixLog(tuple(oxts_fixes(times_ns, rows)), notes, oxts_motion(times_ns, rows))
+
+
+@dataclass
+class _Plan:
+    """Which columns are read, and what came up while reading."""
+
+    table: Table
+    columns: Columns
+    time: TimeColumn = field(init=False)
+    places: dict[str, int] = field(init=False)
+    counts: Counter[str] = field(default_factory=Counter)
+    unknown: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        header = self.table.header
+        self.places = {}
+        for role in _OWN | {"accuracy": "", "heading_valid": ""}:
+            name = self.columns.names.get(role)
+            if name is None:
+                own = _OWN.get(role, "")
+                name = own if own in header else guess(role, header)
+            elif name and name not in header:
+                raise RecordingError(
+                    f"{self.table.path} has no column {name!r} for {role}; "
+                    f"it has: {', '.join(header)[:500]}."
+                )
+            if name:
+                self.places[role] = header.index(name)
+        for role in ("lat", "lon"):
+            if role not in self.places:
+                raise RecordingError(
+                    f"{self.table.path} has no column {_OWN[role]}, and none whose name is known "
+                    f"for it; name it with {role}=COLUMN. It has: {', '.join(header)[:500]}."
+                )
+        self.time = find_time(self.table, self.columns)
+
+    def fixes(self, block: Block) -> list[Fix]:
+        """The fixes of some rows; rows without a position or without a time are counted."""
+        times_ns = self.time.utc_ns(block)
+        lat, lon = self._numbers("lat", block), self._numbers("lon", block)
+        placed, timed = np.isfinite(lat) & np.isfinite(lon), times_ns > 0
+        unplaced = (block.rows[k] for k in np.flatnonzero(~placed))
+        self.counts["rows without a position skipped"] += sum(
+            any(cell.strip() for cell in row) for row in unplaced
+        )
+        self.counts["rows without a time after 1980 skipped"] += int((placed & ~timed).sum())
+        keep = np.flatnonzero(placed & timed)
+        fields: dict[str, list[Any]] = {
+            "time_ns": times_ns[keep].tolist(),
+            "lat_deg": lat[keep].tolist(),
+            "lon_deg": lon[keep].tolist(),
+            "height_m": self._heights(block)[keep].tolist(),
+        }
+        fields |= self._optional(block, keep)
+        columns = [fields.get(name, [None] * keep.size) for name in Fix._fields]
+        return list(map(Fix._make, zip(*columns, strict=True)))
+
+    def _optional(self, block: Block, keep: npt.NDArray[np.intp]) -> dict[str, list[Any]]:
+        """What fixes may lack, by the field of a fix."""
+        value = {r: self._numbers(r, block)[keep] for r in _NUMBERS if r in self.places}
+        sigma = value.get("sigma")
+        if sigma is None and "accuracy" in value:
+            sigma = value["accuracy"] * (self._length("accuracy") / np.sqrt(2.0))
+        elif sigma is not None:
+            sigma = sigma * self._length("sigma")
+        fields: dict[str, _Float64 | None] = {
+            "sigma_m": sigma,
+            "hdop": value.get("hdop"),
+            "age_s": value.get("age"),
+            "heading_sigma_deg": self._degrees("heading_sigma", value),
+            "course_deg": self._wrapped(self._degrees("course", value)),
+            "heading_deg": self._heading(value, block, keep),
+        }
+        if "speed" in value:
+            fields["speed_mps"] = np.abs(value["speed"]) * self._speed()
+        said: dict[str, list[Any]] = {k: _or_none(v) for k, v in fields.items() if v is not None}
+        said["quality"] = self._qualities(block, keep, sigma)
+        if "satellites" in self.places:
+            said["satellites"] = self._satellites(block, keep)
+        return said
+
+    def _numbers(self, role: str, block: Block) -> _Float64:
+        return self.table.numbers(block, self.places[role])
+
+    def _unit(self, role: str) -> tuple[str, float]:
+        named = take_apart(self.table.header[self.places[role]])
+        return named.unit, named.factor
+
+    def _length(self, role: str) -> float:
+        unit, factor = self._unit(role)
+        return factor * length_factor(unit)
+
+    def _speed(self) -> float:
+        unit, factor = self._unit("speed")
+        return (
+            speed_factor(self.columns.speed_units)
+            if self.columns.speed_units
+            else (factor * speed_factor(unit))
+        )
+
+    def _heights(self, block: Block) -> _Float64:
+        if "height" not in self.places:
+            return np.zeros(len(block.rows))
+        said = self.columns.height_units
+        metres = length_factor(said) if said else self._length("height")
+        heights = self._numbers("height", block) * metres
+        missing = np.isnan(heights)
+        self.counts["rows without a height: taken as 0 m"] += int(missing.sum())
+        return np.where(missing, 0.0, heights)
+
+    def _degrees(self, role: str, value: dict[str, _Float64]) -> _Float64 | None:
+        if role not in value:
+            return None
+        return np.degrees(value[role]) if is_radians(self._unit(role)[0]) else value[role]
+
+    def _wrapped(self, angles: _Float64 | None) -> _Float64 | None:
+        return None if angles is None else wrap_deg(angles)
+
+    def _heading(
+        self, value: dict[str, _Float64], block: Block, keep: npt.NDArray[np.intp]
+    ) -> _Float64 | None:
+        """Headings clockwise from north; NaN where they are marked as not valid."""
+        if "heading" not in value:
+            return None
+        units, angle = self.columns.heading_units, value["heading"]
+        radians = is_radians(units or self._unit("heading")[0])
+        if units.endswith("ccw_east"):
+            angle = heading_from_yaw_rad(angle if radians else np.radians(angle))
+        else:
+            angle = wrap_deg(np.degrees(angle) if radians else angle)
+        if "heading_valid" in self.places:
+            cells = self._kept("heading_valid", block, keep)
+            said = {cell: cell.strip().lower() in _FALSE for cell in set(cells)}
+            invalid = np.array([said[cell] for cell in cells], dtype=bool)
+            angle = np.where(invalid, np.nan, angle)
+        return angle
+
+    def _qualities(
+        self, block: Block, keep: npt.NDArray[np.intp], sigma: _Float64 | None
+    ) -> list[int]:
+        if "quality" not in self.places:
+            return _by_sigma(sigma, keep.size)
+        name = self.table.header[self.places["quality"]]
+        said = "quality" in self.columns.names or take_apart(name).base not in _WORDS_ONLY
+        read = read_qualities(self._kept("quality", block, keep), numbers_are_gga=said)
+        self.unknown.update(read.unknown)
+        return read.codes
+
+    def _satellites(self, block: Block, keep: npt.NDArray[np.intp]) -> list[int | None]:
+        cells = self._kept("satellites", block, keep)
+        known = {cell: _fewest(cell) for cell in set(cells)}
+        return [known[cell] for cell in cells]
+
+    def _kept(self, role: str, block: Block, keep: npt.NDArray[np.intp]) -> list[str]:
+        """The cells of the rows that become fixes."""
+        cells = block.cells(self.places[role])
+        return cells if keep.size == len(cells) else [cells[k] for k in keep]
+
+    def notes(self) -> tuple[str, ...]:
+        """What was guessed, assumed and skipped, a sentence each."""
+        name, header = self.table.path.name, self.table.header
+        guessed = [
+            f"{role} from '{header[place]}'"
+            for role, place in self.places.items()
+            if role not in self.columns.names and header[place] != _OWN.get(role)
+        ]
+        notes = (
+            [*self.time.notes, f"{name}: {', '.join(guessed)}."]
+            if guessed
+            else list(self.time.notes)
+        )
+        if "height" not in self.places:
+            notes.append(f"{name}: no column height_m; heights are taken as 0 m.")
+        if "quality" not in self.places:
+            sigma = {"sigma", "accuracy"} & self.places.keys()
+            notes.append(
+                f"{name}: no column quality; judged by the stated error, up to 5 cm as 4 (RTK "
+                "fixed), up to 50 cm as 5 (RTK float), else 1 (GPS)."
+                if sigma
+                else f"{name}: no column quality; taken as 1 (GPS)."
+            )
+        if self.unknown:
+            words = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
+            notes.append(f"{name}: quality {words} is not known; taken as 1 (GPS).")
+        return tuple(notes + [f"{name}: {n} {what}." for what, n in self.counts.items() if n])
+
+
+def _or_none(values: _Float64) -> list[float | None]:
+    listed = values.tolist()
+    return [v if v == v else None for v in listed] if np.isnan(values).any() else listed
+
+
+def _by_sigma(sigma: _Float64 | None, count: int) -> list[int]:
+    """Qualities by the error that the receiver states: centimetres need carrier phases."""
+    if sigma is None:
+        return [1] * count
+    known = sigma > 0.0
+    codes = np.where(sigma <= _CENTIMETRES_M, 4, np.where(sigma <= _DECIMETRES_M, 5, 1))
+    listed: list[int] = np.where(known, codes, 1).tolist()
+    return listed
+
+
+def _fewest(cell: str) -> int | None:
+    """The number of satellites of a cell; of a list of receivers, the lowest."""
+    counts = []
+    for item in cell.strip("[]() ").split(","):
+        try:
+            counts.append(int(float(item.strip(" '\""))))
+        except (ValueError, OverflowError):
+            continue
+    return min((n for n in counts if n >= 0), default=None)

@@ -1,0 +1,96 @@
+"""GNSS logs on disk: which one to take, of which kind it is, and its fixes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.files import open_log_bytes
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.fix_table import read_fix_table
+from fieldgrid.recording.isoxml import is_time_log, read_time_log
+from fieldgrid.recording.stream_log import looks_like_stream, read_stream
+from fieldgrid.recording.tables import COMMENTS, DELIMITERS, split_header
+
+SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"})
+"""File name endings of GNSS logs, in lower case; ``.gz`` may follow."""
+
+_HEAD_BYTES = 1 << 16
+_TEXT = re.compile(r"[\t -~\x80-\xff]*")
+
+
+def find_log(folder: Path, wanted: str | Path | None) -> Path | None:
+    """The log in `gnss/` of a recording, the one that is `wanted`, or None when it has none.
+
+    `wanted` is a file name in `gnss/`, a path inside the recording, or a path anywhere.
+    """
+    present = [path for path in _files(folder / "gnss") if _is_log(path)]
+    names = ", ".join(path.name for path in present) or "none"
+    if wanted is not None:
+        for path in (folder / "gnss" / wanted, folder / wanted, Path(wanted)):
+            if path.is_file() or (path.is_dir() and is_time_log(path)):
+                return path
+        raise RecordingError(
+            f"The GNSS log {str(wanted)!r} is neither in {folder / 'gnss'} nor a file of its own; "
+            f"the recording has: {names}."
+        )
+    if len(present) > 1:
+        raise RecordingError(f"{folder} has several GNSS logs: {names}; give --gnss NAME.")
+    return present[0] if present else None
+
+
+def passed_over(folder: Path) -> str:
+    """A sentence on a recording without a log: what lies in `gnss/` and is not taken for one."""
+    names = ", ".join(path.name for path in _files(folder / "gnss") if not _is_log(path))
+    if not names:
+        return "No GNSS log in gnss/."
+    return f"No GNSS log in gnss/; passed over: {names[:200]} (name it with --gnss if it is one)."
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.is_file()) if folder.is_dir() else []
+
+
+def _is_log(path: Path) -> bool:
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    if suffixes[-1:] == [".gz"]:
+        suffixes.pop()
+    return suffixes[-1:] != [] and (suffixes[-1] in SUFFIXES or _is_binary_time_log(path))
+
+
+def _is_binary_time_log(path: Path) -> bool:
+    return path.suffix.lower() == ".bin" and is_time_log(path)
+
+
+def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
+    """The fixes of a log, whose kind is told by its content.
+
+    NMEA, UBX or both; a table (`columns` says what its names do not); an ISO 11783-10 time
+    log (or the folder of a single one). Any but the last may be packed by gzip.
+    """
+    if is_time_log(path):
+        return read_time_log(path)
+    with open_log_bytes(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    if not head.strip(b"\0\r\n\t "):
+        return FixLog((), (f"{path.name}: the file is empty.",))
+    is_table = _looks_like_table(head)
+    # Sentences in a column are a stream, unless it is said what the columns are.
+    if looks_like_stream(head) and (columns is None or not is_table):
+        return read_stream(path)
+    if is_table:
+        return read_fix_table(path, columns)
+    return read_stream(path)  # the receiver may have begun with something else
+
+
+def _looks_like_table(head: bytes) -> bool:
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return True
+    lines = [line for line in head.splitlines() if line.strip()]
+    first, _ = split_header(line.decode("latin-1") for line in lines)
+    if _TEXT.fullmatch(first) is None or not any(d in first for d in DELIMITERS):
+        return False
+    # Damaged sentences and remarks before something else than a table hold commas, too.
+    return not first.startswith(("$", "!", *COMMENTS)) or "lat" in first.lower()

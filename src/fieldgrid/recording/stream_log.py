@@ -1,0 +1,90 @@
+"""Logs of what a receiver sent: NMEA 0183, UBX, or both in one stream."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from fieldgrid.errors import GnssError
+from fieldgrid.gnss import Fix, NmeaLog, NmeaStream
+from fieldgrid.gnss.ubx import UbxLog, UbxParser
+from fieldgrid.recording.files import open_log_bytes
+from fieldgrid.recording.fix_log import FixLog
+
+_CHUNK = 1 << 16
+_UNLIMITED = 1 << 60
+_SENTENCE = re.compile(rb"\$[A-Z][A-Z0-9]{3,9},[ -)+-~]*\*[0-9A-Fa-f]{2}")
+_UBX_CLASSES = rb"\x01\x02\x04\x05\x06\x0a\x0b\x0c\x0d\x10\x13\x21\x27\x28"
+_UBX = re.compile(rb"\xb5\x62[" + _UBX_CLASSES + rb"][\x00-\xff]{2}[\x00-\x10]")
+
+
+def looks_like_stream(head: bytes) -> bool:
+    """Whether the start of a file holds a sentence or the start of a UBX message."""
+    return _SENTENCE.search(head) is not None or _UBX.search(head) is not None
+
+
+def read_stream(path: Path) -> FixLog:
+    """The fixes of a log; of those of two protocols the more numerous, which is noted.
+
+    :class:`GnssError` where there is neither, or positions without a date.
+    """
+    nmea, ubx = _parse(path)
+    if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
+        raise GnssError(
+            f"{path} is no GNSS log that is known: no NMEA sentence, no UBX message, no table; "
+            "check the file, or let the receiver write GGA and RMC."
+        )
+    if nmea.undated and not (nmea.fixes or ubx.fixes):
+        raise GnssError(
+            f"{path}: The log has {nmea.undated} positions but no valid RMC or ZDA sentence, which "
+            "alone give their date; let the receiver write RMC besides GGA."
+        )
+    by_ubx = bool(ubx.messages) and len(ubx.fixes) >= len(nmea.fixes)
+    notes = _ubx_notes(ubx) if by_ubx else _nmea_notes(nmea)
+    if nmea.fixes and ubx.fixes:
+        counted = f"{len(ubx.fixes)} positions in UBX and {len(nmea.fixes)} in NMEA"
+        notes = [f"{counted}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
+    fixes = ubx.fixes if by_ubx else nmea.fixes
+    return FixLog(tuple(fixes), tuple(f"{path.name}: {note}." for note in notes))
+
+
+def _parse(path: Path) -> tuple[NmeaLog, UbxLog]:
+    """Both parsers over the same bytes; what belongs to the one is noise to the other."""
+    sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
+    from_nmea: list[Fix] = []
+    from_ubx: list[Fix] = []
+    with open_log_bytes(path) as stream:
+        while chunk := stream.read(_CHUNK):
+            from_nmea += sentences.feed(chunk)
+            from_ubx += messages.feed(chunk)
+    from_nmea += sentences.finish()
+    from_ubx += messages.close()
+    return sentences.log(from_nmea), messages.log(from_ubx)
+
+
+def _nmea_notes(log: NmeaLog) -> list[str]:
+    counted = (
+        (log.bad_checksum + log.broken, "damaged sentences skipped"),
+        (log.no_position, "sentences without a position"),
+        (log.repeated, "repeated positions of one epoch skipped"),
+        (log.no_geoid, "fixes without geoid separation: their height is above mean sea level"),
+        (log.no_height, "fixes without a height: taken as 0 m"),
+        (log.undated, "positions without a date skipped"),
+    )
+    return [f"{count} {what}" for count, what in counted if count]
+
+
+def _ubx_notes(log: UbxLog) -> list[str]:
+    counted = (
+        (log.bad_checksum + log.broken, "damaged UBX messages skipped"),
+        (log.no_position, "UBX solutions without a position or a time"),
+        (log.repeated, "repeated positions of one epoch skipped"),
+        (
+            log.unfixed_headings,
+            "relative positions give no heading: not fixed, or the base does not move along",
+        ),
+    )
+    notes = [f"{count} {what}" for count, what in counted if count]
+    if not log.fixes:
+        notes.append(f"{log.messages} UBX messages, but no NAV-PVT with a position; switch it on")
+    return notes

@@ -1,0 +1,146 @@
+"""The time of a table's rows: which column holds it, and on which scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording.columns import Columns, guess, time_candidates
+from fieldgrid.recording.tables import Block, Table
+from fieldgrid.recording.times import (
+    UNITS,
+    TimeScale,
+    UnreadableTimeError,
+    gps_week_ns,
+    guess_scale,
+    to_utc_ns,
+    zone_s,
+)
+
+_Int64 = npt.NDArray[np.int64]
+
+_OWN = ("time_ns", "timestamp_utc_s")
+
+
+class TimeColumn(NamedTuple):
+    """A table's time: one column, a date beside a time of day, or a week beside a time of week."""
+
+    table: Table
+    place: int
+    scale: TimeScale
+    date_place: int | None = None
+    week_place: int | None = None
+    notes: tuple[str, ...] = ()
+
+    def utc_ns(self, block: Block) -> _Int64:
+        """UTC nanoseconds of some rows, 0 where there is no time after 1980."""
+        cells = self._cells(block)
+        try:
+            if self.week_place is not None:
+                weeks = block.cells(self.week_place)
+                return gps_week_ns(weeks, cells, self.scale.places or 0)
+            return to_utc_ns(cells, self.scale, self.table.decimal_comma)
+        except UnreadableTimeError as problem:
+            raise self.table.error(
+                block.line + problem.place, self.place, cells[problem.place], "is no UTC time"
+            ) from None
+
+    def _cells(self, block: Block) -> list[str]:
+        cells = block.cells(self.place)
+        if self.date_place is None:
+            return cells
+        days = block.cells(self.date_place)
+        return [f"{d.strip()} {c.strip()}".strip() for d, c in zip(days, cells, strict=True)]
+
+
+def find_time(table: Table, columns: Columns) -> TimeColumn:
+    """The time of a table by what is said of its columns, else by name and content."""
+    said = columns.names.get("time", "")
+    if said and said not in table.header:
+        raise RecordingError(
+            f"{table.path} has no column {said!r} for time; "
+            f"it has: {', '.join(table.header)[:500]}."
+        )
+    if not said and "date" not in columns.names:
+        week = _by_week(table, columns)
+        if week is not None:
+            return week
+    names = [said] if said else time_candidates(table.header)
+    found = [time for name in names if (time := _column(table, name, columns)) is not None]
+    if not found:
+        tried = f" ({', '.join(names)[:200]} can not be read as one)" if names else ""
+        raise RecordingError(
+            f"{table.path} has no column with UTC times{tried}; name it with time=COLUMN and, if "
+            "need be, time_units=s, ms, us, ns, gps_s or gps_ms. "
+            f"It has: {', '.join(table.header)[:500]}."
+        )
+    return _noted(_finest(found) if len(found) > 1 else found[0], bool(said))
+
+
+def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:
+    place = table.header.index(name)
+    alone = TimeColumn(table, place, TimeScale())
+    scale = _scale(name, table.sample.cells(place), table, columns)
+    if scale is not None:
+        return alone._replace(scale=scale)
+    date = columns.names.get("date") or guess("date", table.header)
+    if not date or date not in table.header or date == name:
+        return None
+    paired = alone._replace(date_place=table.header.index(date))
+    scale = _scale(name, paired._cells(table.sample), table, columns)
+    return None if scale is None or scale.places is not None else paired._replace(scale=scale)
+
+
+def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> TimeScale | None:
+    ahead_s = zone_s(columns.time_zone) if columns.time_zone else 0
+    if columns.time_units:
+        unit = columns.time_units.removeprefix("gps_")
+        return TimeScale(UNITS[unit], gps=unit != columns.time_units)
+    scale = guess_scale(name.lower(), cells, table.decimal_comma)
+    if scale is not None and scale.places is None and ahead_s:
+        return scale._replace(zone_s=ahead_s)
+    return scale
+
+
+def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
+    week = columns.names.get("week") or guess("week", table.header)
+    tow = columns.names.get("tow") or guess("tow", table.header)
+    if not (week and tow and week in table.header and tow in table.header):
+        return None
+    place = table.header.index(tow)
+    seconds = table.numbers(table.sample, place)
+    # A week has 604,800 s; the time of week of a log that is longer than ten minutes tells.
+    milliseconds = "ms" in tow.lower() or bool((seconds > 604_800).any())
+    unit = columns.time_units or ("ms" if milliseconds else "s")
+    if unit not in UNITS:
+        raise RecordingError(f"{table.path}: time_units of a time of week is {unit}; give s or ms.")
+    return TimeColumn(
+        table,
+        place,
+        TimeScale(UNITS[unit], gps=True),
+        week_place=table.header.index(week),
+        notes=(f"{table.path.name}: time from GPS '{week}' and '{tow}' in {unit}.",),
+    )
+
+
+def _finest(found: list[TimeColumn]) -> TimeColumn:
+    """The first, unless its stamps repeat in many rows and those of another do not."""
+    distinct = [len(set(time._cells(time.table.sample))) for time in found]
+    own = found[0].table.header[found[0].place] in _OWN
+    if own or 3 * distinct[0] >= 2 * max(distinct):
+        return found[0]
+    return found[distinct.index(max(distinct))]
+
+
+def _noted(time: TimeColumn, said: bool) -> TimeColumn:
+    """The same with a note on what was guessed."""
+    name = time.table.header[time.place]
+    if name in _OWN or (said and time.scale.places is not None):
+        return time
+    beside = "" if time.date_place is None else f" and '{time.table.header[time.date_place]}'"
+    what = f"time from '{name}'{beside} ({time.scale.describe()})"
+    return time._replace(notes=(f"{time.table.path.name}: {what}.",))

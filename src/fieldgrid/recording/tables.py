@@ -1,0 +1,158 @@
+"""Delimited text from anywhere, as blocks of columns: big logs in little memory.
+
+Comma, semicolon, tab or bar; a decimal comma; a byte order mark; a ``#`` before the header.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import chain, islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording.files import open_log_bytes
+
+_Float64 = npt.NDArray[np.float64]
+
+COMMENTS = ("#", "%")
+DELIMITERS = ",;\t|"
+NOTHING = frozenset({"", "nan", "na", "n/a", "none", "null", "nil", "-", "--", "#n/a"})
+"""What loggers write, in lower case, when they have no value."""
+
+_BLOCK_ROWS = 1 << 13
+_MAX_COLUMNS = 4096
+_DATA = re.compile(r"[\s\"]*[+-]?\.?\d")
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*")
+
+
+class Block(NamedTuple):
+    """Some rows of a table as they stand in the file, `line` being that of the first."""
+
+    line: int
+    rows: list[list[str]]
+
+    def cells(self, column: int) -> list[str]:
+        """One column, '' where a row is too short."""
+        try:
+            return [row[column] for row in self.rows]
+        except IndexError:
+            return [row[column] if column < len(row) else "" for row in self.rows]
+
+
+class Table:
+    """An open table: its header, and its rows block by block."""
+
+    def __init__(self, path: Path, text: io.TextIOBase) -> None:
+        self.path = path
+        # What a power cut leaves in a file are blocks of NUL.
+        self._lines = (line.replace("\0", "") if "\0" in line else line for line in text)
+        self._line = 0
+        first, taken = split_header(self._counted())
+        if not first:
+            raise RecordingError(f"{self.path} is empty; give a table with a header.")
+        self._delimiter = max(DELIMITERS, key=first.count)
+        self.header = self._header(first)
+        self._line -= len(taken)
+        self._rows = csv.reader(chain(taken, self._lines), delimiter=self._delimiter)
+        self._sample = list(islice(self._rows, _BLOCK_ROWS))
+        self.decimal_comma = self._delimiter != "," and any(
+            _DECIMAL_COMMA.fullmatch(cell) for row in self._sample[:100] for cell in row
+        )
+
+    def _counted(self) -> Iterator[str]:
+        for line in self._lines:
+            self._line += 1
+            yield line
+
+    def _header(self, line: str) -> tuple[str, ...]:
+        (names,) = csv.reader([line.lstrip("#% ")], delimiter=self._delimiter)
+        if len(names) > _MAX_COLUMNS:
+            raise RecordingError(f"{self.path} has {len(names)} columns; check the file.")
+        return tuple(name.strip() for name in names)
+
+    @property
+    def sample(self) -> Block:
+        """The first block, which decides how the columns are understood."""
+        return Block(self._line + 1, self._sample)
+
+    def blocks(self) -> Iterator[Block]:
+        """All rows from the first; empty lines are rows without cells."""
+        block = self.sample
+        while block.rows:
+            yield block
+            line = block.line + len(block.rows)
+            block = Block(line, list(islice(self._rows, _BLOCK_ROWS)))
+
+    def numbers(self, block: Block, column: int) -> _Float64:
+        """One column as numbers, NaN where there is none; an error names line and cell."""
+        cells = block.cells(column)
+        if self.decimal_comma:
+            cells = [cell.replace(",", ".") for cell in cells]
+        try:
+            values = np.fromiter(map(float, cells), np.float64, len(cells))
+        except ValueError:
+            lines = enumerate(cells, block.line)
+            values = np.array([self._number(cell, line, column) for line, cell in lines])
+        values[np.isinf(values)] = np.nan
+        return values
+
+    def _number(self, cell: str, line: int, column: int) -> float:
+        try:
+            return float("nan") if cell.strip().lower() in NOTHING else float(cell)
+        except ValueError:
+            raise self.error(line, column, cell, "is not a number") from None
+
+    def error(self, line: int, column: int, cell: str, what: str) -> RecordingError:
+        """The error that a cell `is not` something."""
+        name = self.header[column]
+        return RecordingError(f"{self.path}, line {line}: {name} {cell[:40]!r} {what}; correct it.")
+
+    def column(self, name: str) -> int | None:
+        """The place of a column by its name as it stands in the header."""
+        return self.header.index(name) if name in self.header else None
+
+
+@contextmanager
+def open_table(path: Path) -> Iterator[Table]:
+    """The table in a file, packed by gzip or not. What breaks while reading names the file."""
+    with open_log_bytes(path) as stream:
+        start = stream.peek(4)[:3] if isinstance(stream, io.BufferedReader) else b""
+        utf16 = start[:2] in (b"\xff\xfe", b"\xfe\xff")
+        # Latin-1 decodes everything: an umlaut in a remark must not cost the drive.
+        encoding = "utf-16" if utf16 else "utf-8-sig" if start == b"\xef\xbb\xbf" else "latin-1"
+        text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="")
+        try:
+            yield Table(path, text)
+        except (csv.Error, UnicodeError) as problem:
+            raise RecordingError(
+                f"{path} is not a CSV file: {problem}; correct or export it again."
+            ) from problem
+        finally:
+            text.detach()
+
+
+def split_header(lines: Iterable[str]) -> tuple[str, list[str]]:
+    """The header, '' when there is none, and the lines of data that were taken to find it.
+
+    It is the first line that is neither empty nor a remark; or the last remark, where numbers
+    follow it.
+    """
+    remark = ""
+    for line in lines:
+        if not line.strip() or line.lower().startswith("sep="):  # Excel's hint to itself
+            continue
+        if line.startswith(COMMENTS):
+            remark = line
+        elif remark and _DATA.match(line):
+            return remark, [line]
+        else:
+            return line, []
+    return remark, []

@@ -1,0 +1,326 @@
+"""Tables of fixes: common names, units and times, and what is said where they are not common."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.gnss import Fix
+from fieldgrid.recording import Columns, FixLog, columns_from_text, open_log
+from fieldgrid.recording.qualities import read_qualities
+
+SharedData = Callable[[str], Path]
+
+START_NS = 1_717_243_200_000_000_000  # 2024-06-01 12:00:00 UTC
+START_S = START_NS // 10**9
+
+
+def read(folder: Path, text: str | bytes, columns: str = "") -> FixLog:
+    path = folder / "log.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return open_log(path, columns_from_text(columns) if columns else None)
+
+
+def only(folder: Path, text: str | bytes, columns: str = "") -> Fix:
+    (fix,) = read(folder, text, columns).fixes
+    return fix
+
+
+def fails(folder: Path, text: str, match: str, columns: str = "") -> None:
+    with pytest.raises(RecordingError, match=match):
+        read(folder, text, columns)
+
+
+# --- time
+
+
+@pytest.mark.parametrize(
+    ("name", "cell", "extra_ns"),
+    [
+        ("time", "2024-06-01T12:00:00.175+00:00", 175_000_000),
+        ("time", "2024-06-01T14:00:00.175+02:00", 175_000_000),
+        ("time", "2024-06-01 08:00:00.5 UTC-04:00", 500_000_000),
+        ("Time", "2024-06-01T12:00:00Z", 0),
+        ("utc", "2024/06/01 12:00:00.123456789 UTC", 123_456_789),
+        ("Computer_Time", "2024-06-01-12-00-00-175", 175_000_000),
+        ("timestamp", "20240601T120000.25Z", 250_000_000),
+        ("timestamp", "20240601120000", 0),
+        ("timestamp", f"{START_S}", 0),
+        ("timestamp_s", f"{START_S}.000000001", 1),
+        ("t", f"{START_S}000", 0),
+        ("stamp_us", f"{START_S}000001", 1000),
+        ("rosbagTimestamp", f"{START_S}000000001", 1),
+        ("timestamp_raw", "1.7172432E+018", 0),
+        ("t_days1980_s", f"{START_S - 315_532_800}.473", 473_000_000),
+    ],
+)
+def test_times_are_read_as_they_are_written(
+    name: str, cell: str, extra_ns: int, tmp_path: Path
+) -> None:
+    assert only(tmp_path, f"{name},lat,lon\n{cell},41,-4\n").time_ns == START_NS + extra_ns
+
+
+@pytest.mark.parametrize(
+    ("said", "cell"),
+    [
+        ("time=x,time_units=s", f"{START_S}"),
+        ("time=x,time_units=gps_s", f"{START_S - 315_964_800 + 18}"),
+        ("time=x,time_units=gps_ms", f"{START_S - 315_964_800 + 18}000"),
+        ("time=x,time_zone=-04:00", "2024-06-01 08:00:00"),
+        ("time=x,time_zone=+2", "2024-06-01T14:00:00"),
+        ("time=x,time_zone=+2", "2024-06-01T12:00:00Z"),
+    ],
+)
+def test_what_is_said_of_a_time_counts(said: str, cell: str, tmp_path: Path) -> None:
+    assert only(tmp_path, f"x,lat,lon\n{cell},41,-4\n", said).time_ns == START_NS
+
+
+def test_a_date_may_stand_beside_the_time_of_day(tmp_path: Path) -> None:
+    log = read(tmp_path, "date;time;lat;lon\n2024-06-01;12:00:00,5;41,5;-4\n")
+    assert log.fixes[0].time_ns == START_NS + 500_000_000
+    assert "time from 'time' and 'date' (date and time, no zone: taken as UTC)" in log.notes[0]
+
+
+@pytest.mark.parametrize(("tow", "cell"), [("tow", "561618.25"), ("iTOW_ms", "561618250")])
+def test_gps_weeks_are_brought_to_utc(tow: str, cell: str, tmp_path: Path) -> None:
+    fix = only(tmp_path, f"gps_week,{tow},lat,lon\n2316,{cell},41,-4\n")
+    assert fix.time_ns == START_NS + 250_000_000
+
+
+def test_of_two_times_the_one_that_does_not_repeat_is_taken(tmp_path: Path) -> None:
+    rows = [f"{START_S + k // 4},{START_S * 1000 + 250 * k},41,-4" for k in range(8)]
+    log = read(tmp_path, "\n".join(["sec_stamp,ms_stamp,lat,lon", *rows]))
+    assert log.fixes[1].time_ns == START_NS + 250_000_000
+
+
+@pytest.mark.parametrize("cell", ["", "0", "nan", "1970-01-01T00:00:07", "9" * 23, "9900000000"])
+def test_rows_without_a_time_are_counted(cell: str, tmp_path: Path) -> None:
+    row = "2024-06-01T12:00:00" if "-" in cell else START_S
+    log = read(tmp_path, f"time,lat,lon\n{row},41,-4\n{cell},41,-4\n")
+    assert len(log.fixes) == 1
+    assert log.notes[-1] == "log.csv: 1 rows without a time after 1980 skipped."
+
+
+def test_a_time_that_is_none_names_its_line(tmp_path: Path) -> None:
+    fails(tmp_path, f"time,lat,lon\n{START_S},41,-4\nnoon,4,4\n", r"line 3: time 'noon' is no UTC")
+    text = "time,lat,lon\n2024-06-01T12:00:00,41,-4\n2024-06-31T12:00:00,41,-4\n"
+    fails(tmp_path, text, r"line 3: time '2024-06-31T12:00:00' is no UTC time")
+    fails(tmp_path, "elapsed_time,lat,lon\n1,2,3\n", "has no column with UTC times; name it with")
+
+
+# --- names, units, values
+
+
+def test_common_names_are_guessed_and_said(tmp_path: Path) -> None:
+    log = read(
+        tmp_path,
+        "\ufeffGPS Time;Latitude (deg);lng;Ellipsoidal height [m];numSV;HDOP;diff_age;hAcc [mm];"
+        "Ground Speed (km/h);true heading;headAcc;COG;fix_quality\n"
+        f"{START_S};41,5;-4,5;787,4;14;0,7;1,5;1414,2136;36,0;350,5;0,25;90;RTK Float\n",
+    )
+    assert log.fixes[0] == Fix(
+        START_NS, 41.5, -4.5, 787.4, 5, 14, 0.7, 1.5, pytest.approx(1.0), pytest.approx(10.0),
+        -9.5, 0.25, course_deg=90.0,
+    )  # fmt: skip
+    assert log.notes == (
+        "log.csv: time from 'GPS Time' (s since 1970).",
+        "log.csv: lat from 'Latitude (deg)', lon from 'lng', height from 'Ellipsoidal height [m]', "
+        "quality from 'fix_quality', satellites from 'numSV', hdop from 'HDOP', age from "
+        "'diff_age', speed from 'Ground Speed (km/h)', heading from 'true heading', heading_sigma "
+        "from 'headAcc', course from 'COG', accuracy from 'hAcc [mm]'.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "metres_a_second"),
+    [("speed", 2.0), ("gps_speed_kmh", 2 / 3.6), ("speed_knots", 2 * 1852 / 3600),
+     ("drive_speed_0p1kmh", 0.2 / 3.6), ("speed_mph", 0.89408), ("gSpeed_mm_s", 0.002)],
+)  # fmt: skip
+def test_units_of_speed_are_in_the_name(name: str, metres_a_second: float, tmp_path: Path) -> None:
+    fix = only(tmp_path, f"time,lat,lon,{name}\n{START_S},41,-4,-2\n")
+    assert fix.speed_mps == pytest.approx(metres_a_second)
+
+
+@pytest.mark.parametrize(
+    ("units", "cell", "heading"),
+    [("deg", "270", -90.0), ("rad", f"{math.pi / 2}", 90.0), ("deg_ccw_east", "90", 0.0),
+     ("rad_ccw_east", f"{math.pi}", -90.0)],
+)  # fmt: skip
+def test_a_heading_is_taken_in_the_convention_that_is_said(
+    units: str, cell: str, heading: float, tmp_path: Path
+) -> None:
+    text = f"time,lat,lon,yaw\n{START_S},41,-4,{cell}\n"
+    assert only(tmp_path, text).heading_deg is None  # a yaw may count either way
+    fix = only(tmp_path, text, f"heading=yaw,heading_units={units}")
+    assert fix.heading_deg == pytest.approx(heading)
+
+
+def test_a_heading_that_is_marked_as_not_valid_is_none(tmp_path: Path) -> None:
+    rows = [f"{START_S + k},41,-4,10,{valid}\n" for k, valid in enumerate(["True", "False", "", 1])]
+    log = read(tmp_path, "time,lat,lon,heading_deg,head_valid\n" + "".join(rows))
+    assert [fix.heading_deg for fix in log.fixes] == [10.0, None, None, 10.0]
+
+
+def test_rows_without_a_position_are_counted_and_empty_lines_are_not(tmp_path: Path) -> None:
+    rows = f"{START_S},,\n\n{START_S},nan,-4\n{START_S},41,-4\n{START_S}"
+    log = read(tmp_path, f"time,lat,lon\n{rows}")
+    assert len(log.fixes) == 1
+    assert log.notes[-1] == "log.csv: 3 rows without a position skipped."
+
+
+def test_values_that_are_missing_are_none_and_heights_zero(tmp_path: Path) -> None:
+    fix = only(tmp_path, f"time,lat,lon,alt,hdop,sats,speed\n{START_S},41,-4,N/A,,,NaN\n")
+    assert fix == Fix(START_NS, 41.0, -4.0, 0.0, 1)
+    log = read(tmp_path, f"time,lat,lon\n{START_S},41,-4\n")
+    assert "log.csv: no column height_m; heights are taken as 0 m." in log.notes
+
+
+def test_without_a_quality_the_stated_error_judges(tmp_path: Path) -> None:
+    rows = [f"{START_S + k},41,-4,{s}\n" for k, s in enumerate((0.014, 0.3, 2.0, "", 0))]
+    log = read(tmp_path, "time,lat,lon,sigma_m\n" + "".join(rows))
+    assert [fix.quality for fix in log.fixes] == [4, 5, 1, 1, 1]
+    assert "judged by the stated error" in log.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("cell", "code"),
+    [
+        ("4", 4), ("5.0", 5), ("RTK Fixed", 4), ("RTK_FLOAT", 5), ("DGPS", 2), ("No Fix", 0),
+        ("GPS fix", 1), ("single", 1), ("SBAS", 9), ("FIX", 4), ("3D fix", 1), ("float", 5),
+        ("['fix', 'float']", 5), ("['fix', 'fix']", 4), ("", 0), ("Estimated", 6), ("PPP", 2),
+        ("narrow_int", 4), ("invalid", 0), ("none", 0), ("DGPS fix", 2),
+    ],
+)  # fmt: skip
+def test_qualities_are_numbers_or_words(cell: str, code: int) -> None:
+    assert read_qualities([cell], numbers_are_gga=True).codes == [code]
+
+
+def test_a_quality_that_is_not_known_is_said(tmp_path: Path) -> None:
+    log = read(tmp_path, f"time,lat,lon,quality\n{START_S},41,-4,splendid\n{START_S},41,-4,15\n")
+    assert [fix.quality for fix in log.fixes] == [1, 1]
+    assert log.notes[-1] == "log.csv: quality '15', 'splendid' is not known; taken as 1 (GPS)."
+    status = read(tmp_path, f"time,lat,lon,status\n{START_S},41,-4,2\n")  # NavSatFix: 2 is GBAS
+    assert (status.fixes[0].quality, "not known" in status.notes[-1]) == (1, True)
+
+
+# --- the text itself
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_delimiters_and_encodings(delimiter: str, encoding: str, tmp_path: Path) -> None:
+    text = f"time,lat,lon,où\r\n{START_S},41,-4,là\r\n".replace(",", delimiter)
+    assert only(tmp_path, text.encode(encoding)) == Fix(START_NS, 41.0, -4.0, 0.0, 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#timestamp,lat,lon\n{t},41,-4\n",
+        "# made by a logger, version 3\n# in June\ntime,lat,lon\n{t},41,-4\n",
+        "sep=;\ntime;lat;lon\n{t};41;-4\n",
+        '\n"time","lat","lon"\n"{t}","41","-4"\n',
+        "time,lat,lon\n{t},41,-4\n\0\0\0\0",
+    ],
+)
+def test_remarks_hints_and_quotes(text: str, tmp_path: Path) -> None:
+    assert only(tmp_path, text.format(t=START_S)).lat_deg == 41.0
+
+
+def test_a_damaged_cell_names_its_line(tmp_path: Path) -> None:
+    head = f"# a remark\ntime,lat,lon\n{START_S},41,-4\n"
+    fails(tmp_path, head + f"{START_S},4x1,-4\n", r"log\.csv, line 4: lat '4x1' is not a number")
+
+
+@pytest.mark.parametrize(
+    ("columns", "match"),
+    [
+        ("lat=b", "has no column 'b' for lat; it has: time, lat, lon"),
+        ("time=b", "has no column 'b' for time"),
+    ],
+)
+def test_a_column_that_is_not_there_is_named(columns: str, match: str, tmp_path: Path) -> None:
+    fails(tmp_path, f"time,lat,lon\n{START_S},41,-4\n", match, columns)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("lat", "'lat' is not KEY=COLUMN"),
+        ("latt=a", "'latt' cannot be mapped; known are time, lat"),
+        ("lat=a,lat=b", "lat is given twice"),
+        ("lat=a,speed_units=furlongs", "speed_units is 'furlongs'; give one of mps"),
+        ("lat=a,time_zone=CET", "'CET' is no time zone like"),
+    ],
+)
+def test_a_mapping_that_cannot_be(text: str, match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        columns_from_text(text)
+
+
+def test_a_role_can_be_switched_off(tmp_path: Path) -> None:
+    text = f"time,lat,lon,heading_deg\n{START_S},41,-4,10\n"
+    assert only(tmp_path, text).heading_deg == 10.0
+    assert only(tmp_path, text, "heading=").heading_deg is None
+    assert open_log(tmp_path / "log.csv", Columns({"heading": ""})).fixes[0].heading_deg is None
+
+
+def test_many_rows_are_read_alike(tmp_path: Path) -> None:
+    rows = [f"{START_S + k},{41 + k * 1e-6:.6f},-4,{k % 6}" for k in range(20_000)]
+    log = read(tmp_path, "time,lat,lon,quality\n" + "\n".join(rows))
+    assert len(log.fixes) == 20_000
+    assert log.fixes[-1] == Fix(START_NS + 19_999 * 10**9, 41.019999, -4.0, 0.0, 19_999 % 6)
+
+
+@settings(deadline=None)
+@given(st.text(max_size=300))
+def test_any_text_is_a_table_or_an_error(
+    tmp_path_factory: pytest.TempPathFactory, text: str
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_text(f"time,lat,lon,quality,satellites\n{text}", encoding="utf-8", newline="")
+    try:
+        log = open_log(path)
+    except RecordingError:
+        return
+    assert all(fix.time_ns > 0 for fix in log.fixes)
+
+
+# --- real logs
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "quality", "has_heading"),
+    [
+        ("gnss/acorn_rover/around_barn_gps.csv", 175, 4, True),
+        ("gnss/isoxml_harvester/csv/TotalsTests_TLG00003.csv", 4336, 1, False),
+        ("gnss/lawn_tractor_5hz/collins_dr_62_A_from_rosbag_run1.csv", 8788, 1, False),
+        ("gnss/padova_tractor/padova_part1_0650_0828.csv", 5871, 1, True),
+        ("gnss/tractor2025/compact/stationary_engine_on_20260805.csv", 1189, 4, True),
+        ("vineyard_gnss_rows/Image_GPS.csv", 2085, 1, False),
+        ("kitti_oxts/2011_09_26_drive_0001.csv", 108, 4, True),
+    ],
+)
+def test_logs_of_all_kinds_are_read(
+    name: str, count: int, quality: int, has_heading: bool, shared_data: SharedData
+) -> None:
+    log = open_log(shared_data(name))
+    first = log.fixes[0]
+    assert (len(log.fixes), first.quality, first.heading_deg is not None) == (
+        count, quality, has_heading,
+    )  # fmt: skip
+
+
+def test_oxts_rows_bring_their_gyro(shared_data: SharedData) -> None:
+    log = open_log(shared_data("kitti_oxts/2011_09_30_drive_0020.csv"))
+    gyro = log.motion.gyro
+    assert gyro is not None
+    interpolated = sum(fix.quality == 6 for fix in log.fixes)
+    assert len(gyro.time_ns) == len(log.fixes) - interpolated
+    assert (gyro.time_ns[1:] > gyro.time_ns[:-1]).all()

@@ -1,0 +1,113 @@
+"""Which kind of log a file is: by its content, whatever its name."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fieldgrid.errors import GnssError, RecordingError
+from fieldgrid.recording import Columns, files, is_recording, open_log
+from tests.gnss.test_ubx import ITOW_MS, message, pvt
+
+SharedData = Callable[[str], Path]
+
+NMEA = (
+    b"$GPRMC,103011.00,A,4139.022737,N,00443.214186,W,0.039,,150611,,,D*6A\r\n"
+    b"$GPGGA,103011.00,4139.022737,N,00443.214186,W,2,08,1.0,737.921,M,52.4,M,3.4,0138*58\r\n"
+)
+TABLE = b"time_ns,lat_deg,lon_deg,height_m,quality\n1308133811000000000,41.65,-4.72,787.4,4\n"
+UBX = pvt() + pvt(1, ITOW_MS + 1000)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "drive.dat"
+
+
+@pytest.mark.parametrize(("data", "count"), [(NMEA, 1), (TABLE, 1), (UBX, 2)])
+@pytest.mark.parametrize("packed", [False, True])
+def test_the_content_tells_the_kind(data: bytes, count: int, packed: bool, path: Path) -> None:
+    path.write_bytes(gzip.compress(data) if packed else data)
+    log = open_log(path)
+    assert (len(log.fixes), log.notes) == (count, ())
+
+
+def test_what_is_said_of_columns_is_for_tables(path: Path) -> None:
+    columns = Columns({"time": "t", "lat": "a", "lon": "b"})
+    path.write_bytes(NMEA)
+    assert len(open_log(path, columns).fixes) == 1
+    path.write_bytes(b't,a,b,raw\n1308133811,41,-4,"' + NMEA[:-2] + b'"\n')
+    assert open_log(path, columns).fixes[0].lat_deg == 41.0
+    assert open_log(path).fixes[0].quality == 2
+
+
+def test_of_two_protocols_the_one_with_more_positions_is_taken(path: Path) -> None:
+    path.write_bytes(NMEA + UBX)
+    log = open_log(str(path))
+    assert (len(log.fixes), log.fixes[0].quality) == (2, 1)
+    assert log.notes == ("drive.dat: 2 positions in UBX and 1 in NMEA; UBX is taken.",)
+    second = NMEA.replace(b"103011", b"103012").replace(b"*6A", b"*69").replace(b"*58", b"*5B")
+    path.write_bytes(UBX[: len(pvt())] + NMEA + second)
+    log = open_log(path)
+    assert (len(log.fixes), log.fixes[0].quality) == (2, 2)
+    assert "NMEA is taken" in log.notes[0]
+
+
+def test_messages_without_a_position_are_said(path: Path) -> None:
+    path.write_bytes(message((10, 9), bytes(60)))
+    log = open_log(path)
+    assert log.fixes == ()
+    assert log.notes == (
+        "drive.dat: 1 UBX messages, but no NAV-PVT with a position; switch it on.",
+    )
+
+
+@pytest.mark.parametrize("data", [b"", b"\r\n", b"\0" * 1000])
+def test_an_empty_file_is_said_to_be_empty(data: bytes, path: Path) -> None:
+    path.write_bytes(data)
+    assert open_log(path) == ((), ("drive.dat: the file is empty.",), open_log(path).motion)
+
+
+@pytest.mark.parametrize("data", [b"PK\x03\x04" + bytes(range(256)), b"just words\nof a diary\n"])
+def test_what_is_no_log(data: bytes, path: Path) -> None:
+    path.write_bytes(data)
+    with pytest.raises(GnssError, match=r"drive\.dat is no GNSS log that is known"):
+        open_log(path)
+
+
+def test_damaged_gzip_is_named(path: Path) -> None:
+    path.write_bytes(gzip.compress(TABLE * 100)[:-9])
+    with pytest.raises(RecordingError, match=r"drive\.dat is a damaged gzip file"):
+        open_log(path)
+
+
+def test_a_bomb_is_not_unpacked(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_LOG_BYTES", 1 << 20)
+    path.write_bytes(gzip.compress(NMEA + bytes(2 << 20)))
+    with pytest.raises(RecordingError, match="more than 1048576 bytes, unpacked; cut it"):
+        open_log(path)
+
+
+def test_what_is_not_there(tmp_path: Path) -> None:
+    for missing in (tmp_path / "no.nmea", tmp_path / "no\0.nmea", tmp_path):
+        with pytest.raises(RecordingError, match=r"cannot be read|not a regular file"):
+            open_log(missing)
+
+
+def test_a_log_is_no_recording(shared_data: SharedData) -> None:
+    assert is_recording(shared_data("vineyard_two_lanes"))
+    assert not is_recording(shared_data("vineyard_two_lanes") / "gnss")
+    assert not is_recording(shared_data("vineyard_two_lanes") / "gnss" / "gnss_rtk.nmea")
+
+
+def test_every_real_log_is_read_or_refused_in_a_sentence(shared_data: SharedData) -> None:
+    for folder in ("gnss/gpsd_corpus", "gnss/nmea_misc"):
+        for path in sorted(shared_data(folder).iterdir()):
+            try:
+                fixes = open_log(path).fixes
+            except (GnssError, RecordingError):
+                continue
+            assert all(abs(fix.lat_deg) <= 90 and abs(fix.lon_deg) <= 180 for fix in fixes)
