@@ -21,7 +21,7 @@ LAYERS = (
     ("gnss", "course", "gear", "smoother", "stereo", "odometry", "ground", "transfer"),
     ("pose", "localgrid", "recording"),
     ("mapfile", "settings"),
-    ("rows", "route", "export", "figures", "evaluation", "view"),
+    ("rows", "route", "export", "figures", "track", "evaluation", "view"),
     ("build", "live"),
     ("cli",),
 )

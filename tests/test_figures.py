@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.quiver import Quiver
 
 from fieldgrid import figures
 from fieldgrid.errors import ConfigError, MapError
@@ -76,6 +77,7 @@ def track(
         position_sigma_m=np.full(n, 0.02),
         heading_sigma_deg=np.full(n, 2.0),
         speed_mps=np.full(n, 1.5),
+        gear=np.ones(n, dtype=np.int64),
         quality=np.full(n, 4, dtype=np.int64),
         status=status,
         reason=tuple("a jump" if s is Status.REJECTED else "" for s in status),
@@ -319,6 +321,147 @@ def test_a_trajectory_is_not_needed() -> None:
 def test_nothing_to_draw_is_a_picture_too(tmp_path: Path) -> None:
     for k, figure in enumerate([figures.heading([track([])], []), figures.trajectory([], [])]):
         assert min(pixels(figure, tmp_path / f"{k}.png").shape[:2]) > 300
+
+
+# --- the track: gears, verdicts, speed, sigma
+
+
+def worked(
+    gear: list[int], heading_deg: list[float] | None = None, rejected: tuple[int, ...] = ()
+) -> Trajectory:
+    """A track of a row a second with a gear each."""
+    one = track(heading_deg or [30.0] * len(gear), rejected=rejected)
+    signs = np.array(gear, dtype=np.int64)
+    return dataclasses.replace(one, gear=signs, speed_mps=1.5 * signs)
+
+
+def labelled(axes: Axes, label: str) -> npt.NDArray[np.float64]:
+    """x and y of the one line of a label, [n, 2]."""
+    (line,) = (line for line in axes.get_lines() if line.get_label() == label)
+    return np.stack([np.asarray(line.get_xdata()), np.asarray(line.get_ydata())], axis=1)
+
+
+def test_gears_are_drawn_apart() -> None:
+    place, nose, speed, sigma = figures.track_figure(worked([1, 1, 0, -1, -1])).axes
+    for axes in (place, nose, speed, sigma):
+        names = {str(line.get_label()) for line in axes.get_lines()}
+        assert {"forward", "reverse", "at rest"} <= names
+        assert "rejected" not in names
+    # A line goes on to its neighbours, so that none is missing between two gears.
+    assert np.isfinite(labelled(place, "forward")).all(axis=1).tolist() == [True] * 3 + [False] * 2
+    assert np.isfinite(labelled(place, "reverse")).all(axis=1).tolist() == [False] * 2 + [True] * 3
+    assert np.flatnonzero(np.isfinite(labelled(place, "at rest")[:, 0])).tolist() == [2]
+    assert labelled(speed, "reverse")[3, 1] == -1.5
+    assert place.get_aspect() == 1.0
+    assert sigma.get_yscale() == "log"
+    assert [axes.get_ylabel() for axes in (place, nose, speed, sigma)] == [
+        "north (m)", "heading (° from north)", "speed (m/s)", "heading sigma (°)",
+    ]  # fmt: skip
+    assert sigma.get_xlabel() == "time (s) since 2011-06-15T10:30:15Z"
+
+
+def test_gears_differ_without_colour() -> None:
+    """In grey print: by the lightness and the width of their lines."""
+    axes = figures.track_figure(worked([1, 1, 0, -1, -1])).axes[0]
+    looks = {str(line.get_label()): line for line in axes.get_lines()}
+    weights = np.array([0.299, 0.587, 0.114])
+    forward, reverse = (
+        float(weights @ matplotlib.colors.to_rgb(looks[name].get_color()))
+        for name in ("forward", "reverse")
+    )
+    assert reverse - forward > 0.25
+    assert looks["reverse"].get_linewidth() > 2 * looks["forward"].get_linewidth()
+
+
+def test_no_line_of_a_heading_crosses_the_plot() -> None:
+    values = [170.0, 178.0, -176.0, -170.0, 175.0]
+    place, nose, *_ = figures.track_figure(worked([1] * 5, values)).axes
+    line = labelled(nose, "forward")
+    assert np.nanmax(np.abs(np.diff(line[:, 1]))) < 180.0
+    assert np.isnan(line[:, 1]).sum() == 2
+    assert np.isfinite(labelled(place, "forward")).all()  # the way itself has no hole there
+
+
+def test_the_band_of_a_heading_goes_on_at_the_other_edge() -> None:
+    nose = figures.track_figure(worked([1] * 3, [179.0, 179.5, 179.0])).axes[1]
+    bands = [c for c in nose.collections if isinstance(c, PolyCollection)]
+    lows = sorted(float(np.nanmin(band.get_paths()[0].vertices[:, 1])) for band in bands)
+    assert lows == pytest.approx([-183.0, 177.0])
+    assert nose.get_ylim() == (-180.0, 180.0)
+
+
+def test_rejected_poses_are_crossed_and_keep_their_gear() -> None:
+    axes = figures.track_figure(worked([1] * 6, rejected=(2, 3))).axes[0]
+    np.testing.assert_array_equal(labelled(axes, "rejected"), [[4.0, 6.0], [6.0, 9.0]])
+    assert np.isfinite(labelled(axes, "forward")).all()
+
+
+def test_repeats_of_a_fast_receiver_are_not_crossed() -> None:
+    """Every other fix rejected, 0.1 s apart: that is how the receiver works."""
+    one = worked([1] * 8, rejected=(1, 3, 5, 7))
+    fast = dataclasses.replace(one, time_ns=START_NS + np.arange(8, dtype=np.int64) * 100_000_000)
+    # The last one only: no accepted fix follows it.
+    crossed = labelled(figures.track_figure(fast).axes[0], "rejected")
+    np.testing.assert_array_equal(crossed, [[14.0, 21.0]])
+
+
+def test_a_hole_in_time_is_crossed_by_no_line() -> None:
+    one = worked([1] * 6)
+    time_ns = one.time_ns + np.array([0, 0, 0, 1, 1, 1]) * 20_000_000_000
+    axes = figures.track_figure(dataclasses.replace(one, time_ns=time_ns)).axes[0]
+    assert np.flatnonzero(np.isnan(labelled(axes, "forward")[:, 0])).tolist() == [3]
+
+
+def test_poses_without_a_heading_are_left_out() -> None:
+    axes = figures.track_figure(worked([1] * 4, [0.0, np.nan, 0.0, 0.0], rejected=(1,))).axes[0]
+    assert labelled(axes, "forward")[:, 0].tolist() == [0.0, 4.0, 6.0]
+
+
+def test_the_limit_of_sigma_is_a_line_inside_the_plot() -> None:
+    sigma = figures.track_figure(worked([1] * 4), max_sigma_deg=3.0).axes[3]
+    dashed = [line for line in sigma.get_lines() if line.get_linestyle() == "--"]
+    assert [list(line.get_ydata()) for line in dashed] == [[3.0, 3.0]]
+    low, high = sigma.get_ylim()
+    assert low < 2.0 < 3.0 < high
+    assert [text.get_text() for text in sigma.texts] == ["limit 3°"]
+
+
+def test_ticks_point_where_the_nose_points() -> None:
+    figure = figures.track_figure(worked([-1] * 5, [90.0] * 5))
+    (ticks,) = (c for c in figure.axes[0].collections if isinstance(c, Quiver))
+    assert (np.asarray(ticks.U) > 0.1).all()
+    np.testing.assert_allclose(np.asarray(ticks.V), 0.0, atol=1e-9)
+
+
+def test_a_long_track_is_thinned_and_keeps_its_changes() -> None:
+    n = 40_000
+    gear = np.ones(n, dtype=np.int64)
+    gear[20_001:20_003] = -1
+    figure = figures.track_figure(worked(gear.tolist(), [10.0] * n))
+    line = labelled(figure.axes[0], "reverse")
+    assert len(line) < 1.1 * figures.MOST_POINTS
+    assert np.isfinite(line[:, 0]).sum() == 4  # both, and a neighbour on either side
+    assert figure.axes[3].get_xlabel().startswith("time (h)")
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_track_of_hardly_a_row_is_a_picture(count: int, tmp_path: Path) -> None:
+    figure = figures.track_figure(worked([1] * count), title="short")
+    assert min(pixels(figure, tmp_path / "m.png").shape[:2]) > 300
+
+
+def test_the_colours_of_a_track_are_in_the_picture(tmp_path: Path) -> None:
+    figure = figures.track_figure(worked([1] * 10 + [0] * 3 + [-1] * 10), title="June")
+    picture = pixels(figure, tmp_path / "m.png")
+    inside = picture[place_of(figure.axes[0], picture.shape)].astype(int)
+    red, blue = inside[:, :, 0], inside[:, :, 2]
+    assert ((red - blue) > 100).sum() > 200  # reverse, wide and orange
+    assert ((blue - red) > 60).sum() > 100  # forward
+    assert "June" in figure.get_suptitle()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "forward", "reverse", "at rest", "nose",
+    ]  # fmt: skip
 
 
 # --- the sheet

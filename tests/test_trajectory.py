@@ -23,6 +23,7 @@ def trajectory(
     seconds: Sequence[float],
     headings: Sequence[float] | None = None,
     reasons: dict[int, str] | None = None,
+    held: Sequence[int] = (),
 ) -> Trajectory:
     """Row k is at east 10k, north -k, up k/10; rows that have a reason are rejected."""
     n = len(seconds)
@@ -38,8 +39,12 @@ def trajectory(
         position_sigma_m=0.01 * (k + 1.0),
         heading_sigma_deg=0.1 * (k + 1.0),
         speed_mps=k,
+        gear=np.ones(n, dtype=np.int64),
         quality=np.full(n, 4),
-        status=tuple(Status.REJECTED if i in reasons else Status.OK for i in range(n)),
+        status=tuple(
+            Status.REJECTED if i in reasons else Status.HELD if i in held else Status.OK
+            for i in range(n)
+        ),
         reason=tuple(reasons.get(i, "") for i in range(n)),
         heading_source="recorded",
     )
@@ -159,6 +164,16 @@ def test_times_must_increase() -> None:
     assert len(trajectory([0.0, 0.2, 0.2], reasons={2: "time is not after"})) == 3
 
 
-def test_columns_must_agree() -> None:
+@pytest.mark.parametrize("column", ["up_m", "gear", "status", "reason"])
+def test_columns_must_agree(column: str) -> None:
+    found = trajectory([0.0, 0.2])
     with pytest.raises(GnssError, match="length"):
-        replace(trajectory([0.0, 0.2]), up_m=np.zeros(3))
+        replace(found, **{column: getattr(found, column)[:1]})
+
+
+def test_held_poses_are_as_good_as_driven_ones() -> None:
+    found = trajectory([0.0, 0.2, 0.4], reasons={2: "HDOP 9"}, held=[1])
+    assert found.accepted.tolist() == [True, True, False]
+    assert found.at(at(0.1)).status is Status.OK
+    assert found.at(at(0.2)).status is not Status.REJECTED
+    assert found.length_m() == pytest.approx(np.hypot(10.0, 1.0))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.special
 
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.kernel import kernel
@@ -21,6 +22,9 @@ _Int64 = npt.NDArray[np.int64]
 
 CUT_DEG = 75.0
 """A path whose direction before and after a point differs by more may have turned back there."""
+
+ALIKE_DEG = 15.0
+"""Turnings that differ by less are equally sharp."""
 
 REACH_M, REACH_SIGMAS = 0.3, 8.0
 """How far around a point its turning is looked at: at least this, and beyond the noise."""
@@ -57,12 +61,14 @@ REVERSE_CAP_NATS = 15.0
 
 
 class Gears(NamedTuple):
-    """For each of n points: `gear` +1 forward or -1 reverse, `doubt` 0..0.5, the probability
-    that it is the other one, and `leg`, which numbers the stretches between cuts."""
+    """For each of n points: `gear` +1 forward or -1 reverse, `doubt` 0..1, the probability
+    that it is the other one, and `leg`, which numbers the stretches between cuts. `driven` is
+    False where the vehicle rather stood and its positions wandered, or nobody can tell."""
 
     gear: _Int64
     doubt: _Float64
     leg: _Int64
+    driven: npt.NDArray[np.bool_]
 
 
 class Track(NamedTuple):
@@ -70,7 +76,8 @@ class Track(NamedTuple):
 
     `points_m` [n, 2] is east, north. `gap_s` is for how long the drive was not seen before a
     point: 0 nearly everywhere, infinite at the first one.
-    `turned_deg` is the gyro's integral, NaN without one. `forward_nats` is the log odds, of
+    `turned_deg` is what a gyro saw the nose turn on the way to each point, NaN where none did.
+    `forward_nats` is the log odds, of
     forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
     """
 
@@ -94,15 +101,18 @@ def gears(track: Track) -> Gears:
     """The gear at each point of a drive, and how sure it is."""
     n = len(track.points_m)
     if n == 0:
-        return Gears(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
+        none = np.zeros(0, np.int64)
+        return Gears(none, np.zeros(0), none, np.zeros(0, np.bool_))
     starts = _cut(track)
     legs = list(zip(starts, [*starts[1:], n], strict=True))
     forward = np.array([_forward_nats(track, a, b) for a, b in legs])
     forward[0] += FIRST_FORWARD_NATS
-    gear, doubt = _likeliest(forward, _joins(track, legs))
+    gear, doubt, driven = _likeliest(forward, _joins(track, legs))
     lengths = [b - a for a, b in legs]
     leg = np.repeat(np.arange(len(legs), dtype=np.int64), lengths)
-    return Gears(np.repeat(gear, lengths), np.repeat(doubt, lengths), leg)
+    return Gears(
+        np.repeat(gear, lengths), np.repeat(doubt, lengths), leg, np.repeat(driven, lengths)
+    )
 
 
 def _cut(track: Track) -> list[int]:
@@ -119,19 +129,25 @@ def _cut(track: Track) -> list[int]:
 
 
 def _tips(points: _Float64, turning: _Float64, first: int, last: int, reach_m: float) -> list[int]:
-    """The sharpest points of a run of sharp ones, each `reach_m` of path from the next."""
-    steps = np.hypot(*np.diff(points[first:last], axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
+    """The sharpest points of a run of sharp ones, each `reach_m` from the next.
+
+    Within reach of a cusp every point turns by about half a circle, and noise makes one of them
+    the sharpest: the tip is the middle one of those, or the rest of them would be a second tip.
+    """
+    run = points[first:last]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run, axis=0).T))])
     left = turning[first:last].copy()
     tips = []
-    while True:
-        # Among equals the middle one: where a vehicle stood there are many.
-        best = np.flatnonzero(left >= left.max() - 1e-6)
-        tip = int(best[best.size // 2])
+    while left.max() > CUT_DEG:
+        peak = int(np.argmax(left))
+        alike = left >= left[peak] - ALIKE_DEG
+        near = np.flatnonzero(alike & (np.abs(along - along[peak]) < 2.0 * reach_m))
+        middle_m = (along[near[0]] + along[near[-1]]) / 2.0
+        tip = int(near[np.argmin(np.abs(along[near] - middle_m))])
         tips.append(first + tip)
-        left[np.abs(along - along[tip]) < reach_m] = 0.0
-        if left.max() <= CUT_DEG:
-            return tips
+        left[np.hypot(*(run - run[tip]).T) < reach_m] = 0.0
+        left[peak] = 0.0
+    return tips
 
 
 @kernel
@@ -198,17 +214,18 @@ def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tup
     # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
     end = one[1] if gap_s else one[1] + 1
     before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
-    out, out_m = _chord_deg(before[::-1])
-    into, into_m = _chord_deg(after)
+    out, out_m, back = _chord_deg(before[::-1])
+    into, into_m, on = _chord_deg(after)
     switch = GAP_SWITCH_COST if gap_s else SWITCH_COST
     if min(out_m, into_m) == 0.0:
         return 0.0, switch
-    turned = track.turned_deg[min(two[0] + 1, two[1] - 1)] - track.turned_deg[one[1] - 1]
+    # A chord has the direction of its middle.
+    turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
     known = bool(np.isfinite(turned))
     noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
     unseen_deg = 0.0 if known else GAP_TURN_DPS * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
-    beyond_deg = into - (out + 180.0) - (float(turned) if known else 0.0)
+    beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
 
     def cost(nose_turn_deg: float) -> float:
         return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
@@ -216,19 +233,23 @@ def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tup
     return cost(beyond_deg), switch + cost(beyond_deg + 180.0)
 
 
-def _chord_deg(points: _Float64) -> tuple[float, float]:
+def _chord_deg(points: _Float64) -> tuple[float, float, int]:
     """Direction from the first of the points to the first beyond a tangent's reach (or to the
-    farthest), degrees, and how far that is."""
+    farthest), degrees, how far that is, and which point it is."""
     away = np.hypot(*(points - points[0]).T)
     beyond = np.flatnonzero(away >= TANGENT_REACH_M)
     to = int(beyond[0]) if beyond.size else int(np.argmax(away))
-    return float(heading_deg(*(points[to] - points[0]))), float(away[to])
+    return float(heading_deg(*(points[to] - points[0]))), float(away[to]), to
 
 
-def _likeliest(forward: _Float64, joins: list[_Join]) -> tuple[_Int64, _Float64]:
-    """The gear of each leg and the probability of the other: sums over all sequences of gears.
+def _likeliest(
+    forward: _Float64, joins: list[_Join]
+) -> tuple[_Int64, _Float64, npt.NDArray[np.bool_]]:
+    """The gear of each leg, the probability of the other, and whether it was driven at all:
+    sums over all sequences of gears.
 
-    A leg that is rather skipped than driven takes the gear of the one before it.
+    A leg that is rather skipped than driven takes the gear of the one before it, and is in as
+    much doubt as it may have been driven in the other after all.
     """
     n = len(forward)
     own = np.stack([forward, -forward], axis=1) / 2.0
@@ -248,5 +269,7 @@ def _likeliest(forward: _Float64, joins: list[_Join]) -> tuple[_Int64, _Float64]
     every = float(np.logaddexp(*total[0]))
     driven = np.logaddexp(total[:, 0], total[:, 1]) >= every + np.log(0.5)
     at = np.maximum.accumulate(np.where(driven, np.arange(n), 0))
-    gear = np.where(odds >= 0.0, 1, -1).astype(np.int64)
-    return gear[at], 1.0 / (1.0 + np.exp(np.abs(odds[at])))
+    gear = np.where(odds >= 0.0, 1, -1).astype(np.int64)[at]
+    doubt = scipy.special.expit(-np.abs(odds[at]))
+    other = np.exp(np.where(gear > 0, total[:, 1], total[:, 0]) - every)
+    return gear, np.where(driven, doubt, np.maximum(doubt, other)), driven

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -164,6 +164,68 @@ class LeverArm:
             )
 
 
+class Vehicle(Protocol):
+    """What of a vehicle decides its poses: a :class:`Rig`, or a :class:`Carrier` without camera."""
+
+    @property
+    def antenna(self) -> LeverArm:
+        """The phase centre of the GNSS antenna."""
+
+    @property
+    def rear_axle_forward_m(self) -> float | None:
+        """Forward coordinate of the axle that does not steer; None when it is not known."""
+
+    @property
+    def heading_offset_deg(self) -> float | None:
+        """What a recorded heading has more than the nose; None when nothing is said about it."""
+
+    @property
+    def heading_convention(self) -> HeadingConvention:
+        """How a recorded heading is counted."""
+
+
+def nose_heading_deg(vehicle: Vehicle, recorded_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Headings of the nose, by the declared convention and offset, of recorded ones."""
+    recorded = np.asarray(recorded_deg, dtype=np.float64)
+    clockwise = recorded if vehicle.heading_convention == "cw_north" else 90.0 - recorded
+    return wrap_deg(clockwise - (vehicle.heading_offset_deg or 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """The vehicle of a log alone: its poses are those of the antenna, which is `ahead_m` of the
+    axle that does not steer. Recorded headings as in :class:`Rig`."""
+
+    ahead_m: float = 0.0
+    heading_offset_deg: float | None = None
+    heading_convention: HeadingConvention = "cw_north"
+
+    def __post_init__(self) -> None:
+        if not abs(self.ahead_m) <= 30.0:
+            raise CalibrationError(
+                f"An antenna {self.ahead_m} m ahead of the axle is beyond 30 m; give metres."
+            )
+        _check_offset(self.heading_offset_deg)
+
+    @property
+    def antenna(self) -> LeverArm:
+        """The origin, at no known height."""
+        return LeverArm(0.0, 0.0, 0.0)
+
+    @property
+    def rear_axle_forward_m(self) -> float | None:
+        """The axle lies behind the antenna."""
+        return -self.ahead_m
+
+
+def _check_offset(offset_deg: float | None) -> None:
+    if offset_deg is not None and not abs(offset_deg) <= 360.0:
+        raise CalibrationError(
+            f"A heading offset of {offset_deg}° is beyond 360°; give degrees clockwise from the "
+            "nose to what the receiver calls its heading."
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """Everything about the vehicle that does not change during a drive.
@@ -186,15 +248,4 @@ class Rig:
     heading_convention: HeadingConvention = "cw_north"
 
     def __post_init__(self) -> None:
-        offset = self.heading_offset_deg
-        if offset is not None and not abs(offset) <= 360.0:
-            raise CalibrationError(
-                f"A heading offset of {offset}° is beyond 360°; give degrees clockwise from the "
-                "nose to what the receiver calls its heading."
-            )
-
-    def nose_heading_deg(self, recorded_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Headings of the nose, by the declared convention and offset, of recorded ones."""
-        recorded = np.asarray(recorded_deg, dtype=np.float64)
-        clockwise = recorded if self.heading_convention == "cw_north" else 90.0 - recorded
-        return wrap_deg(clockwise - (self.heading_offset_deg or 0.0))
+        _check_offset(self.heading_offset_deg)

@@ -1,6 +1,7 @@
 """The trajectory: where the vehicle was, where its nose pointed, how sure that is.
 
-A row a fix, rejected ones included with their reason. Poses are those of the *grid origin*
+A row a fix, rejected ones included with their reason, and rows between them where something
+else than the receiver knew the way. Poses are those of the *grid origin*
 (see :mod:`fieldgrid.rig`), in the Local Tangent Plane of one datum.
 """
 
@@ -22,7 +23,11 @@ MAX_GAP_NS = 1_500_000_000
 
 
 class Status(StrEnum):
-    """The verdict on a fix or a pose."""
+    """The verdict on a fix or a pose.
+
+    Held is a pose at rest, whose heading is the one that the vehicle stopped with: as good as
+    ok, while its sigma lasts.
+    """
 
     OK = "ok"
     REJECTED = "rejected"
@@ -50,9 +55,11 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Poses of the grid origin, one per fix, ordered by time. All arrays have length n.
+    """Poses of the grid origin, ordered by time. All arrays have length n.
 
-    `heading_source` names how headings were found (recorded, course, constant:DEG).
+    `gear` is +1 forward, -1 reverse, 0 at rest. `quality` is GGA's code of the fix, 6
+    (estimated) in rows without one. `heading_source` names how headings were found (smooth,
+    course, recorded, constant:DEG).
     """
 
     datum: Datum
@@ -64,25 +71,29 @@ class Trajectory:
     position_sigma_m: npt.NDArray[np.float64]
     heading_sigma_deg: npt.NDArray[np.float64]
     speed_mps: npt.NDArray[np.float64]
+    gear: npt.NDArray[np.int64]
     quality: npt.NDArray[np.int64]
     status: tuple[Status, ...]
     reason: tuple[str, ...]
     heading_source: str
     accepted: npt.NDArray[np.bool_] = field(init=False, repr=False, compare=False)
-    """Mask of the rows whose verdict is ok."""
+    """Mask of the rows whose verdict is ok or held."""
     _ok: npt.NDArray[np.intp] = field(init=False, repr=False, compare=False)
     _ok_time_ns: npt.NDArray[np.int64] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.time_ns)
         # Found once: every frame of a drive asks for its pose.
-        accepted = np.array([status is Status.OK for status in self.status], dtype=np.bool_)
+        accepted = np.array(
+            [status is not Status.REJECTED for status in self.status], dtype=np.bool_
+        )
         object.__setattr__(self, "accepted", accepted)
         object.__setattr__(self, "_ok", np.flatnonzero(accepted))
         object.__setattr__(self, "_ok_time_ns", self.time_ns[self._ok])
         columns = (
             self.east_m, self.north_m, self.up_m, self.heading_deg, self.position_sigma_m,
-            self.heading_sigma_deg, self.speed_mps, self.quality, self.status, self.reason,
+            self.heading_sigma_deg, self.speed_mps, self.gear, self.quality, self.status,
+            self.reason,
         )  # fmt: skip
         if any(len(column) != n for column in columns):
             raise GnssError("The columns of a trajectory differ in length; build it from fixes.")

@@ -140,8 +140,12 @@ def test_cars_and_rovers_are_kept_whole(shared_data: SharedData) -> None:
                 )
                 for r in rows(path)
             ]  # fmt: skip
-            _, summary = judged(fixes)
-            assert (summary.accepted, summary.seams) == (len(fixes), ()), path.name
+            verdicts, summary = judged(fixes)
+            if path.stem.endswith("0093"):  # without satellites, 170 m down in half a minute
+                assert {v.kind for v in verdicts[:330]} == {Kind.CLIMB}
+                assert 20 < summary.accepted < 110
+            else:
+                assert (summary.accepted, summary.seams) == (len(fixes), ()), path.name
     for path in sorted(shared_data("gnss/acorn_rover").glob("*.csv")):
         fixes = [
             Fix(

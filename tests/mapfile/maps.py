@@ -111,6 +111,7 @@ def track(count: int = 5, datum: Datum = DATUM) -> Trajectory:
         position_sigma_m=column(0.02, nan, 0.33),
         heading_sigma_deg=column(0.5, 0.7, nan),
         speed_mps=column(1.4, 0.0),
+        gear=np.resize(np.array([1, -1, 0], dtype=np.int64), count),
         quality=np.resize(np.array([4, 5, 0, 1], dtype=np.int64), count),
         status=tuple((Status.OK, Status.REJECTED, Status.HELD)[k % 3] for k in range(count)),
         reason=tuple(("", "the implied speed is 40 m/s", "stands")[k % 3] for k in range(count)),

@@ -1,13 +1,12 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one."""
 
-from fieldgrid.build.perception import Perceived, local_grid, perceive
+from fieldgrid.build.perception import Perceived, local_grid, perceive, visual_odometry
+from fieldgrid.build.poses import cell_budget, check_poses, estimate_drive, estimate_trajectory
 from fieldgrid.build.report import Progress, SessionReport, StageTimes
 from fieldgrid.build.session import (
     add_recording,
     build_map,
     check_output,
-    check_poses,
-    estimate_trajectory,
     session_config,
 )
 
@@ -18,10 +17,13 @@ __all__ = [
     "StageTimes",
     "add_recording",
     "build_map",
+    "cell_budget",
     "check_output",
     "check_poses",
+    "estimate_drive",
     "estimate_trajectory",
     "local_grid",
     "perceive",
     "session_config",
+    "visual_odometry",
 ]

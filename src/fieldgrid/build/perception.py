@@ -1,44 +1,109 @@
-"""Frames to local grids, several at a time: the heavy half of a build, which needs no pose."""
+"""Frames to local grids and to the camera's own motion: the heavy half of a build, without pose."""
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import FrameGround, LocalGridder
-from fieldgrid.recording import Frame
+from fieldgrid.motion import Steps
+from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
+from fieldgrid.recording import Frame, Recording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 
+_T = TypeVar("_T")
+
 
 class Perceived(NamedTuple):
-    """One frame after perception, before it meets its pose; seconds by stage."""
+    """One frame after perception, before it meets its pose; seconds by stage.
+
+    `features` are those of visual odometry, None when it was not asked for.
+    """
 
     frame: Frame
     grid: LocalGrid
     ground: FrameGround
+    features: Features | None
     decode_s: float
     match_s: float
     grid_s: float
+    odometry_s: float
 
 
-def perceive(frames: Iterable[Frame], gridder: LocalGridder, jobs: int) -> Iterator[Perceived]:
+def perceive(
+    frames: Iterable[Frame], gridder: LocalGridder, jobs: int, *, odometry: bool = False
+) -> Iterator[Perceived]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory."""
+    return _side_by_side(lambda frame: _perceive_one(frame, gridder, odometry), frames, jobs)
+
+
+class CameraMotion:
+    """Visual odometry over a drive: give it the frames in order, and take the steps.
+
+    `refused` counts pairs of neighbouring frames from which no step could be told;
+    `distance_m` is the way so far.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._last: Features | None = None
+        self._times_ns: list[int] = []
+        self._found: list[Step | Refusal] = []
+        self.distance_m = 0.0
+
+    def add(self, time_ns: int, seen: Features) -> None:
+        """The next frame, taken at `time_ns` by the receiver's clock."""
+        if self._last is not None:
+            found = step(self._last, seen, self._rig)
+            self._found.append(found)
+            if isinstance(found, Step):
+                self.distance_m += math.hypot(found.forward_m, found.right_m)
+        self._times_ns.append(time_ns)
+        self._last = seen
+
+    @property
+    def refused(self) -> int:
+        """How many pairs gave no step."""
+        return sum(isinstance(one, Refusal) for one in self._found)
+
+    def steps(self) -> Steps:
+        """The steps between the frames so far."""
+        return steps_of(self._times_ns, self._found)
+
+
+def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
+    """The steps of the camera from frame to frame of a recording; reads all of its images."""
+    motion = CameraMotion(recording.rig)
+    camera, offset_ns = recording.rig.camera, recording.rig.image_time_offset_ns
+
+    def look(frame: Frame) -> tuple[int, Features]:
+        return frame.time_ns, features(camera, *frame.images())
+
+    for time_ns, seen in _side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
+        motion.add(time_ns + offset_ns, seen)
+    return motion.steps()
+
+
+def _side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: int) -> Iterator[_T]:
+    """The work on frames, in their order, `jobs` at a time."""
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
     cv2.setNumThreads(1)
     pool = ThreadPoolExecutor(jobs, thread_name_prefix="fieldgrid")
-    pending: deque[Future[Perceived]] = deque()
+    pending: deque[Future[_T]] = deque()
     try:
         for frame in frames:
-            pending.append(pool.submit(_perceive_one, frame, gridder))
+            pending.append(pool.submit(work, frame))
             if len(pending) > jobs + 1:
                 yield pending.popleft().result()
         while pending:
@@ -48,15 +113,26 @@ def perceive(frames: Iterable[Frame], gridder: LocalGridder, jobs: int) -> Itera
         cv2.setNumThreads(threads_before)
 
 
-def _perceive_one(frame: Frame, gridder: LocalGridder) -> Perceived:
+def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Perceived:
     start = time.thread_time()
     left, right = frame.images()
     decoded = time.thread_time()
     disparity = gridder.matcher.disparity(left, right)
     matched = time.thread_time()
     grid, ground = gridder.from_disparity(disparity)
+    gridded = time.thread_time()
+    seen = features(gridder.rig.camera, left, right) if odometry else None
     done = time.thread_time()
-    return Perceived(frame, grid, ground, decoded - start, matched - decoded, done - matched)
+    return Perceived(
+        frame,
+        grid,
+        ground,
+        seen,
+        decoded - start,
+        matched - decoded,
+        gridded - matched,
+        done - gridded,
+    )
 
 
 @lru_cache(maxsize=8)

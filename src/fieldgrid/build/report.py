@@ -9,12 +9,13 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a build is: what a progress line shows."""
+    """How far a build is: what a progress line shows. The distance is the camera's, None
+    where it is not followed."""
 
     session: str
     frames_done: int
     frames_total: int
-    distance_m: float
+    distance_m: float | None = None
 
 
 @dataclass(slots=True)
@@ -24,6 +25,8 @@ class StageTimes:
     decode_s: float = 0.0
     match_s: float = 0.0
     grid_s: float = 0.0
+    odometry_s: float = 0.0
+    pose_s: float = 0.0
     map_s: float = 0.0
 
 
@@ -41,6 +44,8 @@ class SessionReport:
     fixes_accepted: int = 0
     distance_m: float = 0.0
     wall_s: float = 0.0
+    camera_steps: int = 0
+    camera_refusals: int = 0
     heading_source: str = ""
     heading_sigma_deg: float | None = None
     position_sigma_m: float | None = None

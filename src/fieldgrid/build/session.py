@@ -1,8 +1,9 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one.
 
-Pose is light and needs the whole drive, so it comes first; perception is heavy and needs no
-pose, so frames are matched in parallel and meet their pose in order, one at a time. No image
-and no grid stays in memory.
+Perception is heavy and needs no pose, so frames are matched in parallel; each gives a grid and
+the camera's motion since the one before. Pose needs the whole drive, that motion included, so
+the grids wait for it on disk and meet it in order, one at a time. No image and no grid stays in
+memory.
 """
 
 from __future__ import annotations
@@ -10,48 +11,40 @@ from __future__ import annotations
 import os
 import time
 from array import array
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.build.perception import Perceived, perceive
+from fieldgrid.build.perception import CameraMotion, perceive
+from fieldgrid.build.poses import (
+    NO_GROUND,
+    check_images,
+    check_poses,
+    estimate_drive,
+    estimate_trajectory,
+    none_usable,
+)
 from fieldgrid.build.report import Progress, SessionReport
-from fieldgrid.errors import ConfigError, GnssError
+from fieldgrid.build.spool import Spool
+from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, create_map, open_map
-from fieldgrid.pose import estimate_poses
+from fieldgrid.motion import Steps
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
-NO_GROUND = "no ground was found in the image, so heights above it are not known"
-"""Why a frame is rejected whose ground plane could not be refined."""
-
-
-def estimate_trajectory(
-    recording: Recording, settings: BuildSettings | None = None, datum: Datum | None = None
-) -> Trajectory:
-    """The trajectory of a recording's grid origin; `datum` is the recording's own or first fix.
-
-    Raises GnssError when no fix can be used.
-    """
-    settings = settings or BuildSettings()
-    return estimate_poses(
-        recording.fixes(), recording.rig, datum or recording.datum_hint, settings.pose
-    )
-
 
 def add_recording(
     universal: MapFile,
     recording: Recording,
-    trajectory: Trajectory,
+    trajectory: Trajectory | None = None,
     settings: BuildSettings | None = None,
     *,
     name: str | None = None,
@@ -61,98 +54,127 @@ def add_recording(
 ) -> SessionReport:
     """Add one drive to an open map as a session: all of it, or nothing.
 
-    Takes every `every`-th frame. The map's bits do not depend on `jobs`, the number of
-    threads that decode and match (all cores if None).
+    Without a `trajectory` it is estimated here, from all that the drive carries and, if the
+    settings ask for it, from the motion that the camera saw. Takes every `every`-th frame. The
+    map's bits do not depend on `jobs`, the number of threads that decode and match (all cores
+    if None).
     """
     settings = settings or BuildSettings()
     started = time.perf_counter()
-    check_poses(recording, trajectory)
     gridder = LocalGridder(recording.rig, settings.grid.spec(), settings.stereo, settings.density)
-    report = _opening_report(
-        recording.name if name is None else name, recording, trajectory, gridder
+    report = SessionReport(
+        session=recording.name if name is None else name,
+        max_range_m=gridder.max_range_m,
+        notes=tuple(recording.notes),
     )
-    total = len(range(0, recording.frame_count, every))
-    frames = (frame for k, frame in enumerate(recording.frames()) if k % every == 0)
-    placed: Pose | None = None
-    heading_sigma_deg, position_sigma_m = array("d"), array("d")
-    with universal.add_session(
-        report.session,
-        trajectory=trajectory,
-        config=session_config(settings, recording.rig, gridder, every),
-        source=recording.gnss_source,
-    ) as session:
-        if progress is not None:
-            progress(Progress(report.session, 0, total, 0.0))
-        for perceived in perceive(frames, gridder, jobs or os.cpu_count() or 1):
-            pose = trajectory.at(perceived.frame.time_ns + recording.rig.image_time_offset_ns)
-            if pose.status is Status.OK and not perceived.ground.refined:
-                pose = replace(pose, status=Status.REJECTED, reason=NO_GROUND)
-            _add_frame(session, perceived, pose, report)
-            if pose.status is Status.OK:
-                report.distance_m += _step_m(placed, pose)
-                heading_sigma_deg.append(pose.heading_sigma_deg)
-                position_sigma_m.append(pose.position_sigma_m)
-                placed = pose
-            if progress is not None:
-                progress(Progress(report.session, report.frames, total, report.distance_m))
-        _check_any_used(report)
-        closing = time.perf_counter()
+    with Spool(gridder.spec) as spool:
+        look = trajectory is None and settings.pose.uses_camera
+        perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
+        steps = perceiving(spool, report, odometry=look)
+        if trajectory is None:
+            trajectory = _estimated(recording, settings, universal.datum, steps, report)
+        else:
+            report.fixes = len(trajectory)
+            report.fixes_accepted = int(trajectory.accepted.sum())
+        report.heading_source = trajectory.heading_source
+        with universal.add_session(
+            report.session,
+            trajectory=trajectory,
+            config=session_config(settings, recording.rig, gridder, every),
+            source=recording.gnss_source,
+        ) as session:
+            _place(spool, session, trajectory, report)
+            closing = time.perf_counter()
     report.stages.map_s += time.perf_counter() - closing
     report.wall_s = time.perf_counter() - started
-    report.heading_sigma_deg = _median(heading_sigma_deg)
-    report.position_sigma_m = _median(position_sigma_m)
     return report
 
 
-def _add_frame(session: Session, perceived: Perceived, pose: Pose, report: SessionReport) -> None:
+class _Perceiving(NamedTuple):
+    """The first half of a session: every frame to a grid, and its motion since the last one."""
+
+    recording: Recording
+    gridder: LocalGridder
+    every: int
+    jobs: int
+    progress: Callable[[Progress], None] | None
+
+    def __call__(self, spool: Spool, report: SessionReport, *, odometry: bool) -> Steps | None:
+        recording, stages = self.recording, report.stages
+        total = len(range(0, recording.frame_count, self.every))
+        frames = (frame for k, frame in enumerate(recording.frames()) if k % self.every == 0)
+        motion = CameraMotion(recording.rig) if odometry else None
+        self._tell(report.session, 0, total, motion)
+        for seen in perceive(frames, self.gridder, self.jobs, odometry=odometry):
+            start = time.thread_time()
+            frame = seen.frame
+            time_ns = frame.time_ns + recording.rig.image_time_offset_ns
+            names = (frame.left.name, frame.right.name)
+            spool.put(frame.frame_id, time_ns, names, seen.ground.refined, seen.grid)
+            spooled = time.thread_time()
+            if motion is not None and seen.features is not None:
+                motion.add(time_ns, seen.features)
+            stages.decode_s += seen.decode_s
+            stages.match_s += seen.match_s
+            stages.grid_s += seen.grid_s
+            stages.map_s += spooled - start
+            stages.odometry_s += seen.odometry_s + time.thread_time() - spooled
+            self._tell(report.session, len(spool), total, motion)
+        if motion is None:
+            return None
+        steps = motion.steps()
+        report.camera_steps, report.camera_refusals = len(steps.start_ns), motion.refused
+        return steps
+
+    def _tell(self, session: str, done: int, total: int, motion: CameraMotion | None) -> None:
+        if self.progress is not None:
+            distance_m = None if motion is None else motion.distance_m
+            self.progress(Progress(session, done, total, distance_m))
+
+
+def _estimated(
+    recording: Recording,
+    settings: BuildSettings,
+    datum: Datum,
+    steps: Steps | None,
+    report: SessionReport,
+) -> Trajectory:
+    start = time.perf_counter()
+    estimate = estimate_drive(recording, settings, datum, steps)
+    report.stages.pose_s += time.perf_counter() - start
+    report.notes += estimate.report.notes
+    report.fixes = len(estimate.fix_row)
+    report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
+    check_poses(recording, estimate.trajectory)
+    return estimate.trajectory
+
+
+def _place(spool: Spool, session: Session, trajectory: Trajectory, report: SessionReport) -> None:
+    """The second half: every grid meets its pose."""
+    placed: Pose | None = None
+    heading_sigma_deg, position_sigma_m = array("d"), array("d")
     start = time.thread_time()
-    frame = perceived.frame
-    session.add(
-        perceived.grid,
-        pose,
-        frame_id=frame.frame_id,
-        images=(frame.left.name, frame.right.name),
-    )
-    stages = report.stages
-    stages.decode_s += perceived.decode_s
-    stages.match_s += perceived.match_s
-    stages.grid_s += perceived.grid_s
-    stages.map_s += time.thread_time() - start
-    report.frames += 1
-    report.ground_refined += perceived.ground.refined
-    if pose.status is Status.OK:
+    for waiting in spool:
+        pose = trajectory.at(waiting.time_ns)
+        if pose.status is Status.OK and not waiting.ground_refined:
+            pose = replace(pose, status=Status.REJECTED, reason=NO_GROUND)
+        session.add(waiting.grid, pose, frame_id=waiting.frame_id, images=waiting.images)
+        report.frames += 1
+        report.ground_refined += waiting.ground_refined
+        if pose.status is not Status.OK:
+            report.rejected += 1
+            report.reasons[pose.reason] += 1
+            continue
         report.used += 1
-    else:
-        report.rejected += 1
-        report.reasons[pose.reason] += 1
-
-
-def check_poses(recording: Recording, trajectory: Trajectory) -> None:
-    """Raise GnssError when no image has a usable pose, before the first one is read."""
-    if recording.frame_count == 0:
-        raise ConfigError(f"Recording {recording.name} holds no frame; record images with it.")
-    offset_ns = recording.rig.image_time_offset_ns
-    images = recording.frame_times_ns() + offset_ns
-    fixes = trajectory.time_ns[trajectory.accepted]
-    if fixes.size == 0:
-        commonest = Counter(trajectory.reason).most_common(1)[0][0]
-        raise GnssError(
-            f"None of the {len(trajectory)} fixes gives a pose, mostly because: {commonest}; "
-            "choose another log with --gnss or another --heading."
-        )
-    if images[-1] < fixes[0] or images[0] > fixes[-1]:
-        raise GnssError(
-            f"Images ({_clock(images[0])} to {_clock(images[-1])}) and fixes "
-            f"({_clock(fixes[0])} to {_clock(fixes[-1])}) do not overlap in time; choose the log "
-            "of this drive with --gnss, or set image_time_offset_s in recording.toml."
-        )
-    poses = (trajectory.at(time_ns) for time_ns in images.tolist())
-    reasons: Counter[str] = Counter()
-    for pose in poses:
-        if pose.status is Status.OK:
-            return
-        reasons[pose.reason] += 1
-    raise _none_usable(recording.name, reasons)
+        report.distance_m += _step_m(placed, pose)
+        heading_sigma_deg.append(pose.heading_sigma_deg)
+        position_sigma_m.append(pose.position_sigma_m)
+        placed = pose
+    if report.used == 0:
+        raise none_usable(report.session, report.reasons)
+    report.heading_sigma_deg = _median(heading_sigma_deg)
+    report.position_sigma_m = _median(position_sigma_m)
+    report.stages.map_s += time.thread_time() - start
 
 
 def session_config(
@@ -168,37 +190,6 @@ def session_config(
     }
 
 
-def _opening_report(
-    name: str, recording: Recording, trajectory: Trajectory, gridder: LocalGridder
-) -> SessionReport:
-    return SessionReport(
-        session=name,
-        fixes=len(trajectory),
-        fixes_accepted=int(trajectory.accepted.sum()),
-        heading_source=trajectory.heading_source,
-        max_range_m=gridder.max_range_m,
-        notes=tuple(recording.notes),
-    )
-
-
-def _check_any_used(report: SessionReport) -> None:
-    if report.used == 0:
-        raise _none_usable(report.session, report.reasons)
-
-
-def _none_usable(name: str, reasons: Counter[str]) -> GnssError:
-    reason = reasons.most_common(1)[0][0]
-    advice = (
-        "check the camera's height and tilt in the mounting"
-        if reason == NO_GROUND
-        else "choose another log with --gnss or another --heading"
-    )
-    return GnssError(
-        f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
-        f"{reason}; {advice}."
-    )
-
-
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
@@ -207,11 +198,6 @@ def _step_m(last: Pose | None, pose: Pose) -> float:
     if last is None:
         return 0.0
     return float(np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m))
-
-
-def _clock(time_ns: int) -> str:
-    moment = np.datetime64(int(time_ns), "ns")
-    return str(np.datetime_as_string(moment, unit="ms")) + "Z"
 
 
 def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
@@ -266,16 +252,12 @@ def build_map(
             )
         taken = [info.name for info in universal.sessions()] if append else []
         check_names([name or recording.name for recording in recordings], taken)
-        tracks: list[Trajectory] = []
-        for recording in recordings:
-            tracks.append(estimate_trajectory(recording, settings, datum))
-            datum = tracks[0].datum
-            check_poses(recording, tracks[-1])
+        datum = _checked(recordings, settings, datum)
         if not append:
             universal = open_things.enter_context(
                 create_map(
                     out,
-                    tracks[0].datum,
+                    datum,
                     cell_m=settings.universal_cell_m,
                     transfer=settings.map.transfer,
                     overwrite=overwrite,
@@ -285,12 +267,26 @@ def build_map(
             add_recording(
                 universal,
                 recording,
-                track,
+                None,
                 settings,
                 name=name,
                 every=every,
                 jobs=jobs,
                 progress=progress,
             )
-            for recording, track in zip(recordings, tracks, strict=True)
+            for recording in recordings
         ]
+
+
+def _checked(
+    recordings: Sequence[Recording], settings: BuildSettings, datum: Datum | None
+) -> Datum:
+    """The datum of the map, after a look at what can be known before the first image is read."""
+    for recording in recordings:
+        trajectory = estimate_trajectory(recording, settings, datum)
+        datum = datum or trajectory.datum
+        check_images(recording, trajectory)
+        if not settings.pose.uses_camera:
+            check_poses(recording, trajectory)
+    assert datum is not None  # there is at least one recording
+    return datum

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import build, evaluate, export, sessions, show
+from fieldgrid.cli import build, evaluate, export, sessions, show, track
 from fieldgrid.errors import FieldgridError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.command("track")(track.command)
 app.command("build")(build.command)
 app.command("sessions")(sessions.command)
 app.command("show")(show.command)

@@ -30,8 +30,19 @@ def command(
     heading: Annotated[
         str | None,
         typer.Option(
-            metavar="auto|recorded|course|constant:DEG",
-            help="Where headings come from; auto takes the recording's own where it has them.",
+            metavar="smooth|course|recorded|constant:DEG",
+            help="Where headings come from [smooth: all that the drive carries, at once].",
+        ),
+    ] = None,
+    visual_odometry: Annotated[
+        bool | None,
+        typer.Option(help="Whether the camera's own motion helps to find the poses."),
+    ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="How far off a cell at the far end may be, 1-sigma [the cell, at least 0.25].",
         ),
     ] = None,
     append: Annotated[bool, typer.Option("--append", help="Add to an existing map.")] = False,
@@ -92,7 +103,17 @@ def command(
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
     settings = _settings(
-        config, heading, cell, grid, local_cell, slice_, max_range, matcher, transfer
+        config,
+        heading,
+        visual_odometry,
+        budget,
+        cell,
+        grid,
+        local_cell,
+        slice_,
+        max_range,
+        matcher,
+        transfer,
     )
     try:
         reports = _run(
@@ -119,6 +140,8 @@ def command(
 def _settings(
     config: Path | None,
     heading: str | None,
+    visual_odometry: bool | None,
+    budget_m: float | None,
     cell: float | None,
     grid: str | None,
     local_cell: float | None,
@@ -139,7 +162,11 @@ def _settings(
             "slice_top_m": top_m,
             "max_range_m": max_range,
         },
-        "pose": {"heading": heading},
+        "pose": {
+            "heading": heading,
+            "visual_odometry": visual_odometry,
+            "cell_budget_m": budget_m,
+        },
         "map": {"cell_m": cell, "transfer": transfer},
     }
     return resolve(config, overrides)
@@ -207,7 +234,7 @@ def _progress() -> Iterator[Callable[[Progress], None] | None]:
                 task,
                 completed=now.frames_done,
                 rate=f"{speed:.1f} frames/s" if speed else "",
-                distance=f"{now.distance_m:.0f} m",
+                distance="" if now.distance_m is None else f"{now.distance_m:.0f} m",
             )
 
         yield show
@@ -222,6 +249,7 @@ def _print_reports(out: Path, reports: list[SessionReport]) -> None:
             (f"heading sigma, median ({report.heading_source})",
              output.number(report.heading_sigma_deg, 2, "°")),
             ("position sigma, median", output.number(report.position_sigma_m, 3, "m")),
+            ("camera steps", _steps(report)),
             ("points used up to", output.number(report.max_range_m, 1, "m")),
             ("ground plane refined in", f"{report.ground_refined} frames"),
             # As wide for a slow machine as for a fast one, so that tables can be compared.
@@ -233,6 +261,11 @@ def _print_reports(out: Path, reports: list[SessionReport]) -> None:
         for note in report.notes:
             print(f"note: {note}")
     print(f"map {out}")
+
+
+def _steps(report: SessionReport) -> str:
+    tried = report.camera_steps + report.camera_refusals
+    return f"{report.camera_steps} of {tried}" if tried else "not used"
 
 
 def grouped_reasons(reasons: Mapping[str, int]) -> list[tuple[int, str]]:

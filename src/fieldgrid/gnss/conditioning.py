@@ -2,7 +2,7 @@
 
 The gates are physical. A receiver's own confidence widens them at most; a jump with a confident
 covariance is still a jump. A fix is asked in this order: its place, what the receiver says of it,
-its time, whether it is one at all or a repeat, and whether a vehicle drove through it.
+its time, whether it is one at all or a repeat, and whether a vehicle drove there, up and along.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.geodesy import Datum
+from fieldgrid.gnss.climb import SPOILT_S, climb_mps, spoilt
 from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
 from fieldgrid.gnss.motion_gate import Course, Step, course_of, follow, step_between
 from fieldgrid.gnss.repeats import held_ns
@@ -43,6 +44,7 @@ def condition(fixes: Sequence[Fix], limits: GateLimits = DEFAULT_LIMITS) -> list
     rows = _accepted(verdicts)
     rows = _in_time(fixes, rows, verdicts)
     rows = _without_repeats(fixes, rows, verdicts)
+    rows = _on_ground(fixes, rows, verdicts, limits)
     _follow_motion(fixes, rows, verdicts, limits)
     return verdicts
 
@@ -156,6 +158,22 @@ def _without_repeats(fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict])
 
 
 # --- whether a vehicle drove through it
+
+
+def _on_ground(
+    fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict], limits: GateLimits
+) -> _Rows:
+    """The rows that do not climb or sink faster than a vehicle, nor lie near such."""
+    time_ns = _times(fixes, rows)
+    rate_mps = climb_mps(time_ns, np.array([fixes[k].height_m for k in rows], dtype=np.float64))
+    away = spoilt(time_ns, np.abs(rate_mps) > limits.max_climb_mps)
+    for k in np.flatnonzero(away).tolist():
+        steep = "climbs" if rate_mps[k] >= 0.0 else "sinks"
+        reason = f"height {steep} at {abs(rate_mps[k]):.1f} m/s: the solution has come apart"
+        if abs(rate_mps[k]) <= limits.max_climb_mps:
+            reason = f"height runs away within {SPOILT_S:g} s: the solution has come apart"
+        verdicts[rows[k]] = _rejected(Kind.CLIMB, reason)
+    return rows[~away]
 
 
 def _follow_motion(

@@ -28,6 +28,7 @@ class Kind(StrEnum):
     JUMP = "jump"
     ACCELERATION = "acceleration"
     TURN_RATE = "turn_rate"
+    CLIMB = "climb"
     ALONE = "alone"
     SEAM = "seam"
 
@@ -49,7 +50,7 @@ class GateLimits(BaseModel):
     From fix to fix a vehicle may leave its even motion by `speed_margin_mps` and
     `max_acceleration_mps2`, along the track or across it; a stamp may be off by `timing_s`, for
     hosts buffer; and `sigmas` standard deviations of a displacement are noise. Where fixes are
-    missing it drives at `max_speed_mps` at most.
+    missing it drives at `max_speed_mps` at most, and up or down at `max_climb_mps`.
 
     Fixes that agree with each other but not with those before or after them are a solution that
     has moved, and are followed, when they are `moved_fixes` over `moved_s` seconds; fewer are
@@ -71,6 +72,7 @@ class GateLimits(BaseModel):
     speed_margin_mps: float = Field(default=1.0, ge=0.0, le=20.0)
     max_acceleration_mps2: float = Field(default=4.0, gt=0.0, le=50.0)
     max_speed_mps: float = Field(default=40.0, gt=0.0, le=500.0)
+    max_climb_mps: float = Field(default=3.0, gt=0.0, le=100.0)
     timing_s: float = Field(default=0.1, ge=0.0, le=5.0)
     sigmas: float = Field(default=4.0, gt=0.0, le=20.0)
     moved_fixes: int = Field(default=10, ge=2, le=10_000)

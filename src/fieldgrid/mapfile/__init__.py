@@ -14,6 +14,7 @@ A session is in the map when its block ends, or not at all; a new map appears wh
 block ends. One process adds a session at a time, any number read meanwhile.
 """
 
+from fieldgrid.mapfile.codec import decode_grid, encode_grid
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
@@ -26,6 +27,8 @@ __all__ = [
     "Session",
     "SessionInfo",
     "create_map",
+    "decode_grid",
+    "encode_grid",
     "open_map",
     "read_datum",
 ]

@@ -185,6 +185,7 @@ def _trajectory(rows: list[tuple[Any, ...]], datum: Datum, heading_source: str) 
         position_sigma_m=column(sigma_m),
         heading_sigma_deg=column(sigma_deg),
         speed_mps=column(speed),
+        gear=np.sign(np.nan_to_num(column(speed))).astype(np.int64),
         quality=np.array(quality, dtype=np.int64),
         status=tuple(Status(value) for value in status),
         reason=tuple(str(value) for value in reason),

@@ -28,7 +28,9 @@ def solve(lower: _Float64, right: _Float64) -> _Float64:
 
 @kernel
 def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
-    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix.
+    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix,
+    and the covariance [n/size, size] of each unknown with its like in the next block (0 in the
+    last one).
 
     Takahashi's recursion from the last column to the first: an element of the inverse inside
     the band needs only later ones inside the band, so the others are never made.
@@ -57,4 +59,8 @@ def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
                 value = inverse[block * size + b, a - b]
                 blocks[block, a, b] = value
                 blocks[block, b, a] = value
-    return blocks
+    onward = np.zeros((n // size, size))
+    for block in range(n // size - 1):
+        for a in range(size):
+            onward[block, a] = inverse[block * size + a, size]
+    return blocks, onward

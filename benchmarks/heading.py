@@ -1,0 +1,88 @@
+"""`python -m benchmarks.heading`: headings and gears from positions beside real truths.
+
+The logs lie beside the repository, in ../shared/data; a section whose data are absent is
+skipped. `--plots DIR` draws the epochs that are wrong, `--only NAME` runs one section.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks import heading_harvester, heading_road, heading_tractor, heading_vineyard
+
+
+class Section(NamedTuple):
+    """A table: its name, its title, the data that it needs, and its lines."""
+
+    name: str
+    title: str
+    needs: Path
+    lines: Callable[[], Iterator[str]]
+
+
+SECTIONS = (
+    Section(
+        "tractor",
+        "garden tractor, positions only, beside its two antennas",
+        heading_tractor.FOLDER,
+        heading_tractor.report,
+    ),
+    Section(
+        "harvester",
+        "forage harvester, 1 Hz: gears beside the work state",
+        heading_harvester.FOLDER,
+        heading_harvester.report,
+    ),
+    Section(
+        "road",
+        "KITTI, positions only, beside the inertial unit",
+        heading_road.FOLDER,
+        heading_road.report,
+    ),
+    Section(
+        "rendered",
+        "rendered vineyard, beside its truth",
+        heading_vineyard.TRUTH,
+        heading_vineyard.report_rendered,
+    ),
+    Section(
+        "rows",
+        "vineyard robot, positions only, beside the surveyed rows",
+        heading_vineyard.FOLDER,
+        heading_vineyard.report_rows,
+    ),
+    Section(
+        "harm",
+        "the garden tractor's drives by worse receivers, pooled",
+        heading_tractor.FOLDER,
+        heading_tractor.report_harmed,
+    ),
+)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure and print everything, or one section."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=[section.name for section in SECTIONS])
+    parser.add_argument("--plots", type=Path, help="draw what is wrong into this folder")
+    options = parser.parse_args(arguments)
+    for section in SECTIONS:
+        if options.only in (None, section.name):
+            print(f"\n{section.title}")
+            if section.needs.exists():
+                for line in section.lines():
+                    print(f"  {line}".rstrip())
+            else:
+                print("  absent: skipped")
+    if options.plots is not None:
+        from benchmarks import heading_plots
+
+        options.plots.mkdir(parents=True, exist_ok=True)
+        heading_plots.draw(options.plots)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""KITTI's cars, positions only, beside the heading of their inertial unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
+from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
+from fieldgrid.errors import GnssError
+from fieldgrid.gnss import Fix
+from fieldgrid.pose import estimate_poses
+
+FOLDER = DATA / "kitti_oxts"
+RTK = ("2011_09_26_drive_0001", "2011_09_26_drive_0018", "2011_09_30_drive_0020")
+"""The drives with a fixed solution that move; drive 0017 stands."""
+
+QUALITY_OF_POSMODE = {-1: 6, 2: 1, 3: 1, 4: 2, 5: 5, 6: 4, 7: 9, 8: 2, 9: 2}
+MOVING_MPS, HARD_TURN_DPS = 0.2, 15.0
+
+_Float64 = npt.NDArray[np.float64]
+_Bool = npt.NDArray[np.bool_]
+
+
+class Log(NamedTuple):
+    name: str
+    fixes: list[Fix]
+    truth_deg: _Float64
+    moving: _Bool
+    turning: _Bool
+
+
+class Errors(NamedTuple):
+    """n epochs: the error, degrees, and what they are."""
+
+    error_deg: _Float64
+    sigma_deg: _Float64
+    accepted: _Bool
+    moving: _Bool
+    turning: _Bool
+
+
+TOLD = ("with quality", "lat, lon, alt", "lat, lon alone")
+"""How much of a log is given: without quality and sigma, and without the height too."""
+
+
+def read_log(path: Path, told: str) -> Log:
+    names = ("lat", "lon", "alt", "yaw", "vf", "wz", "pos_accuracy", "posmode")
+    text = table(path, ("timestamp", *names))
+    stamps = np.array([t.replace(" ", "T") for t in text["timestamp"]], dtype="datetime64[ns]")
+    value = {name: numbers(text[name]) for name in names}
+    fixes = [
+        Fix(time, lat, lon, alt if told == TOLD[1] else 0.0, 1)
+        if told != TOLD[0]
+        else Fix(time, lat, lon, alt, QUALITY_OF_POSMODE.get(int(mode), 0), sigma_m=sigma)
+        for time, lat, lon, alt, mode, sigma in zip(
+            stamps.astype(np.int64).tolist(),
+            *(value[name].tolist() for name in ("lat", "lon", "alt", "posmode", "pos_accuracy")),
+            strict=True,
+        )
+    ]
+    return Log(
+        path.stem,
+        fixes,
+        np.asarray(heading_from_yaw_rad(value["yaw"])),
+        np.abs(value["vf"]) > MOVING_MPS,
+        np.degrees(np.abs(value["wz"])) > HARD_TURN_DPS,
+    )
+
+
+def measure(log: Log) -> Errors:
+    times = np.array([fix.time_ns for fix in log.fixes], dtype=np.int64)
+    try:
+        poses = poses_at(estimate_poses(log.fixes).trajectory, times)
+    except GnssError:
+        unknown = np.full(len(times), np.nan)
+        return Errors(unknown, unknown, unknown > 0.0, log.moving, log.turning)
+    off = np.asarray(wrap_deg(poses.heading_deg - log.truth_deg))
+    return Errors(off, poses.sigma_deg, poses.accepted, log.moving, log.turning)
+
+
+def report() -> Iterator[str]:
+    yield (
+        f"{'':<40}{'moving':>8}{'used':>8}{'mean':>8}{'95 %':>8}{'bias':>8}{'in turns':>10}"
+        f"{'of':>6}{'3 sigma':>9}{'sigma/err':>10}{'used > 30°':>12}"
+    )
+    yield (
+        f"{'asked of the RTK drives; of 0093':<40}{'':>8}{'':>8}{'<= .25°':>8}{'':>8}{'':>8}"
+        f"{'<= 1.5°':>10}{'':>6}{'':>9}{'':>10}{'0':>12}"
+    )
+    for what in TOLD:
+        found = {path.stem: measure(read_log(path, what)) for path in sorted(FOLDER.glob("*.csv"))}
+        for name, one in found.items():
+            yield _line(f"{name.removeprefix('2011_')}, {what}", one)
+        together = [found[name] for name in RTK if name in found]
+        columns = (np.concatenate(column) for column in zip(*together, strict=True))
+        yield _line(f"RTK drives pooled, {what}", Errors(*columns))
+
+
+def _line(name: str, one: Errors) -> str:
+    used = one.accepted & one.moving
+    wrong = int((np.abs(one.error_deg[one.accepted]) > 30.0).sum())
+    start = f"{name:<40}{one.moving.sum():>8}"
+    if not used.any():
+        return f"{start}{'0 %':>8}{'':>67}{wrong:>12}"
+    error = np.abs(one.error_deg[used])
+    turn = np.abs(one.error_deg[used & one.turning])
+    share = used.sum() / one.moving.sum()
+    honest = np.mean(error <= 3.0 * one.sigma_deg[used])
+    in_turns = f"{turn.mean():.2f}°" if turn.size else "-"
+    return (
+        f"{start}{percent(share, 1):>8}{error.mean():>7.2f}°{np.percentile(error, 95):>7.2f}°"
+        f"{np.median(one.error_deg[used]):>7.2f}°{in_turns:>10}{turn.size:>6}"
+        f"{percent(honest, 1):>9}{np.median(one.sigma_deg[used]) / np.median(error):>10.2f}"
+        f"{wrong:>12}"
+    )

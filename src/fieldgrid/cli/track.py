@@ -1,0 +1,192 @@
+"""`fieldgrid track`: the trajectory of a drive, without a map and without images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fieldgrid.cli import output, parse
+
+if TYPE_CHECKING:
+    from fieldgrid.build.tracking import TrackedDrive
+    from fieldgrid.settings import BuildSettings
+    from fieldgrid.track import Spread, TrackSummary
+
+_PICTURES = (".png", ".svg", ".pdf")
+_MOST_REASONS = 6
+
+
+def command(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording's folder, or a GNSS log.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="track.csv", help="The table.")],
+    gnss: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Which GNSS log of the recording.")
+    ] = None,
+    heading: Annotated[
+        str | None,
+        typer.Option(
+            metavar="smooth|course|recorded|constant:DEG",
+            help="Where headings come from [smooth].",
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="KEY=COLUMN,...", help="What the columns of a table are."),
+    ] = None,
+    antenna_ahead: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Of a log alone: how far the antenna sits ahead of the axle that does not steer.",
+        ),
+    ] = None,
+    heading_offset: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            help="Of a log alone: what a recorded heading has more than the nose, clockwise.",
+        ),
+    ] = None,
+    datum: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON,HEIGHT",
+            help="Origin of east and north [recording's own, else its first accepted fix].",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Settings; flags override them.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Write where the vehicle was, where it pointed and how sure that is, a row a GNSS fix.
+
+    Examples:
+
+        fieldgrid track june-03 -o track.csv --gnss rtk.nmea --figure track.png
+
+        fieldgrid track tractor.csv -o track.csv --columns lat=Breite,lon=Laenge
+    """
+    if figure is not None and figure.suffix.lower() not in _PICTURES:
+        raise typer.BadParameter(
+            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
+        )
+    from fieldgrid.build.tracking import track_drive
+    from fieldgrid.recording import columns_from_text
+    from fieldgrid.rig import Carrier
+    from fieldgrid.settings import resolve
+    from fieldgrid.track import check_target, summarise_track, write_track
+
+    origin = parse.datum(datum)
+    mapping = None if columns is None else columns_from_text(columns)
+    settings = resolve(config, {"pose": {"heading": heading}})
+    carrier = None
+    if antenna_ahead is not None or heading_offset is not None:
+        carrier = Carrier(antenna_ahead or 0.0, heading_offset)
+    check_target(out)
+    drive = track_drive(
+        recording, settings, gnss=gnss, columns=mapping, datum=origin, carrier=carrier
+    )
+    write_track(drive.estimate, out)
+    if figure is not None:
+        _draw(drive, settings, figure)
+    summary = summarise_track(drive.estimate)
+    if as_json:
+        _print_json(out, figure, drive, summary)
+    else:
+        _print_summary(out, figure, drive, summary)
+
+
+def _draw(drive: TrackedDrive, settings: BuildSettings, path: Path) -> None:
+    from fieldgrid.figures import save, track_figure
+
+    limit_deg = settings.pose.max_heading_sigma_deg
+    trajectory = drive.estimate.trajectory
+    save(track_figure(trajectory, title=drive.name, max_sigma_deg=limit_deg), path)
+
+
+def _print_json(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary) -> None:
+    values = summary.as_dict()
+    values["notes"] = [*drive.notes, *values["notes"]]
+    output.print_json(
+        {
+            "track": str(out),
+            "figure": None if figure is None else str(figure),
+            "drive": drive.name,
+            "gnss": drive.gnss_source,
+            **values,
+        }
+    )
+
+
+def _print_summary(
+    out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
+) -> None:
+    rows = [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)]
+    output.print_table(("", ""), rows, title=f"track {drive.name}")
+    for count, example in summary.reasons[:_MOST_REASONS]:
+        print(f"rejected {count}: {example}")
+    more = summary.reasons[_MOST_REASONS:]
+    if more:
+        print(f"rejected {sum(count for count, _ in more)}: for {len(more)} other reasons")
+    for note in (*drive.notes, *summary.report.notes):
+        print(f"note: {note}")
+    print(f"track {out}")
+    if figure is not None:
+        print(f"figure {figure}")
+
+
+def _fix_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
+    log = summary.report.conditioning
+    yield "fixes", str(summary.fixes)
+    yield "accepted, moving / held at rest", f"{summary.ok} / {summary.held}"
+    yield "rejected", str(summary.rejected)
+    yield "rate", output.number(log.rate_hz, 1, "Hz")
+    longest_s = max((gap.seconds for gap in log.gaps), default=0.0)
+    longest = f", the longest {longest_s:.1f} s" if log.gaps else ""
+    yield "gaps without an accepted fix", f"{len(log.gaps)}{longest}"
+    yield "seams, where the solution moved", str(len(log.seams))
+
+
+def _way_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
+    gears, datum = summary.gears, summary.datum
+    times = (gears.forward_s, gears.reverse_s, gears.standing_s)
+    yield "duration", output.number(summary.duration_s, 1, "s")
+    yield "forward / reverse / at rest", " / ".join(f"{t:.1f}" for t in times) + " s"
+    yield "changes between forward and reverse", str(gears.reversals)
+    yield "distance", output.number(summary.distance_m, 1, "m")
+    yield (
+        f"heading sigma, median / 95 % ({summary.heading_source})",
+        _spread(summary.heading_sigma_deg, 2, "°"),
+    )
+    yield "position sigma, median / 95 %", _spread(summary.position_sigma_m, 3, "m")
+    yield (
+        "datum: latitude, longitude, height",
+        f"{datum.lat_deg!r}, {datum.lon_deg!r}, {datum.height_m!r}",
+    )
+
+
+def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
+    """What was found out about the sensors that the drive has."""
+    report = summary.report
+    if report.gyro_bias_dps == report.gyro_bias_dps:  # not NaN: there is a gyro
+        yield "gyro bias", f"{report.gyro_bias_dps:.3f} °/s"
+    if report.recorded is not None:
+        offset, sigma = report.recorded.offset_deg, report.recorded.offset_sigma_deg
+        yield "recorded heading off the nose", f"{offset:+.2f} ± {sigma:.2f} °"
+    if report.clock is not None:
+        yield "image clock", f"{report.clock.offset_s:+.3f} ± {report.clock.sigma_s:.3f} s"
+
+
+def _spread(spread: Spread | None, digits: int, unit: str) -> str:
+    if spread is None:
+        return "-"
+    return f"{spread.median:.{digits}f} / {spread.p95:.{digits}f} {unit}"

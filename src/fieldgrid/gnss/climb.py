@@ -1,0 +1,51 @@
+"""Heights that run away: the sign of a solution that has come apart while it looks smooth.
+
+An inertial receiver without satellites drifts on evenly. No jump and no covariance need give it
+away, but it soon climbs or sinks as nothing on wheels can.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.ndimage
+
+HALF_WINDOW_S = 2.5
+"""Rates of climb are taken over twice this."""
+
+SPIKE_S = 1.0
+"""A height that is off for less than half of this is a spike, and no climb."""
+
+SPOILT_S = 10.0
+"""How long before and after a climb the solution is not trusted either."""
+
+
+def climb_mps(
+    time_ns: npt.NDArray[np.int64], height_m: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Rate of climb at each of n fixes ordered by time, m/s; 0 where too few are near."""
+    if len(time_ns) < 3:
+        return np.zeros(len(time_ns))
+    time_s = (time_ns - time_ns[0]) / 1e9
+    step_s = max(float(np.median(np.diff(time_s))), 1e-3)
+    size = 2 * int(SPIKE_S / step_s / 2.0) + 1
+    smooth_m = scipy.ndimage.median_filter(height_m, max(size, 3), mode="nearest")
+    first = np.searchsorted(time_s, time_s - HALF_WINDOW_S)
+    last = np.searchsorted(time_s, time_s + HALF_WINDOW_S, side="right") - 1
+    span_s = time_s[last] - time_s[first]
+    rise_m = smooth_m[last] - smooth_m[first]
+    return np.where(span_s >= HALF_WINDOW_S, rise_m / np.maximum(span_s, 1e-3), 0.0)
+
+
+def spoilt(
+    time_ns: npt.NDArray[np.int64], climbing: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Which of n fixes lie in or near a climb that no vehicle makes."""
+    at = time_ns[climbing]
+    if at.size == 0:
+        return np.zeros(len(time_ns), dtype=np.bool_)
+    reach_ns = int(SPOILT_S * 1e9)
+    near = np.searchsorted(at, time_ns + reach_ns, side="right") - np.searchsorted(
+        at, time_ns - reach_ns
+    )
+    return np.asarray(near > 0)

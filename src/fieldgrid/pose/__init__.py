@@ -1,0 +1,27 @@
+"""Poses: where the grid origin was, where the nose pointed, how sure that is, and in which gear."""
+
+from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.convention import Comparison
+from fieldgrid.pose.estimate import Estimate, PoseReport, carry_lever, estimate_poses
+from fieldgrid.pose.paper import default_baseline_m
+from fieldgrid.pose.placed import datum_of, no_fix_sentence
+from fieldgrid.pose.rows import ESTIMATED
+from fieldgrid.pose.settings import HeadingSource, PoseSettings, heading_source
+from fieldgrid.pose.verdict import Budget
+
+__all__ = [
+    "ESTIMATED",
+    "Budget",
+    "ClockOffset",
+    "Comparison",
+    "Estimate",
+    "HeadingSource",
+    "PoseReport",
+    "PoseSettings",
+    "carry_lever",
+    "datum_of",
+    "default_baseline_m",
+    "estimate_poses",
+    "heading_source",
+    "no_fix_sentence",
+]

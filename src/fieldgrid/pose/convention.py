@@ -1,0 +1,97 @@
+"""Whether a recorded heading means what it says: its comparison with the estimated one.
+
+Zero and sign of a heading are what users of receivers and inertial units get wrong most often:
+radians from east for degrees from north, an antenna pair across the vehicle, a compass mounted
+backwards. Against the course of the drive each of them shows as what it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.rig import Vehicle
+
+_Float64 = npt.NDArray[np.float64]
+
+FEWEST = 20
+"""Fewer sure headings while driving decide nothing."""
+
+SURE_DEG = 5.0
+"""Only where the heading is this sure is another compared with it."""
+
+TELLING_TURN_DEG = 10.0
+"""A mirrored sign shows only in a drive that has turned by as much."""
+
+
+class Comparison(NamedTuple):
+    """What a heading has more than the nose: `offset_deg` ± `offset_sigma_deg`, and its scatter
+    about that; `mirrored` when it turns the other way; `course` when it turns around in reverse,
+    so that it is the direction of travel and no heading. `compared` instants were compared."""
+
+    offset_deg: float
+    offset_sigma_deg: float
+    scatter_deg: float
+    mirrored: bool
+    course: bool
+    compared: int
+
+    def correction(self, rig: Vehicle | None) -> str:
+        """What to declare in the mounting instead of what the rig does, as a clause."""
+        declared_deg = 0.0 if rig is None else rig.heading_offset_deg or 0.0
+        counter = rig is not None and rig.heading_convention == "ccw_east"
+        if not self.mirrored:
+            return f'"heading_offset_deg": {wrap_deg(declared_deg + self.offset_deg):.1f}'
+        # By the rig's words the nose would be the offset minus what it is.
+        rest = float(wrap_deg(90.0 - declared_deg - self.offset_deg))
+        degrees = (
+            f' and "heading_offset_deg": {rest:.1f}' if declared_deg or abs(rest) > 1.0 else ""
+        )
+        return f'"heading_convention": "{"cw_north" if counter else "ccw_east"}"{degrees}'
+
+    def diagnosis(self) -> str:
+        """What is wrong, as a clause."""
+        if self.mirrored:
+            return "turns the other way: it is counted counter-clockwise"
+        if abs(wrap_deg(self.offset_deg - 180.0)) < 15.0:
+            return f"points backwards: it is {self.offset_deg:.1f}° off the nose"
+        return f"is {self.offset_deg:.1f}° off the nose throughout"
+
+
+def compare(
+    recorded_deg: _Float64,
+    heading_deg: _Float64,
+    sigma_deg: _Float64,
+    gear: npt.NDArray[np.int64],
+) -> Comparison | None:
+    """A recorded heading beside an estimated one that did not use it; None when too little is
+    sure. All length n; NaN where nothing is recorded, gear 0 at rest."""
+    sure = np.isfinite(recorded_deg) & (sigma_deg < SURE_DEG)
+    use, back = sure & (gear > 0), sure & (gear < 0)
+    if use.sum() < FEWEST:
+        return None
+    recorded, heading = recorded_deg[use], heading_deg[use]
+    straight, straight_scatter = _circular(recorded - heading)
+    mirror, mirror_scatter = _circular(recorded + heading)
+    _, spread = _circular(heading)
+    # On a straight drive both fit, and the sign stays unknown.
+    mirrored = spread > TELLING_TURN_DEG and mirror_scatter < straight_scatter / 2.0
+    offset, scatter = (mirror, mirror_scatter) if mirrored else (straight, straight_scatter)
+    # Neighbours err alike; a hundredth of them is taken to be independent.
+    sigma = scatter / np.sqrt(max(use.sum() / 100.0, 1.0))
+    sign = -1.0 if mirrored else 1.0
+    behind = np.abs(wrap_deg(recorded_deg[back] - sign * heading_deg[back] - offset))
+    course = bool(back.sum() >= FEWEST // 2 and np.median(behind) > 90.0)
+    return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()))
+
+
+def _circular(angles_deg: _Float64) -> tuple[float, float]:
+    """Circular median and 1.48 times the median deviation from it, degrees."""
+    rad = np.radians(angles_deg)
+    mean = np.degrees(np.arctan2(np.sin(rad).mean(), np.cos(rad).mean()))
+    off = np.asarray(wrap_deg(angles_deg - mean))
+    middle = float(np.median(off))
+    return float(wrap_deg(mean + middle)), float(1.48 * np.median(np.abs(off - middle)))

@@ -1,0 +1,45 @@
+"""When the vehicle stood still: by what the receiver's speed says, or by where it stayed."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+_Float64 = npt.NDArray[np.float64]
+
+HALF_WINDOW_S = 1.5
+"""A vehicle at rest stays in place for this long before and after."""
+
+REST_MPS = 0.1
+"""Slower than this over the window, a vehicle stands and its positions wander."""
+
+WANDER_MPS = 0.25
+"""The positions of a standing vehicle may wander at this speed when its receiver says 0."""
+
+
+def at_rest(
+    time_s: _Float64, east_m: _Float64, north_m: _Float64, noise_m: _Float64, speed_mps: _Float64
+) -> npt.NDArray[np.bool_]:
+    """Which of n fixes were taken at rest. `speed_mps` is the receiver's own, NaN: none."""
+    first = np.searchsorted(time_s, time_s - HALF_WINDOW_S)
+    last = np.searchsorted(time_s, time_s + HALF_WINDOW_S, side="right") - 1
+    span_s = time_s[last] - time_s[first]
+    moved_m = np.hypot(east_m[last] - east_m[first], north_m[last] - north_m[first])
+    long_enough = span_s >= 0.7 * HALF_WINDOW_S
+    slow = moved_m < np.maximum(REST_MPS * span_s, 2.0 * noise_m)
+    if not _believable(speed_mps, moved_m, span_s):
+        return np.asarray(long_enough & slow)
+    said = np.nan_to_num(speed_mps, nan=np.inf) < REST_MPS
+    near = moved_m < np.maximum(WANDER_MPS * span_s, 4.0 * noise_m)
+    unsaid = np.isnan(speed_mps)
+    return np.asarray(np.where(unsaid, long_enough & slow, said & near))
+
+
+def _believable(speed_mps: _Float64, moved_m: _Float64, span_s: _Float64) -> bool:
+    """Whether the receiver's speeds are those of this drive: some loggers write only zeros."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        driven = moved_m / span_s
+        moving = (driven > 0.5) & np.isfinite(speed_mps)
+    if not moving.any():
+        return bool(np.isfinite(speed_mps).any())
+    return bool(0.5 < np.median(speed_mps[moving] / driven[moving]) < 2.0)

@@ -1,0 +1,243 @@
+"""A drive as a table that scripts and a GIS read, `track.csv`, and in a few numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.errors import DatumError, MapExistsError, MapWriteError
+from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
+from fieldgrid.mapfile.publish import Draft
+from fieldgrid.pose import Estimate, PoseReport
+from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
+
+_Float64 = npt.NDArray[np.float64]
+_Int64 = npt.NDArray[np.int64]
+
+COLUMNS = (
+    *("time_ns", "lat_deg", "lon_deg", "height_m", "east_m", "north_m"),
+    *("heading_deg", "heading_sigma_deg", "speed_mps", "gear", "status", "reason"),
+)
+"""The columns of `track.csv`; others read them by these names and in this order."""
+
+NO_HEADING_DEG = 90.0
+"""A heading as unsure as this is none."""
+
+_HEADER = ",".join(COLUMNS)
+
+
+def write_track(estimate: Estimate, path: str | Path) -> None:
+    """Write `track.csv`: a row an input fix, in order of time, rejected ones included.
+
+    Degrees, metres and metres a second (negative in reverse) of the estimated pose; height is
+    ellipsoidal; gear is 1, -1, or 0 at rest. A field is empty where nothing is known: all of a
+    pose at a rejected fix before the first accepted one or after the last. The file appears
+    when it is complete and replaces an earlier track, but nothing else.
+
+    Raises DatumError for poses out of reach of their datum, MapExistsError for a file that is
+    no track, MapWriteError where it cannot be written.
+    """
+    path = Path(path)
+    check_reach(estimate.trajectory)
+    check_target(path)
+    draft = Draft(path, overwrite=True)
+    try:
+        with draft.file.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            writer.writerows(track_rows(estimate))
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
+
+
+def check_target(path: Path) -> None:
+    """Raise MapExistsError for an existing file that is no track: it may be the log itself."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.readline(len(_HEADER) + 2).decode("latin-1").rstrip("\r\n")
+    if start not in ("", _HEADER):
+        raise MapExistsError(
+            f"{path} exists already and is no track; give another name, or remove it first."
+        )
+
+
+def check_reach(trajectory: Trajectory) -> None:
+    """Raise DatumError when an accepted pose lies where the plane of the datum ends."""
+    ok = trajectory.accepted
+    far_m = np.maximum(np.abs(trajectory.east_m[ok]), np.abs(trajectory.north_m[ok]))
+    if far_m.size and float(far_m.max()) > MAX_DISTANCE_M:
+        raise DatumError(
+            f"The drive reaches {float(far_m.max()) / 1000:.0f} km from its datum, over "
+            f"{MAX_DISTANCE_M / 1000:.0f} km; give a --datum near the field."
+        )
+
+
+def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
+    """The rows of `track.csv` as text, in the order of :data:`COLUMNS`."""
+    at, track = estimate.fix_row, estimate.trajectory
+    heading, sigma = track.heading_deg[at], track.heading_sigma_deg[at]
+    # Without any heading there is no pose: a rejected fix that no estimate reaches.
+    known = np.isfinite(heading)
+    # NaN fails the comparison.
+    directed = known & (sigma < NO_HEADING_DEG)
+    east, north, up = (
+        np.where(known, values[at], np.nan) for values in (track.east_m, track.north_m, track.up_m)
+    )
+    lat, lon, height = track.datum.to_geodetic(east, north, up)
+    yield from zip(
+        map(str, track.time_ns[at].tolist()),
+        _decimals(lat, 9),
+        _decimals(lon, 9),
+        _decimals(height, 4),
+        _decimals(east, 4),
+        _decimals(north, 4),
+        _decimals(np.where(directed, wrap_deg(np.round(heading, 3)), np.nan), 3),
+        _decimals(np.where(directed, sigma, np.nan), 3),
+        _decimals(np.where(known, track.speed_mps[at], np.nan), 3),
+        (str(g) if k else "" for g, k in zip(track.gear[at].tolist(), known.tolist(), strict=True)),
+        (track.status[k].value for k in at.tolist()),
+        (track.reason[k] for k in at.tolist()),
+        strict=True,
+    )
+
+
+def _decimals(values: _Float64, digits: int) -> list[str]:
+    """Numbers with a fixed count of decimals, never -0; '' for what is not finite."""
+    rounded = np.round(np.where(np.isfinite(values), values, np.nan), digits) + 0.0
+    return ["" if value != value else f"{value:.{digits}f}" for value in rounded.tolist()]
+
+
+class Spread(NamedTuple):
+    """The middle of some values, and what 95 % of them do not exceed."""
+
+    median: float
+    p95: float
+
+
+class Gears(NamedTuple):
+    """How long a drive went forward, in reverse, and stood; how often it changed direction."""
+
+    forward_s: float
+    reverse_s: float
+    standing_s: float
+    reversals: int
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSummary:
+    """A track in numbers. Counts are of input fixes, sigmas of the accepted among them.
+
+    `reasons` are those of rejected fixes, the commonest first: how many, and one of the
+    sentences that differ in numbers only.
+    """
+
+    datum: Datum
+    heading_source: str
+    ok: int
+    held: int
+    rejected: int
+    reasons: tuple[tuple[int, str], ...]
+    duration_s: float
+    distance_m: float
+    gears: Gears
+    heading_sigma_deg: Spread | None
+    position_sigma_m: Spread | None
+    report: PoseReport
+
+    @property
+    def fixes(self) -> int:
+        """How many fixes went in."""
+        return self.ok + self.held + self.rejected
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what is unknown is null."""
+        datum, heading, position = self.datum, self.heading_sigma_deg, self.position_sigma_m
+        return {
+            "datum": {
+                "lat_deg": datum.lat_deg,
+                "lon_deg": datum.lon_deg,
+                "height_m": datum.height_m,
+            },
+            "heading_source": self.heading_source,
+            "fixes": self.fixes,
+            "ok": self.ok,
+            "held": self.held,
+            "rejected": self.rejected,
+            "reasons": [{"fixes": count, "example": example} for count, example in self.reasons],
+            "duration_s": self.duration_s,
+            "distance_m": self.distance_m,
+            **self.gears._asdict(),
+            "heading_sigma_deg": None if heading is None else heading._asdict(),
+            "position_sigma_m": None if position is None else position._asdict(),
+            **self.report.as_dict(),
+        }
+
+
+def summarise_track(estimate: Estimate) -> TrackSummary:
+    """Count verdicts, gears and reasons of a track, and measure its way."""
+    track, at = estimate.trajectory, estimate.fix_row
+    statuses = Counter(track.status[k] for k in at.tolist())
+    refused = (k for k in at.tolist() if track.status[k] is Status.REJECTED)
+    used = at[track.accepted[at]]
+    first_ns, last_ns = track.time_ns[at].min(), track.time_ns[at].max()
+    return TrackSummary(
+        datum=track.datum,
+        heading_source=track.heading_source,
+        ok=statuses[Status.OK],
+        held=statuses[Status.HELD],
+        rejected=statuses[Status.REJECTED],
+        reasons=tuple(grouped_reasons(Counter(track.reason[k] for k in refused))),
+        duration_s=float(last_ns - first_ns) / 1e9,
+        distance_m=track.length_m(),
+        gears=_gears(track),
+        heading_sigma_deg=_spread(track.heading_sigma_deg[used]),
+        position_sigma_m=_spread(track.position_sigma_m[used]),
+        report=estimate.report,
+    )
+
+
+def _spread(values: _Float64) -> Spread | None:
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return None
+    return Spread(float(np.median(known)), float(np.percentile(known, 95.0)))
+
+
+def _gears(track: Trajectory) -> Gears:
+    """Times in each gear, over the poses that follow each other closely; an estimate that is
+    too unsure for a map, or stands for a rejected fix, still tells the gear."""
+    known = np.isfinite(track.heading_deg)
+    time_ns, gear = track.time_ns[known], track.gear[known]
+    step_ns = np.diff(time_ns)
+    step_s = np.where(step_ns <= MAX_GAP_NS, step_ns / 1e9, 0.0)
+    forward_s, reverse_s, standing_s = (
+        float(step_s[gear[:-1] == wanted].sum()) for wanted in (1, -1, 0)
+    )
+    moving = gear[gear != 0]
+    return Gears(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving))))
+
+
+def grouped_reasons(reasons: Mapping[str, int]) -> list[tuple[int, str]]:
+    """Reasons that differ in their numbers only, together: how many, and one of them."""
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for reason, count in reasons.items():
+        groups.setdefault(re.sub(r"\d+(\.\d+)?", "#", reason), []).append((count, reason))
+    totals = [(sum(n for n, _ in group), max(group)[1]) for group in groups.values()]
+    return sorted(totals, key=lambda total: -total[0])

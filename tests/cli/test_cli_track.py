@@ -1,0 +1,248 @@
+"""`fieldgrid track` as a user meets it: the table, what it prints, and how it fails."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+
+from fieldgrid.track import COLUMNS
+from tests.cli.conftest import Run
+from tests.conftest import TWO_LANES
+
+RTK = TWO_LANES / "gnss" / "gnss_rtk.nmea"
+SF1 = ("--gnss", "gnss_sf1.nmea")
+KEYS = {
+    *("track", "figure", "drive", "gnss", "datum", "heading_source", "fixes", "ok", "held"),
+    *("rejected", "reasons", "duration_s", "distance_m", "forward_s", "reverse_s", "standing_s"),
+    *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
+    *("clock_offset", "gyro_bias_dps", "notes"),
+}
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A name for a table, in a folder of its own."""
+    (tmp_path / "out").mkdir()
+    return tmp_path / "out" / "track.csv"
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        table = csv.DictReader(file)
+        found = list(table)
+    assert tuple(table.fieldnames or ()) == COLUMNS
+    return found
+
+
+# --- when all is well
+
+
+def test_the_table_of_a_recording(fieldgrid: Run, out: Path) -> None:
+    text = fieldgrid("track", TWO_LANES, "-o", out, *SF1).output()
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert lines[0] == "track two_lanes"
+    assert lines[-1] == f"track {out}"
+    found = rows(out)
+    times = [int(row["time_ns"]) for row in found]
+    assert times == sorted(times)
+    assert re.search(rf"^fixes +{len(found)}$", text, re.MULTILINE)
+    rejected = [row for row in found if row["status"] == "rejected"]
+    assert re.search(rf"^rejected +{len(rejected)}$", text, re.MULTILINE)
+    assert all(row["reason"] for row in rejected)
+    assert {row["status"] for row in found} == {"ok", "held", "rejected"}
+    assert {row["gear"] for row in found} == {"1", "0", "-1"}
+    assert re.search(r"^rejected \d+: HDOP \d+(\.\d+)? > 4$", text, re.MULTILINE)
+    assert re.search(r"^datum: .* 41\.65, -4\.72, 787\.4$", text, re.MULTILINE)
+    assert re.search(r"^gyro bias +-?\d\.\d{3} °/s$", text, re.MULTILINE)
+    assert "note: gnss_sf1.nmea: 6 damaged sentences skipped." in lines
+
+
+def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    """A folder of gnss/ and imu/ alone, with or without the calibration of a rig."""
+    folder = tmp_path / "june-03"
+    for name in ("gnss", "imu"):
+        shutil.copytree(TWO_LANES / name, folder / name)
+    bare = json.loads(fieldgrid("track", folder, "-o", out, *SF1, "--json").output())
+    assert (bare["drive"], bare["gnss"]) == ("june-03", "gnss_sf1.nmea")
+    assert bare["gyro_bias_dps"] is not None
+    antenna = rows(out)
+    shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
+    fieldgrid("track", folder, "-o", out, *SF1, "--datum", "41.65,-4.72,787.4").output()
+    # With the rig, poses are those of the ground below the camera, not of the antenna.
+    height = [float(r["height_m"]) for r in (antenna[99], rows(out)[99])]
+    assert height[0] - height[1] == pytest.approx(2.65 + 0.35, abs=0.01)
+
+
+def test_a_log_alone(fieldgrid: Run, out: Path) -> None:
+    text = fieldgrid("track", RTK, "-o", out).output()
+    assert text.startswith("track gnss_rtk")
+    assert "gyro bias" not in text
+    first, *_ = rows(out)
+    # Its datum is its first fix, and its poses are the antenna's.
+    assert abs(float(first["east_m"])) < 0.2
+    assert abs(float(first["north_m"])) < 0.2
+    assert float(first["lat_deg"]) == pytest.approx(41.65038, abs=1e-4)
+
+
+def test_json_is_one_object_and_nothing_else(fieldgrid: Run, out: Path) -> None:
+    result = json.loads(fieldgrid("track", TWO_LANES, "-o", out, *SF1, "--json").output())
+    assert set(result) == KEYS
+    assert result["track"] == str(out)
+    assert result["figure"] is None
+    assert result["drive"] == "two_lanes"
+    assert result["gnss"] == "gnss/gnss_sf1.nmea"
+    assert result["datum"] == {"lat_deg": 41.65, "lon_deg": -4.72, "height_m": 787.4}
+    assert result["fixes"] == len(rows(out))
+    assert result["fixes"] == result["ok"] + result["held"] + result["rejected"]
+    assert sum(reason["fixes"] for reason in result["reasons"]) == result["rejected"]
+    assert result["reversals"] == 2
+    assert result["heading_sigma_deg"]["median"] < result["heading_sigma_deg"]["p95"]
+    assert "gnss_sf1.nmea: 6 damaged sentences skipped." in result["notes"]
+
+
+def test_the_datum_can_be_given(fieldgrid: Run, out: Path) -> None:
+    text = fieldgrid("track", RTK, "-o", out, "--datum", "41.6501,-4.7201,780", "--json").output()
+    assert json.loads(text)["datum"] == {"lat_deg": 41.6501, "lon_deg": -4.7201, "height_m": 780.0}
+    assert float(rows(out)[0]["north_m"]) == pytest.approx(31.4, abs=0.5)
+
+
+@pytest.mark.parametrize("source", ["course", "constant:-143"])
+def test_the_heading_can_be_chosen(source: str, fieldgrid: Run, out: Path) -> None:
+    arguments = ("track", TWO_LANES, "-o", out, "--gnss", RTK.name, "--heading", source, "--json")
+    assert json.loads(fieldgrid(*arguments).output())["heading_source"] == source
+    if source != "course":
+        assert {row["heading_deg"] for row in rows(out)} == {"-143.000"}
+
+
+def test_columns_can_be_named(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    log = tmp_path / "hof.csv"
+    lines = [f"{1_308_133_811 + k / 5:.1f},{41.65 + 3e-6 * k:.9f},-4.72,4" for k in range(60)]
+    log.write_text("\n".join(["Zeit,Breite,Laenge,Guete", *lines]) + "\n")
+    mapping = "time=Zeit,time_units=s,lat=Breite,lon=Laenge,quality=Guete"
+    fieldgrid("track", log, "-o", out, "--columns", mapping).output()
+    assert len(rows(out)) == 60
+    assert float(rows(out)[30]["heading_deg"]) == pytest.approx(0.0, abs=1.0)
+
+
+def test_settings_reach_the_verdicts(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    config = tmp_path / "strict.toml"
+    config.write_text("[pose]\nmax_heading_sigma_deg = 0.01\n")
+    text = fieldgrid("track", RTK, "-o", out, "--config", config).output()
+    assert {row["status"] for row in rows(out)} == {"rejected"}
+    assert re.search(r"^rejected \d+: heading sigma .* > 0\.01°$", text, re.MULTILINE)
+    assert re.search(r"^heading sigma, median / 95 % \(smooth\) +-$", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize("end", ["png", "svg", "PDF"])
+def test_a_figure_beside_the_table(end: str, fieldgrid: Run, out: Path) -> None:
+    figure = out.with_name(f"track.{end}")
+    text = fieldgrid("track", RTK, "-o", out, "--figure", figure).output()
+    assert text.endswith(f"track {out}\nfigure {figure}\n")
+    assert sorted(os.listdir(out.parent)) == sorted([out.name, figure.name])
+    if end == "png":
+        picture = cv2.imread(str(figure))
+        assert picture is not None
+        assert picture.shape[1] > picture.shape[0] > 700
+        assert picture.min() < 60
+
+
+def test_a_second_track_replaces_the_first(fieldgrid: Run, out: Path) -> None:
+    fieldgrid("track", RTK, "-o", out).output()
+    once = out.read_bytes()
+    fieldgrid("track", RTK, "-o", out).output()
+    assert out.read_bytes() == once  # the same drive, the same bits
+
+
+# --- when something is wrong
+
+
+def test_a_path_that_is_not_there(fieldgrid: Run, out: Path) -> None:
+    sentence = fieldgrid("track", "nowhere", "-o", out).sentence()
+    assert sentence == "nowhere does not exist; give the folder of a recording, or a GNSS log."
+
+
+def test_a_folder_that_holds_no_drive(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    sentence = fieldgrid("track", tmp_path / "photos", "-o", out).sentence()
+    assert "photos holds no drive: it is no recording, and has neither gnss/ nor" in sentence
+
+
+def test_an_empty_log(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    (tmp_path / "empty.nmea").touch()
+    sentence = fieldgrid("track", tmp_path / "empty.nmea", "-o", out).sentence()
+    assert "holds no position at all" in sentence
+    assert os.listdir(out.parent) == []
+
+
+def test_a_folder_without_a_log(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    (tmp_path / "drive" / "gnss").mkdir(parents=True)
+    sentence = fieldgrid("track", tmp_path / "drive", "-o", out).sentence()
+    assert "holds no position at all" in sentence
+
+
+def test_several_logs(fieldgrid: Run, out: Path) -> None:
+    sentence = fieldgrid("track", TWO_LANES, "-o", out).sentence()
+    assert "several GNSS logs: gnss_rtk.nmea, gnss_sf1.nmea; give --gnss NAME" in sentence
+
+
+def test_a_log_in_which_nothing_can_be_picked(fieldgrid: Run, out: Path) -> None:
+    sentence = fieldgrid("track", RTK, "-o", out, "--gnss", "x.nmea").sentence()
+    assert "is a log already, so 'x.nmea' cannot be picked in it" in sentence
+
+
+def test_the_log_itself_is_never_replaced(fieldgrid: Run, tmp_path: Path) -> None:
+    log = tmp_path / "rtk.nmea"
+    shutil.copy(RTK, log)
+    before = log.read_bytes()
+    sentence = fieldgrid("track", log, "-o", log).sentence()
+    assert "rtk.nmea exists already and is no track" in sentence
+    assert log.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [log]
+
+
+@pytest.mark.parametrize("place", ["not/track.csv", ""])
+def test_a_place_that_cannot_be_written(place: str, fieldgrid: Run, out: Path) -> None:
+    assert "folder" in fieldgrid("track", RTK, "-o", out.parent / place).sentence()
+    assert os.listdir(out.parent) == []
+
+
+def test_a_datum_of_another_country(fieldgrid: Run, out: Path) -> None:
+    sentence = fieldgrid("track", RTK, "-o", out, "--datum", "52,13,40").sentence()
+    assert "km from its datum" in sentence
+    assert os.listdir(out.parent) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--heading", "east", "'east' is none of smooth, course, recorded, constant:DEG"),
+        ("--columns", "lat", "'lat' is not KEY=COLUMN"),
+        ("--config", "none.toml", "none.toml cannot be read"),
+        ("--heading", "recorded", "has a heading of its own"),
+    ],
+)
+def test_values_that_cannot_be(
+    option: str, value: str, message: str, fieldgrid: Run, out: Path
+) -> None:
+    assert message in fieldgrid("track", RTK, "-o", out, option, value).sentence()
+    assert os.listdir(out.parent) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "Missing argument 'RECORDING|LOG'"),
+        ((RTK,), "Missing option '--out'"),
+        ((RTK, "-o", "t.csv", "--figure", "t.txt"), "t.txt ends in none of .png, .svg, .pdf"),
+        ((RTK, "-o", "t.csv", "--datum", "41"), "'41' is not LAT,LON,HEIGHT"),
+    ],
+)
+def test_wrong_use(arguments: tuple[object, ...], message: str, fieldgrid: Run) -> None:
+    assert message in " ".join(fieldgrid("track", *arguments).usage().split())

@@ -1,0 +1,75 @@
+"""The offset between the clocks of camera and receiver, injected and found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fieldgrid.motion import Motion
+from fieldgrid.pose import ClockOffset, PoseReport, estimate_poses
+from fieldgrid.rig import LeverArm
+from tests.scenes import paper_rig
+from tests.simulated import DATUM, SLALOM, Command, Drive, fixes_of, simulate, steps_of
+
+WEAVING = [*SLALOM, Command(4.0, 0.5), *SLALOM[1:]]
+
+
+def report(drive: Drive, late_s: float, *, seed: int = 0, noise_m: float = 0.01) -> PoseReport:
+    fixes = fixes_of(drive, 0.2, noise_m, seed=seed)
+    steps = steps_of(drive, 0.4, noise=1.0, late_s=late_s, seed=seed + 1)
+    return estimate_poses(fixes, None, DATUM, motion=Motion(steps=steps)).report
+
+
+@pytest.mark.parametrize("late_s", [-0.9, -0.2, 0.0, 0.33, 1.5])
+def test_late_images_are_found(late_s: float) -> None:
+    """What is to be added to the images' stamps is minus what they are late by."""
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    for seed in range(2):
+        found = report(drive, late_s, seed=seed).clock
+        assert found is not None
+        assert found.sigma_s < 0.05
+        assert abs(found.offset_s + late_s) < 3.0 * found.sigma_s
+        assert found.steps > 50
+
+
+def test_the_note_names_the_setting() -> None:
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    (note,) = (n for n in report(drive, 0.5).notes if "image_time_offset_s" in n)
+    assert "stamped +0.5" in note
+    assert "add -0.5" in note
+    assert "image_time_offset_s in recording.toml" in note
+    assert not any("image_time_offset_s" in n for n in report(drive, 0.0).notes)
+
+
+@pytest.mark.parametrize(
+    "commands", [[Command(40.0, 1.5)], [Command(3.0, 1.5, 0.2), Command(3.0, 1.0)]]
+)
+def test_an_even_or_short_drive_tells_no_offset(commands: list[Command]) -> None:
+    assert report(simulate(commands, 20.0, speed_mps=1.5), 0.3).clock is None
+
+
+def test_without_steps_there_is_none() -> None:
+    drive = simulate(SLALOM, 20.0)
+    assert estimate_poses(fixes_of(drive), None, DATUM).report.clock is None
+
+
+def test_the_camera_s_place_is_regarded() -> None:
+    """Steps are those of the grid origin, ahead of the axle."""
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    antenna = LeverArm(0.3, -0.5, 2.0)
+    rig = paper_rig(antenna=antenna, rear_axle_forward_m=-2.0)
+    at_axle = LeverArm(0.3, 1.5, 2.0)
+    fixes = fixes_of(drive, 0.2, 0.01, antenna=at_axle)
+    steps = steps_of(drive, 0.4, 2.0, noise=1.0, late_s=0.3)
+    found = estimate_poses(fixes, rig, DATUM, motion=Motion(steps=steps)).report.clock
+    assert found is not None
+    assert abs(found.offset_s + 0.3) < 3.0 * found.sigma_s
+
+
+def test_a_report_is_plain_values() -> None:
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    told = report(drive, 0.5).as_dict()
+    assert told["clock_offset"].keys() == set(ClockOffset._fields)
+    assert told["gyro_bias_dps"] is None
+    assert told["recorded_heading"] is None
+    assert not np.isnan(told["clock_offset"]["offset_s"])
