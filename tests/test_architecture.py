@@ -19,7 +19,7 @@ LAYERS = (
     ("errors", "geodesy", "angles", "kernel"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
     ("gnss", "course", "stereo", "odometry", "ground", "transfer"),
-    ("pose", "localgrid", "recording"),
+    ("pose", "localgrid", "recording", "moments"),
     ("mapfile", "settings"),
     ("rows", "route", "export", "figures", "evaluation", "view"),
     ("build", "live"),

@@ -169,7 +169,12 @@ def test_overviews_show_the_cells_at_their_place(path: Path) -> None:
 
 def test_the_layers_are_these_and_the_binary_tables_are_none(path: Path) -> None:
     layers = dict(pyogrio.list_layers(path).tolist())
-    assert layers == {"trajectory": "Point", "frame_position": "Point", "fieldgrid_session": None}
+    assert layers == {
+        "trajectory": "Point",
+        "frame_position": "Point",
+        "footprint": "Polygon",
+        "fieldgrid_session": None,
+    }
 
 
 def test_the_trajectory_is_a_layer_of_points_at_the_right_place(path: Path) -> None:
@@ -181,7 +186,7 @@ def test_the_trajectory_is_a_layer_of_points_at_the_right_place(path: Path) -> N
     fields = dict(zip(meta["fields"].tolist(), columns, strict=True))
     assert sorted(fields) == sorted(
         ["session", "time_ns", "up_m", "heading_deg", "heading_sigma_deg", "position_sigma_m",
-         "speed_mps", "quality", "status", "reason"]
+         "speed_mps", "gear", "quality", "status", "reason"]
     )  # fmt: skip
     for name in ("time_ns", "up_m", "heading_deg", "position_sigma_m", "speed_mps", "quality"):
         np.testing.assert_array_equal(fields[name], getattr(expected, name))
@@ -209,7 +214,7 @@ def test_the_frames_are_a_layer_of_points(path: Path) -> None:
 def test_the_system_lists_the_same_layers(path: Path) -> None:
     out = tool("ogrinfo", "-ro", "-so", "-al", str(path))
     assert re.findall(r"Layer name: (\w+)", out) == [
-        "trajectory", "frame_position", "fieldgrid_session",
+        "trajectory", "frame_position", "footprint", "fieldgrid_session",
     ]  # fmt: skip
 
 
@@ -232,6 +237,7 @@ def test_the_header_and_tables_are_those_of_geopackage_1_3(path: Path) -> None:
         "density": "tiles",
         "trajectory": "features",
         "frame_position": "features",
+        "footprint": "features",
         "fieldgrid_session": "attributes",
     }
     for row in contents.values():

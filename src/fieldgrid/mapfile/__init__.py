@@ -14,15 +14,24 @@ A session is in the map when its block ends, or not at all; a new map appears wh
 block ends. One process adds a session at a time, any number read meanwhile.
 """
 
+from fieldgrid.mapfile.cells import LAYERS
+from fieldgrid.mapfile.change import MEANING, Change, ChangeView
+from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
 from fieldgrid.mapfile.view import MapView
 
 __all__ = [
+    "LAYERS",
+    "MEANING",
+    "Change",
+    "ChangeView",
+    "Contribution",
     "FrameRecord",
     "MapFile",
     "MapView",
+    "Provenance",
     "Session",
     "SessionInfo",
     "create_map",

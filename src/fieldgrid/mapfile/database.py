@@ -50,10 +50,12 @@ def keep_one_file(connection: sqlite3.Connection, *, durable: bool) -> None:
 
     A write-ahead log would let readers in during a commit, but leaves two more files beside
     the map while anyone has it open, and copying the map without them loses what they hold.
-    A program that edited the map may have switched it to one; this switches it back.
+    A program that edited the map may have switched it to one; this switches it back. EXTRA is
+    FULL, and syncs the folder after the journal is gone: without that, a power cut just after a
+    commit can bring the journal back, which undoes it.
     """
     connection.execute("PRAGMA journal_mode = DELETE")
-    connection.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
+    connection.execute(f"PRAGMA synchronous = {'EXTRA' if durable else 'OFF'}")
 
 
 @contextmanager

@@ -76,6 +76,11 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
                 f"{path} has format version {version}, and this fieldgrid reads up to "
                 f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
             )
+        if version < schema.FORMAT_VERSION:
+            raise MapError(
+                f"{path} has format version {version} of an earlier fieldgrid, and this one reads "
+                f"{schema.FORMAT_VERSION}; build it again from its recordings."
+            )
         missing = sorted(({*schema.OWN_TABLES, *schema.LAYERS}) - tables)
         if missing:
             raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
