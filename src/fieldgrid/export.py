@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
 from fieldgrid.mapfile.publish import Draft
 
 _BLOCK_PX = 512
@@ -24,6 +26,28 @@ def export_geotiff(view: MapView, path: str | Path, *, overwrite: bool = False) 
     The file appears when it is complete. Raises MapExistsError when `path` exists and may not
     be overwritten, ConfigError when rasterio is not installed.
     """
+    bands = (view.density, view.observed.astype(np.uint8) * np.uint8(255))
+    _write(Path(path), view, bands, _tags(view), overwrite=overwrite)
+
+
+def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write what changed as a cloud-optimised GeoTIFF in the map's own plane.
+
+    One band with the number of each cell's `Change`; 0, never observed, is nodata. The tags
+    FIELDGRID_CHANGE_n say what each number means. Errors as in `export_geotiff`.
+    """
+    meanings = {f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change}
+    _write(Path(path), view, (view.change,), {**_tags(view), **meanings}, overwrite=overwrite)
+
+
+def _write(
+    path: Path,
+    view: MapView | ChangeView,
+    bands: Sequence[npt.NDArray[np.uint8]],
+    tags: dict[str, str],
+    *,
+    overwrite: bool,
+) -> None:
     try:
         import rasterio
         from rasterio.enums import ColorInterp
@@ -33,14 +57,14 @@ def export_geotiff(view: MapView, path: str | Path, *, overwrite: bool = False) 
             "Writing a GeoTIFF needs rasterio, which is not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
-    path = Path(path)
     draft = Draft(path, overwrite=overwrite)
     try:
-        with rasterio.open(draft.file, "w", **_profile(view)) as dataset:
-            dataset.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
-            dataset.update_tags(**_tags(view))
-            dataset.write(view.density[::-1], 1)
-            dataset.write(view.observed[::-1].astype(np.uint8) * np.uint8(255), 2)
+        with rasterio.open(draft.file, "w", **_profile(view, len(bands))) as dataset:
+            if len(bands) > 1:
+                dataset.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
+            dataset.update_tags(**tags)
+            for number, band in enumerate(bands, 1):
+                dataset.write(band[::-1], number)
         draft.publish()
     except (RasterioError, OSError) as error:
         if isinstance(error, MapWriteError):
@@ -52,7 +76,7 @@ def export_geotiff(view: MapView, path: str | Path, *, overwrite: bool = False) 
         draft.discard()
 
 
-def _profile(view: MapView) -> dict[str, Any]:
+def _profile(view: MapView | ChangeView, bands: int) -> dict[str, Any]:
     from rasterio.crs import CRS
     from rasterio.transform import Affine
 
@@ -61,18 +85,20 @@ def _profile(view: MapView) -> dict[str, Any]:
     return {
         "driver": "COG",
         "dtype": "uint8",
-        "count": 2,
+        "count": bands,
         "width": view.window.width,
         "height": view.window.height,
         "crs": CRS.from_wkt(view.datum.crs_wkt("WKT1_GDAL")),
         "transform": Affine(cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m),
         "compress": "DEFLATE",
         "blocksize": _BLOCK_PX,
-        "overview_resampling": "AVERAGE",
+        # Numbers that stand for something have no average; 0 is nodata where they do.
+        "overview_resampling": "AVERAGE" if bands > 1 else "MODE",
+        "nodata": None if bands > 1 else 0,
     }
 
 
-def _tags(view: MapView) -> dict[str, str]:
+def _tags(view: MapView | ChangeView) -> dict[str, str]:
     return {
         "FIELDGRID_DATUM_LAT_DEG": repr(float(view.datum.lat_deg)),
         "FIELDGRID_DATUM_LON_DEG": repr(float(view.datum.lon_deg)),

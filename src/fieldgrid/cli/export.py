@@ -20,15 +20,20 @@ def command(
         tuple[float, float, float, float] | None,
         typer.Option(metavar="W S E N", help="Crop, metres east and north."),
     ] = None,
+    at: Annotated[
+        str | None, typer.Option(metavar="SESSION|DATE", help="The map as of then.")
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an existing file.")
     ] = False,
 ) -> None:
     """Write the density as GeoTIFF: band 1 the value, band 2 whether it was seen.
 
-    Example:
+    Examples:
 
         fieldgrid export vineyard.gpkg vineyard.tif --cell 0.25
+
+        fieldgrid export vineyard.gpkg spring.tif --at 2026-06-03
     """
     if out.suffix.lower() not in {".tif", ".tiff"}:
         raise typer.BadParameter(f"{out.name} does not end in .tif, the format there is")
@@ -39,6 +44,6 @@ def command(
     with open_map(map_) as universal:
         if crop is not None:
             parse.check_inside(crop, universal.bounds, universal.cell_m)
-        view = universal.read(crop, cell)
+        view = universal.read(crop, cell, at=at)
     export_geotiff(view, out, overwrite=overwrite)
     typer.echo(f"GeoTIFF {out}")

@@ -16,10 +16,12 @@ block ends. One process adds a session at a time, any number read meanwhile.
 
 from fieldgrid.mapfile.cells import LAYERS
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
+from fieldgrid.mapfile.merge import Merged, merge_maps
 from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
+from fieldgrid.mapfile.verification import Verdict
 from fieldgrid.mapfile.view import MapView
 
 __all__ = [
@@ -31,10 +33,13 @@ __all__ = [
     "FrameRecord",
     "MapFile",
     "MapView",
+    "Merged",
     "Provenance",
     "Session",
     "SessionInfo",
+    "Verdict",
     "create_map",
+    "merge_maps",
     "open_map",
     "read_datum",
 ]

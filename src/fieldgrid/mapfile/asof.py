@@ -12,44 +12,34 @@ from fieldgrid.mapfile.records import SessionInfo
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def drive_order(info: SessionInfo) -> tuple[int, str]:
-    """Sorts sessions by the end of their drive, and by name where that is the same."""
-    return (-1 if info.last_time_ns is None else info.last_time_ns), info.name
+def in_drive_order(sessions: Sequence[SessionInfo]) -> list[SessionInfo]:
+    """The active sessions by the end of their drives; as they were added where that is alike."""
+    active = [info for info in sessions if info.active]
+    return sorted(active, key=lambda info: -1 if info.last_time_ns is None else info.last_time_ns)
 
 
-def moment_ns(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> int:
-    """UTC in nanoseconds: the end of the session of that name, or of a day or time as in ISO 8601.
+def until(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> list[SessionInfo]:
+    """The active sessions as of a moment, in the order of their drives; there may be none.
 
-    Raises ConfigError for what is neither, or a session that has no time.
+    `at` is a session, which is the last of them; a day or time as in ISO 8601 (UTC); or UTC in
+    nanoseconds. Raises ConfigError for what is neither, or a session that has no time.
     """
-    if isinstance(at, int):
-        return at
+    ordered = in_drive_order(sessions)
     named = next((info for info in sessions if info.name == at), None)
     if named is None:
-        return _parsed_ns(at, sessions, path)
+        moment = at if isinstance(at, int) else _parsed_ns(at, sessions, path)
+        return [
+            info
+            for info in ordered
+            if info.last_time_ns is not None and info.last_time_ns <= moment
+        ]
     if not named.active:
         raise ConfigError(
             f"Session {at!r} of {path} is removed; put it back with --restore, or give a date."
         )
     if named.last_time_ns is None:
         raise ConfigError(f"Session {at!r} of {path} has no frames, so it has no date; give one.")
-    return named.last_time_ns
-
-
-def until(sessions: Sequence[SessionInfo], moment: int) -> list[SessionInfo]:
-    """The sessions whose drive had ended by a moment, in the order of their drives."""
-    timed = [info for info in sessions if info.last_time_ns is not None]
-    return sorted((info for info in timed if (info.last_time_ns or 0) <= moment), key=drive_order)
-
-
-def date_of(time_ns: int | None) -> str:
-    """The UTC day of a moment, as a user would give it."""
-    if time_ns is None:
-        return "-"
-    try:
-        return (_EPOCH + timedelta(microseconds=time_ns // 1000)).date().isoformat()
-    except OverflowError:
-        return "-"
+    return ordered[: ordered.index(named) + 1]
 
 
 def _parsed_ns(text: str, sessions: Sequence[SessionInfo], path: Path) -> int:

@@ -15,7 +15,7 @@ from fieldgrid.lattice import TILE_CELLS, TileIndex
 from fieldgrid.mapfile.codec import decode_moments, encode_moments
 from fieldgrid.mapfile.layers import hide_session, show_session
 from fieldgrid.mapfile.pyramid import Backlog, Pyramid, Sums
-from fieldgrid.mapfile.records import FRAME_SQL, frame_record
+from fieldgrid.mapfile.records import FRAME_SQL, FrameRecord, frame_record
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.staging import SessionFold, Staging
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -31,10 +31,16 @@ def show(
     name: str,
     track: Trajectory | None,
     fold: SessionFold,
+    *,
+    evidence: sqlite3.Connection | None = None,
 ) -> None:
-    """Bring a session into the map, or up to date in it, within the caller's transaction."""
+    """Bring a session into the map, or up to date in it, within the caller's transaction.
+
+    Its frames are read from `evidence` where that is another database.
+    """
     hide_session(connection, session_id, name)
-    show_session(connection, session_id, name, track)
+    frames = frames_of(evidence or connection, session_id)
+    show_session(connection, session_id, name, frames, track)
     _put_cells(connection, matrices, session_id, fold)
 
 
@@ -52,16 +58,21 @@ def fold_evidence(
     """The fold over the stored frames of a session; to be closed."""
     fold = SessionFold(matrices.lattice, transfer, Staging())
     try:
-        rows = connection.execute(
-            f"{FRAME_SQL} WHERE f.session_id = ? AND f.status = 'ok' ORDER BY f.id", (session_id,)
-        ).fetchall()
-        for row in rows:
-            record = frame_record(row, blobs_of(connection, row[0]))
-            fold.add(record.grid(), record.pose)
+        for record in frames_of(connection, session_id):
+            if record.accepted:
+                fold.add(record.grid(), record.pose)
     except BaseException:
         fold.close()
         raise
     return fold
+
+
+def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameRecord]:
+    """The stored frames of a session in the order in which they were added."""
+    rows = connection.execute(
+        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.id", (session_id,)
+    ).fetchall()
+    return [frame_record(row, blobs_of(connection, row[0])) for row in rows]
 
 
 def blobs_of(connection: sqlite3.Connection, frame_id: int) -> Callable[[], tuple[object, object]]:

@@ -12,7 +12,7 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, TileIndex, Window, tile_window
 from fieldgrid.mapfile.arrays import Array, Kind, read_arrays, trajectory_of
-from fieldgrid.mapfile.asof import drive_order
+from fieldgrid.mapfile.asof import in_drive_order
 from fieldgrid.mapfile.codec import decode_sums
 from fieldgrid.mapfile.derived import stored_moments
 from fieldgrid.mapfile.records import (
@@ -58,7 +58,7 @@ class Evidence:
 
     def active(self) -> list[SessionInfo]:
         """The sessions that are in the universal grid, in the order of their drives."""
-        return sorted((info for info in self.sessions() if info.active), key=drive_order)
+        return in_drive_order(self.sessions())
 
     def check_sessions(self, names: Collection[str], *, active: bool = False) -> None:
         """Raise ConfigError for the first name that is not in the map, or, if asked, removed."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile.geometry import encode_point, encode_polygon
-from fieldgrid.mapfile.records import FRAME_SQL, FrameRecord, frame_record
+from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import GEOMETRIES
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
@@ -34,13 +34,13 @@ class _Feature(NamedTuple):
 
 
 def show_session(
-    connection: sqlite3.Connection, session_id: int, name: str, track: Trajectory | None
+    connection: sqlite3.Connection,
+    session_id: int,
+    name: str,
+    frames: list[FrameRecord],
+    track: Trajectory | None,
 ) -> None:
     """Put the features of a session into the layers."""
-    rows = connection.execute(
-        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.id", (session_id,)
-    ).fetchall()
-    frames = [frame_record(row, _no_blobs) for row in rows]
     _insert(connection, session_id, "trajectory", _fixes(name, track))
     _insert(connection, session_id, "frame_position", _positions(frames))
     _insert(connection, session_id, "footprint", _footprints(frames))
@@ -131,7 +131,3 @@ def _announce_extents(connection: sqlite3.Connection) -> None:
             "WHERE table_name = ?1",
             (layer,),
         )
-
-
-def _no_blobs() -> tuple[object, object]:
-    raise AssertionError("layers show no cells")

@@ -12,7 +12,9 @@ import zlib
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.mapfile.codec import deflate
+from fieldgrid.errors import MapError
+from fieldgrid.lattice import TILE_CELLS
+from fieldgrid.mapfile.codec import deflate, inflate
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY_ALPHA = 4
@@ -39,6 +41,27 @@ def encode_png(density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]) 
             _chunk(b"IEND", b""),
         )
     )
+
+
+def decode_png(blob: object, what: str) -> npt.NDArray[np.uint8]:
+    """Grey and alpha [rows, columns, 2] of a PNG as written here, its upper row first.
+
+    `what` names it in the MapError for anything else.
+    """
+    damaged = MapError(f"The stored {what} is damaged. Repair the map.")
+    start = len(_SIGNATURE) + 8
+    if not isinstance(blob, bytes) or len(blob) < start + 33 or not blob.startswith(_SIGNATURE):
+        raise damaged
+    width, height, *kind = struct.unpack(">IIBBBBB", blob[start : start + 13])
+    (size,) = struct.unpack(">I", blob[start + 17 : start + 21])
+    data = blob[start + 25 : start + 25 + size]
+    if (width, height) != (TILE_CELLS, TILE_CELLS) or kind != [_BIT_DEPTH, _GREY_ALPHA, 0, 0, 0]:
+        raise damaged
+    rows = np.frombuffer(inflate(data, height * (1 + 2 * width), what), dtype=np.uint8)
+    rows = rows.reshape(height, 1 + 2 * width)
+    if rows[:, 0].any():
+        raise damaged
+    return rows[:, 1:].reshape(height, width, 2)
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile.asof import date_of, moment_ns, until
+from fieldgrid.mapfile.asof import until
 from fieldgrid.mapfile.cells import LayerTally, Tally, tally_folded, tally_stored, with_layers
 from fieldgrid.mapfile.change import ChangeTally, ChangeView
 from fieldgrid.mapfile.evidence import Evidence
@@ -87,14 +87,14 @@ def read_change(
 ) -> ChangeView:
     """What changed between two moments; ConfigError when no drive is up to or after the first."""
     check_size(request.lattice, request.window)
-    active = evidence.active()
-    first_ns, second_ns = (moment_ns(at, evidence.sessions(), path) for at in between)
-    early = [info.name for info in until(active, first_ns)]
-    late = [info.name for info in until(active, second_ns) if info.name not in early]
+    sessions = evidence.sessions()
+    early, late = ([info.name for info in until(at, sessions, path)] for at in between)
+    late = [name for name in late if name not in early]
     if not early or not late:
+        gap = f"after {between[0]} and up to {between[1]}" if early else f"up to {between[0]}"
         raise ConfigError(
-            f"{path} has no session {_gap(early, first_ns, second_ns)}, so there is nothing to "
-            "compare; `fieldgrid sessions` lists the dates of its drives."
+            f"{path} has no session {gap}, so there is nothing to compare; `fieldgrid sessions` "
+            "lists the dates of its drives."
         )
     view = ChangeView(
         request.lattice,
@@ -111,12 +111,10 @@ def read_change(
 
 def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...]:
     """The active sessions as of a moment; ConfigError when there are none yet."""
-    moment = moment_ns(at, evidence.sessions(), path)
-    found = tuple(info.name for info in until(evidence.active(), moment))
+    found = tuple(info.name for info in until(at, evidence.sessions(), path))
     if not found:
         raise ConfigError(
-            f"{path} has no session up to {date_of(moment)}; `fieldgrid sessions` lists the dates "
-            "of its drives."
+            f"{path} has no session up to {at}; `fieldgrid sessions` lists the dates of its drives."
         )
     return found
 
@@ -136,9 +134,3 @@ def extent_of(evidence: Evidence, header: Header) -> Bounds:
 def _check_cells(lattice: Lattice, frames: list[FrameRecord]) -> None:
     for frame in frames:
         check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
-
-
-def _gap(early: list[str], first_ns: int, second_ns: int) -> str:
-    if not early:
-        return f"up to {date_of(first_ns)}"
-    return f"after {date_of(first_ns)} and up to {date_of(second_ns)}"

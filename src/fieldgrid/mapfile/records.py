@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile.codec import decode_grid, encode_grid
@@ -52,6 +54,13 @@ class SessionInfo:
     removed: str | None = None
     source_sha256: str = ""
     digest: str = ""
+
+    @property
+    def driven(self) -> str:
+        """The UTC day on which the drive ended, a dash when it has no frames."""
+        if self.last_time_ns is None:
+            return "-"
+        return str(np.datetime_as_string(np.datetime64(self.last_time_ns, "ns"), unit="D"))
 
     @property
     def active(self) -> bool:

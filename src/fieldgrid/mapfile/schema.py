@@ -234,6 +234,9 @@ OWN_TABLES = (
     "fieldgrid_tile",
 )
 
+DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
+"""Those of our own that follow from the others."""
+
 LAYERS = {
     "density": ("tiles", "3D density 0..255, bright alpha where observed"),
     "trajectory": ("features", "Where the vehicle was: one point per fix"),
@@ -264,6 +267,17 @@ def create(
     connection.executemany(
         "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _reference_systems(datum)
     )
+    announce_layers(connection, matrices)
+    connection.executemany(
+        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
+    )
+
+
+def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> None:
+    """List the layers for a GIS, still without extents, in place of what was listed of them."""
+    names = ", ".join(repr(layer) for layer in LAYERS)
+    for table in ("gpkg_geometry_columns", "gpkg_tile_matrix_set", "gpkg_contents"):
+        connection.execute(f"DELETE FROM {table} WHERE table_name IN ({names})")
     for table, (data_type, description) in LAYERS.items():
         srs_id = None if data_type == "attributes" else SRS_ID
         connection.execute(
@@ -280,9 +294,6 @@ def create(
     connection.execute(
         "INSERT INTO gpkg_tile_matrix_set VALUES ('density', ?, ?, ?, ?, ?)",
         (SRS_ID, -half_m, -half_m, half_m, half_m),
-    )
-    connection.executemany(
-        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
     )
 
 

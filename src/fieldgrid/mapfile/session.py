@@ -19,7 +19,7 @@ from fieldgrid.mapfile import derived
 from fieldgrid.mapfile.arrays import Array, Kind, array_rows, trajectory_arrays
 from fieldgrid.mapfile.database import explained, writing
 from fieldgrid.mapfile.digest import session_digest
-from fieldgrid.mapfile.records import frame_row, is_accepted
+from fieldgrid.mapfile.records import FrameRecord, frame_row, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL, software_version
 from fieldgrid.mapfile.staging import SessionFold, Staging
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -146,8 +146,20 @@ class Session:
         identity = f"{self._count:06d}" if frame_id is None else str(frame_id)
         quality = quality_at(self._about.trajectory, pose.time_ns)
         names = [str(image) for image in images]
+        self._keep(grid, pose, frame_row(grid, pose, identity, quality, names, images_sha256))
+
+    def add_record(self, frame: FrameRecord) -> None:
+        """Keep a frame of another map as it is there."""
+        grid, pose = frame.grid(), frame.pose
+        self._check(grid, pose)
+        row = frame_row(
+            grid, pose, frame.frame_id, frame.quality, frame.images, frame.images_sha256
+        )
+        self._keep(grid, pose, row)
+
+    def _keep(self, grid: LocalGrid, pose: Pose, row: tuple[Any, ...]) -> None:
         with explained(self._path, writing=True):
-            self._staging.add_frame(frame_row(grid, pose, identity, quality, names, images_sha256))
+            self._staging.add_frame(row)
             if is_accepted(pose):
                 self._fold.add(grid, pose)
         self._spec = grid.spec

@@ -33,6 +33,7 @@ from fieldgrid.mapfile.reading import (
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.mapfile.session import About, Session, about_session, name_is_taken
 from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.verification import Verdict, repair, verify
 from fieldgrid.mapfile.view import MapView
 from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
@@ -272,6 +273,28 @@ class MapFile:
         """The sessions, in the order in which they were added, removed ones included."""
         with reading(self._connection, self.path):
             return self._evidence.sessions()
+
+    def about(self, name: str) -> About:
+        """All that is kept of a session beside its frames, for `add_about` of another map."""
+        with reading(self._connection, self.path):
+            return revision.find(self._connection, self.path, self.datum, name).about
+
+    def has_datum(self, datum: Datum) -> bool:
+        """Whether a datum is that of the map, up to rounding."""
+        return self._header.is_datum(datum)
+
+    def verify(self) -> Verdict:
+        """Check the file, the evidence against its hashes, and that all else follows from it."""
+        with reading(self._connection, self.path):
+            return verify(self._connection, self.path, self._header)
+
+    def repair(self) -> None:
+        """Make everything anew that follows from the evidence: tiles, pictures, layers.
+
+        Raises MapError when the evidence itself is damaged.
+        """
+        with self._changing():
+            repair(self._connection, self.path, self._header)
 
     def sessions_at(self, at: str | int) -> list[str]:
         """The names of the active sessions as of a moment, in the order of their drives.
