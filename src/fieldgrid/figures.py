@@ -74,7 +74,7 @@ def change(view: ChangeView, *, title: str = "") -> Figure:
     bounds = view.bounds
     width_m, height_m = bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m
     scale = 9.0 / max(width_m, height_m)
-    figure = _figure((max(width_m * scale, 3.0) + 3.4, max(height_m * scale, 3.0) + 1.2))
+    figure = _figure((max(width_m * scale, 3.0) + 3.8, max(height_m * scale, 3.0) + 1.2))
     axes = figure.add_subplot()
     axes.imshow(
         view.change,
@@ -93,7 +93,7 @@ def change(view: ChangeView, *, title: str = "") -> Figure:
     legend = [
         Patch(facecolor=_CHANGES[kind], edgecolor="0.6", label=MEANING[kind]) for kind in Change
     ]
-    axes.legend(handles=legend, loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize="small")
+    figure.legend(handles=legend, loc="outside right upper", fontsize="small")
     return figure
 
 

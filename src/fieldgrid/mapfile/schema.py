@@ -224,18 +224,12 @@ CREATE TABLE fieldgrid_frame (
 );
 """
 
-OWN_TABLES = (
-    "fieldgrid_meta",
-    "fieldgrid_session",
-    "fieldgrid_frame",
-    "fieldgrid_array",
-    "fieldgrid_extent",
-    "fieldgrid_session_tile",
-    "fieldgrid_tile",
-)
+EVIDENCE_TABLES = ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_array")
 
 DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
-"""Those of our own that follow from the others."""
+"""Those of our own that follow from the evidence."""
+
+OWN_TABLES = ("fieldgrid_meta", *EVIDENCE_TABLES, *DERIVED_TABLES)
 
 LAYERS = {
     "density": ("tiles", "3D density 0..255, bright alpha where observed"),

@@ -18,7 +18,14 @@ from fieldgrid.mapfile import revision, schema
 from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.cells import check_layers
 from fieldgrid.mapfile.change import ChangeView
-from fieldgrid.mapfile.database import connect, explained, keep_one_file, reading, writing
+from fieldgrid.mapfile.database import (
+    clear_journal,
+    connect,
+    explained,
+    keep_one_file,
+    reading,
+    writing,
+)
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.provenance import Provenance, trace
@@ -187,6 +194,7 @@ class MapFile:
         try:
             if self._draft is not None and self._has_new_session and self._release.alive:
                 self._connection.close()
+                clear_journal(self.path.resolve())  # of a map that is to be replaced
                 self._draft.publish()
         finally:
             self._release()

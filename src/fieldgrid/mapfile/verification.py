@@ -76,7 +76,11 @@ def repair(connection: sqlite3.Connection, path: Path, header: Header) -> None:
 
     Raises MapError when the evidence itself is damaged: nothing can be made of that.
     """
-    damaged = [*_file(connection, path, header), *_evidence(connection, path, header)]
+    damaged = [
+        *_pages(connection),
+        *(line for table in schema.EVIDENCE_TABLES for line in _orphans(connection, table)),
+        *_evidence(connection, path, header),
+    ]
     if damaged:
         raise MapError(
             f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Remove "
@@ -109,11 +113,21 @@ def _derive(
 
 def _file(connection: sqlite3.Connection, path: Path, header: Header) -> Iterator[str]:
     """The file as SQLite and GeoPackage see it."""
+    yield from _pages(connection)
+    yield from _orphans(connection)
+
+
+def _pages(connection: sqlite3.Connection) -> Iterator[str]:
     for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
         if line != "ok":
             yield f"The file is damaged: {line}."
-    for table, row_id, parent, _ in connection.execute("PRAGMA foreign_key_check"):
-        yield f"Row {row_id} of {table} has no counterpart in {parent}."
+
+
+def _orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
+    """Rows of a table, or of all, that belong to nothing."""
+    check = f"foreign_key_check({table})" if table else "foreign_key_check"
+    for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
+        yield f"Row {row_id} of {name} has no counterpart in {parent}."
 
 
 def _evidence(connection: sqlite3.Connection, path: Path, header: Header) -> Iterator[str]:
