@@ -24,6 +24,7 @@ class Perceived(NamedTuple):
     frame: Frame
     grid: LocalGrid
     ground: FrameGround
+    images_sha256: tuple[str, str]
     decode_s: float
     match_s: float
     grid_s: float
@@ -51,12 +52,15 @@ def perceive(frames: Iterable[Frame], gridder: LocalGridder, jobs: int) -> Itera
 def _perceive_one(frame: Frame, gridder: LocalGridder) -> Perceived:
     start = time.thread_time()
     left, right = frame.images()
+    hashes = frame.left.sha256(), frame.right.sha256()
     decoded = time.thread_time()
     disparity = gridder.matcher.disparity(left, right)
     matched = time.thread_time()
     grid, ground = gridder.from_disparity(disparity)
     done = time.thread_time()
-    return Perceived(frame, grid, ground, decoded - start, matched - decoded, done - matched)
+    return Perceived(
+        frame, grid, ground, hashes, decoded - start, matched - decoded, done - matched
+    )
 
 
 @lru_cache(maxsize=8)

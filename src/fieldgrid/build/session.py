@@ -7,6 +7,7 @@ and no grid stays in memory.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from array import array
@@ -27,6 +28,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, create_map, open_map
 from fieldgrid.pose import estimate_poses
 from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording.stored import StoredRecording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
@@ -80,6 +82,7 @@ def add_recording(
         trajectory=trajectory,
         config=session_config(settings, recording.rig, gridder, every),
         source=recording.gnss_source,
+        source_sha256=_log_sha256(recording),
     ) as session:
         if progress is not None:
             progress(Progress(report.session, 0, total, 0.0))
@@ -112,6 +115,7 @@ def _add_frame(session: Session, perceived: Perceived, pose: Pose, report: Sessi
         pose,
         frame_id=frame.frame_id,
         images=(frame.left.name, frame.right.name),
+        images_sha256=perceived.images_sha256,
     )
     stages = report.stages
     stages.decode_s += perceived.decode_s
@@ -166,6 +170,14 @@ def session_config(
         "search": gridder.region._asdict(),
         "every": every,
     }
+
+
+def _log_sha256(recording: Recording) -> str:
+    """The hash of the log of fixes where that is a file, else nothing."""
+    if not (isinstance(recording, StoredRecording) and recording.gnss_source):
+        return ""
+    log = recording.folder / recording.gnss_source
+    return hashlib.sha256(log.read_bytes()).hexdigest() if log.is_file() else ""
 
 
 def _opening_report(

@@ -38,9 +38,9 @@ def command(
 
     In each cell the latest drive that observed it counts, on either side. Examples:
 
-        fieldgrid diff vineyard.gpkg --from june-03 --to june-17
+        fieldgrid diff vineyard.gpkg --from june-03 --to june-17 -o change.png
 
-        fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30 -o autumn.png --cell 0.25
+        fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30
     """
     from fieldgrid.mapfile import MEANING, open_map
 
