@@ -19,6 +19,13 @@ from fieldgrid.mapfile.codec import (
     encode_sums,
     inflate,
 )
+from fieldgrid.mapfile.planes import (
+    empty_stored,
+    from_stored,
+    from_stored_reference,
+    to_stored,
+    to_stored_reference,
+)
 
 
 @given(columns=st.integers(1, 40), rows=st.integers(1, 40), seed=st.integers(0, 99))
@@ -115,6 +122,15 @@ def test_moments_read_back_even_where_no_drive_has_them(
         moments[..., k] = values * np.uint64(unit if k < 3 else 1)
     moments[..., 4] = random.integers(0, 256, (256, 256), dtype=np.uint64)
     moments[random.random((256, 256)) >= share] = 0
+    cells, shift = moments.reshape(-1, 5), int(unit > 1)
+    stored, expected = empty_stored(len(cells)), empty_stored(len(cells))
+    to_stored(cells, shift, stored)
+    to_stored_reference(cells, shift, expected)
+    np.testing.assert_array_equal(stored, expected)
+    for back in (from_stored, from_stored_reference):
+        again = np.empty_like(cells)
+        back(stored, shift, again)
+        np.testing.assert_array_equal(again, cells)
     read = decode_moments(encode_moments(moments), "tile")
     np.testing.assert_array_equal(read, moments)
     assert read.dtype == np.uint64

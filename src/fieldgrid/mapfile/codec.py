@@ -14,8 +14,8 @@ import numpy.typing as npt
 from fieldgrid.errors import MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import TILE_CELLS
-from fieldgrid.moments import FRAMES, HIGHEST, PLANES, SQUARES, SUM, WEIGHT, Moments
-from fieldgrid.transfer import CELL_WEIGHT
+from fieldgrid.mapfile.planes import empty_stored, from_stored, to_stored
+from fieldgrid.moments import FRAMES, PLANES, Moments
 
 # Level 1 is 6 to 9 times as fast as level 6 here, for 10 to 15 % more bytes.
 _LEVEL = 1
@@ -104,19 +104,14 @@ def encode_moments(moments: Moments) -> bytes:
     """A tile's moments, uint64 [256, 256, 5], as six bytes and a stream.
 
     The header says how many zero bits were dropped from the right of the first three, and how
-    many low bytes follow of each quantity. Squares, frames and highest are stored as what they
-    differ by from a cell that was seen once, or always alike: mostly 0, which costs nothing.
+    many low bytes follow of each quantity, as :mod:`fieldgrid.mapfile.planes` makes them.
     """
     bits = int(np.bitwise_or.reduce(moments[..., :FRAMES], axis=None))
     shift = min(_MAX_SHIFT, (bits & -bits).bit_length() - 1) if bits else 0
-    stored = np.empty((PLANES, _TILE_AREA), dtype="<u8")
-    stored[:] = moments.reshape(_TILE_AREA, PLANES).T
-    stored[:FRAMES] >>= np.uint64(shift)
-    stored[SQUARES] -= _squares_when_alike(stored)
-    stored[FRAMES] = _zigzag(stored[FRAMES] - _frames_when_whole(stored[WEIGHT], shift))
-    stored[HIGHEST] = (stored[HIGHEST] - _mean_upwards(stored)) & np.uint64(0xFF)
+    stored = empty_stored(_TILE_AREA)
+    to_stored(moments.reshape(_TILE_AREA, PLANES), shift, stored)
     planes = [-(-int(quantity.max()).bit_length() // 8) for quantity in stored]
-    octets = stored.view(np.uint8).reshape(PLANES, _TILE_AREA, _WORD)
+    octets = stored.astype("<u8", copy=False).view(np.uint8).reshape(PLANES, _TILE_AREA, _WORD)
     kept = [octets[k, :, byte] for k, count in enumerate(planes) for byte in range(count)]
     return bytes((shift, *planes)) + deflate(b"".join(plane.tobytes() for plane in kept))
 
@@ -131,51 +126,14 @@ def decode_moments(blob: object, what: str) -> Moments:
     data = np.frombuffer(
         inflate(blob[PLANES + 1 :], _TILE_AREA * sum(planes), what), dtype=np.uint8
     ).reshape(-1, _TILE_AREA)
-    stored = np.zeros((PLANES, _TILE_AREA), dtype="<u8")
-    octets = stored.view(np.uint8).reshape(PLANES, _TILE_AREA, _WORD)
+    octets = np.zeros((PLANES, _TILE_AREA, _WORD), dtype=np.uint8)
     kept = [(k, byte) for k, count in enumerate(planes) for byte in range(count)]
     for plane, (k, byte) in zip(data, kept, strict=True):
         octets[k, :, byte] = plane
-    stored[HIGHEST] = (stored[HIGHEST] + _mean_upwards(stored)) & np.uint64(0xFF)
-    stored[FRAMES] = _unzigzag(stored[FRAMES]) + _frames_when_whole(stored[WEIGHT], shift)
-    stored[SQUARES] += _squares_when_alike(stored)
-    stored[:FRAMES] <<= np.uint64(shift)
-    moments = stored.T.astype(np.uint64, order="C")
-    return moments.reshape(TILE_CELLS, TILE_CELLS, PLANES)
-
-
-def _squares_when_alike(stored: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """The sum of squares of a cell whose values are all its mean, rounded down, modulo 2^64."""
-    alike: npt.NDArray[np.uint64] = stored[SUM] * stored[SUM]
-    alike //= np.maximum(stored[WEIGHT], np.uint64(1))
-    return alike
-
-
-def _frames_when_whole(weight: npt.NDArray[np.uint64], shift: int) -> npt.NDArray[np.uint64]:
-    """The frames of a cell to which each gave one whole local cell, rounded up."""
-    whole: npt.NDArray[np.uint64] = (weight << np.uint64(shift)) + np.uint64(CELL_WEIGHT - 1)
-    whole //= np.uint64(CELL_WEIGHT)
-    return whole
-
-
-def _mean_upwards(stored: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """The mean of a cell, rounded up, which the highest value is not below."""
-    divisor = np.maximum(stored[WEIGHT], np.uint64(1))
-    mean: npt.NDArray[np.uint64] = (stored[SUM] + divisor - np.uint64(1)) // divisor
-    return mean
-
-
-def _zigzag(difference: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """0, -1, 1, -2, ... (modulo 2^64) as 0, 1, 2, 3, ...: small numbers of both signs."""
-    signed = difference.view(np.int64)
-    stored: npt.NDArray[np.uint64] = ((signed << 1) ^ (signed >> 63)).view(np.uint64)
-    return stored
-
-
-def _unzigzag(stored: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    sign = np.uint64(0) - (stored & np.uint64(1))
-    difference: npt.NDArray[np.uint64] = (stored >> np.uint64(1)) ^ sign
-    return difference
+    stored = octets.view("<u8").reshape(PLANES, _TILE_AREA).astype(np.uint64, copy=False)
+    moments = np.empty((TILE_CELLS, TILE_CELLS, PLANES), dtype=np.uint64)
+    from_stored(stored, shift, moments.reshape(_TILE_AREA, PLANES))
+    return moments
 
 
 def _columns(weight_planes: int, sum_planes: int) -> list[int]:

@@ -29,7 +29,7 @@ SRS_ID = 100001
 GEOMETRIES = {"trajectory": "POINT", "frame_position": "POINT", "footprint": "POLYGON"}
 """Of the layers of features."""
 
-NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ', 'now')"
+NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ','now')"
 
 _WGS84_WKT = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
