@@ -491,3 +491,40 @@ def test_a_closed_map_says_so(path: Path) -> None:
     universal.close()
     with pytest.raises(MapError, match="is closed"):
         universal.read()
+
+
+def test_what_a_killed_writer_left_of_a_new_map_goes_with_the_next_one(tmp_path: Path) -> None:
+    done = run(
+        """
+        with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+            write_session(universal, "one", drive(3))
+            os.kill(os.getpid(), signal.SIGKILL)
+        """,
+        tmp_path / "map.gpkg",
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert any(name.endswith(".partial") for name in names_in(tmp_path))
+    other = create_map(tmp_path / "map.gpkg.gpkg", DATUM, cell_m=CELL_M)
+    mine = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)
+    late = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)  # leaves the living ones alone
+    for universal in (late, other, mine):
+        write_session(universal, "one", drive(1))
+    late.discard()
+    other.close()
+    mine.close()
+    assert names_in(tmp_path) == ["map.gpkg", "map.gpkg.gpkg"]
+
+
+def test_a_journal_that_was_never_needed_is_not_in_the_way_of_a_new_map(path: Path) -> None:
+    path.with_name("map.gpkg-journal").write_bytes(bytes(512))
+    write_map(path.with_name("other.gpkg"), [drive(1)])
+    with create_map(path, DATUM, cell_m=CELL_M, overwrite=True) as universal:
+        write_session(universal, "new", drive(2))
+    assert session_names(path) == ["new"]
+    assert names_in(path.parent) == ["map.gpkg", "other.gpkg"]
+
+
+def test_an_older_format_is_refused_with_what_to_do(path: Path) -> None:
+    older = changed(path, "UPDATE fieldgrid_meta SET value = '1' WHERE key = 'format_version'")
+    with pytest.raises(MapError, match=r"format version 1 .*build it again from its recordings"):
+        open_map(older)

@@ -7,12 +7,16 @@ import fcntl
 import glob
 import os
 import secrets
+import time
 from contextlib import suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapExistsError, MapWriteError
 
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
+
+_YOUNG_S = 60.0
+"""An empty draft may be of another program that is just about to hold it."""
 
 
 class Draft:
@@ -107,7 +111,8 @@ def _remove_orphans(place: Path) -> None:
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 # A draft of this very moment is not held yet, and is empty.
-                if orphan.stat().st_size > 0:
+                found = orphan.stat()
+                if found.st_size > 0 or time.time() - found.st_mtime > _YOUNG_S:
                     for stray in (*_companions(orphan), orphan):
                         stray.unlink(missing_ok=True)
             finally:
