@@ -119,7 +119,7 @@ def _put_cells(
                 (session_id, *tile),
             )
         # Unsigned, so what is taken away is added modulo 2^64.
-        return _sums(new) - _sums(old)
+        return _sums(new) if old is None else _sums(new) - _sums(old)
 
     try:
         pyramid = Pyramid(connection, matrices, backlog)

@@ -23,6 +23,40 @@ _ROUND_UP = np.uint64(CELL_WEIGHT - 1)
 
 
 @kernel
+def bits_of(values, columns):  # type: ignore[no-untyped-def]
+    """The bits that are set in any of the first `columns` of values [cells, n]."""
+    bits = np.uint64(0)
+    for k in range(values.shape[0]):
+        for column in range(columns):
+            bits |= values[k, column]
+    return bits
+
+
+@kernel
+def byte_planes(stored, counts, out):  # type: ignore[no-untyped-def]
+    """The `counts` low bytes of each row of stored [n, cells], as planes uint8 [sum, cells]."""
+    plane = 0
+    for row in range(stored.shape[0]):
+        for byte in range(counts[row]):
+            shift = np.uint64(8 * byte)
+            for k in range(stored.shape[1]):
+                out[plane, k] = np.uint8((stored[row, k] >> shift) & _BYTE)
+            plane += 1
+
+
+@kernel
+def from_byte_planes(planes, counts, stored):  # type: ignore[no-untyped-def]
+    """The rows of stored [n, cells], which are 0 before, from such planes."""
+    plane = 0
+    for row in range(stored.shape[0]):
+        for byte in range(counts[row]):
+            shift = np.uint64(8 * byte)
+            for k in range(stored.shape[1]):
+                stored[row, k] |= np.uint64(planes[plane, k]) << shift
+            plane += 1
+
+
+@kernel
 def to_stored(moments, shift, stored):  # type: ignore[no-untyped-def]
     """Fill `stored` from moments [cells, 5]; see `to_stored_reference`."""
     one, bits = np.uint64(1), np.uint64(shift)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.kernel import kernel
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.mapfile.codec import decode_sums, encode_sums
 from fieldgrid.mapfile.png import encode_png
@@ -274,9 +275,23 @@ def _named(zoom: int, tile: TileIndex) -> str:
 
 def halve(sums: Sums) -> Sums:
     """Sums over 2 x 2 cells, from [2h, 2w, 2] to [h, w, 2]."""
-    rows = sums[0::2] + sums[1::2]
-    halved: Sums = rows[:, 0::2] + rows[:, 1::2]
+    halved = np.empty((sums.shape[0] // 2, sums.shape[1] // 2, 2), dtype=np.uint64)
+    add_four(sums, halved)
     return halved
+
+
+@kernel
+def add_four(sums, halved):  # type: ignore[no-untyped-def]
+    """Fill halved [h, w, 2] with the sums over 2 x 2 cells of [2h, 2w, 2]."""
+    for j in range(halved.shape[0]):
+        for i in range(halved.shape[1]):
+            for k in range(2):
+                halved[j, i, k] = (
+                    sums[2 * j, 2 * i, k]
+                    + sums[2 * j, 2 * i + 1, k]
+                    + sums[2 * j + 1, 2 * i, k]
+                    + sums[2 * j + 1, 2 * i + 1, k]
+                )
 
 
 def union(a: Window | None, b: Window) -> Window:
