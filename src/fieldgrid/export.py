@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
+from fieldgrid.mapfile import LAYERS, MEANING, Change, ChangeView, MapView
 from fieldgrid.mapfile.publish import Draft
 
 _BLOCK_PX = 512
@@ -30,6 +31,22 @@ def export_geotiff(view: MapView, path: str | Path, *, overwrite: bool = False) 
     _write(Path(path), view, bands, _tags(view), overwrite=overwrite)
 
 
+def export_layer(view: MapView, name: str, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write a layer of a view as a cloud-optimised GeoTIFF in the map's own plane.
+
+    One band of the layer's own type. Unobserved cells are NaN where that can be said, else 0,
+    and nodata either way, but for `max`, in which 0 is also a density: it has a mask. Errors as
+    in `export_geotiff`.
+    """
+    values = view.layer(name)
+    if name == "max":
+        bands = (values, view.observed.astype(np.uint8) * np.uint8(255))
+        _write(Path(path), view, bands, _tags(view), overwrite=overwrite)
+        return
+    tags = {**_tags(view), "FIELDGRID_LAYER": name, "FIELDGRID_SAYS": LAYERS[name].says}
+    _write(Path(path), view, (values,), tags, overwrite=overwrite)
+
+
 def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False) -> None:
     """Write what changed as a cloud-optimised GeoTIFF in the map's own plane.
 
@@ -43,7 +60,7 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
 def _write(
     path: Path,
     view: MapView | ChangeView,
-    bands: Sequence[npt.NDArray[np.uint8]],
+    bands: Sequence[npt.NDArray[Any]],
     tags: dict[str, str],
     *,
     overwrite: bool,
@@ -59,7 +76,7 @@ def _write(
         ) from error
     draft = Draft(path, overwrite=overwrite)
     try:
-        with rasterio.open(draft.file, "w", **_profile(view, len(bands))) as dataset:
+        with rasterio.open(draft.file, "w", **_profile(view, bands)) as dataset:
             if len(bands) > 1:
                 dataset.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
             dataset.update_tags(**tags)
@@ -76,7 +93,7 @@ def _write(
         draft.discard()
 
 
-def _profile(view: MapView | ChangeView, bands: int) -> dict[str, Any]:
+def _profile(view: MapView | ChangeView, bands: Sequence[npt.NDArray[Any]]) -> dict[str, Any]:
     from rasterio.crs import CRS
     from rasterio.transform import Affine
 
@@ -84,17 +101,18 @@ def _profile(view: MapView | ChangeView, bands: int) -> dict[str, Any]:
     bounds = view.bounds
     return {
         "driver": "COG",
-        "dtype": "uint8",
-        "count": bands,
+        "dtype": bands[0].dtype.name,
+        "count": len(bands),
         "width": view.window.width,
         "height": view.window.height,
         "crs": CRS.from_wkt(view.datum.crs_wkt("WKT1_GDAL")),
         "transform": Affine(cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m),
         "compress": "DEFLATE",
         "blocksize": _BLOCK_PX,
-        # Numbers that stand for something have no average; 0 is nodata where they do.
-        "overview_resampling": "AVERAGE" if bands > 1 else "MODE",
-        "nodata": None if bands > 1 else 0,
+        # What became of a cell has no average.
+        "overview_resampling": "MODE" if isinstance(view, ChangeView) else "AVERAGE",
+        # With a mask of its own every value means something.
+        "nodata": None if len(bands) > 1 else math.nan if bands[0].dtype.kind == "f" else 0,
     }
 
 

@@ -255,3 +255,35 @@ def test_show_and_export_as_of_a_date(
         in fieldgrid(*show, "--session", "2", "--at", "0").sentence()
     )
     assert "no session up to 2020-01-01" in fieldgrid(*show, "--at", "2020-01-01").sentence()
+
+
+# --- layers
+
+
+@pytest.mark.parametrize(
+    ("layer", "value", "unseen"),
+    [
+        ("count", 4, 0),
+        ("sessions", 4, 0),
+        ("persistence", 0.5, None),
+        ("variance", 12125.0, None),
+        ("max", 250, 0),
+    ],
+)
+def test_export_of_a_layer(
+    layer: str, value: float, unseen: float | None, fieldgrid: Run, seasons: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "x.tif"
+    fieldgrid("export", seasons, out, "--layer", layer).output()
+    with rasterio.open(out) as raster:
+        assert next(raster.sample([(2.05, 3.05)]))[0] == pytest.approx(value)
+        (empty, *_) = next(raster.sample([(4.05, 1.05)]))
+        assert np.isnan(empty) if unseen is None else empty == unseen
+        assert next(raster.sample([(2.05, 3.05)], masked=True)).mask.sum() == 0
+        assert raster.res == (0.1, 0.1)
+
+
+def test_a_layer_that_is_none(fieldgrid: Run, seasons: Path, tmp_path: Path) -> None:
+    sentence = fieldgrid("export", seasons, tmp_path / "x.tif", "--layer", "height").sentence()
+    assert "There is no layer 'height'; there are density, count" in sentence
+    assert list(tmp_path.iterdir()) == []
