@@ -21,9 +21,8 @@ import numpy.typing as npt
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.mapfile.codec import decode_sums, encode_sums
-from fieldgrid.mapfile.png import encode_png
+from fieldgrid.mapfile.png import encode_mean
 from fieldgrid.mapfile.tiling import TileMatrixSet, children, parent
-from fieldgrid.transfer import mean_density
 
 Sums = npt.NDArray[np.uint64]
 
@@ -253,8 +252,8 @@ class Pyramid:
 
 
 def _encode(sums: Sums) -> _Encoded:
-    density, observed = mean_density(sums)
-    return _Encoded(encode_sums(sums), encode_png(density, observed), _seen_in(observed))
+    png, seen = encode_mean(sums)
+    return _Encoded(encode_sums(sums), png, seen)
 
 
 def _seen_in(observed: npt.NDArray[np.bool_]) -> Window:
