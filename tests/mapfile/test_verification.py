@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import MapError
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import merge_maps, open_map
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, track, write_map
 
@@ -128,12 +128,38 @@ def test_damage_of_the_evidence_is_found_and_not_repaired(
     path = changed(sound, tmp_path, statement)
     before = content(path, "tiles", "pictures", "fixes")
     assert problems(path)
+    if "session_id = 3" in statement:  # of a session that is removed, and not needed for repair
+        with open_map(path, writable=True) as universal:
+            universal.repair()
+            assert universal.verify().problems
+        return
     with (
         open_map(path, writable=True) as universal,
         pytest.raises(MapError, match="its evidence is damaged"),
     ):
         universal.repair()
     assert content(path, "tiles", "pictures", "fixes") == before
+
+
+# Not settings that are no JSON: without them the session cannot even be listed.
+OF_SESSION_0 = [one for one in EVIDENCE if "session_id = 3" not in one and "'{'" not in one]
+
+
+@pytest.mark.parametrize("statement", OF_SESSION_0)
+def test_a_session_whose_evidence_is_damaged_can_be_taken_out(
+    sound: Path, tmp_path: Path, statement: str
+) -> None:
+    path = changed(sound, tmp_path, statement)
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("0")
+        if "session_id = 2" in statement:  # a frame that came to another session damages both
+            universal.remove_session("1")
+            return
+        universal.repair()
+        assert universal.verify().problems  # that it is out does not make it sound
+    merge_maps([path], tmp_path / "rest.gpkg")
+    assert problems(tmp_path / "rest.gpkg") == ()
+    assert content(tmp_path / "rest.gpkg") == content(path)
 
 
 def test_noise_in_the_file_never_passes_for_sound(sound: Path, tmp_path: Path) -> None:

@@ -47,13 +47,14 @@ class _Found(NamedTuple):
 
 def remove(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
     """Take a session out of the map, within the caller's transaction."""
-    found = find(connection, path, header.datum, name)
-    if found.removed is not None:
+    # Its evidence is not looked at: a session may be taken out because that is damaged.
+    session_id, removed, *_ = _row_of(connection, path, name)
+    if removed is not None:
         raise ConfigError(f"Session {name!r} of {path} is removed already; --restore puts it back.")
     connection.execute(
-        f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (found.session_id,)
+        f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (session_id,)
     )
-    derived.hide(connection, TileMatrixSet(header.lattice), found.session_id, name)
+    derived.hide(connection, TileMatrixSet(header.lattice), session_id, name)
 
 
 def restore(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
@@ -150,18 +151,9 @@ def _check_complete(path: Path, name: str, frames: list[str], poses: Mapping[str
 
 def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) -> _Found:
     """A session by its name, with all that is kept beside its frames."""
-    row = connection.execute(
-        "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
-        "created FROM fieldgrid_session WHERE name = ?",
-        (name,),
-    ).fetchone()
-    if row is None:
-        known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")
-        raise ConfigError(
-            f"{path} has no session {name!r}; it has "
-            f"{', '.join(repr(other) for (other,) in known) or 'none'}."
-        )
-    session_id, removed, config, source, source_sha256, software, heading_source, created = row
+    session_id, removed, config, source, source_sha256, software, heading_source, created = _row_of(
+        connection, path, name
+    )
     try:
         columns = read_arrays(connection, session_id, Kind.TRAJECTORY)
         about = About(
@@ -177,3 +169,20 @@ def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) ->
     except MapError as error:
         raise MapError(f"Session {name!r} of {path} is damaged: {error}") from error
     return _Found(int(session_id), removed, about)
+
+
+def _row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, ...]:
+    """What a session's own row says; ConfigError when there is none of that name."""
+    row = connection.execute(
+        "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
+        "created FROM fieldgrid_session WHERE name = ?",
+        (name,),
+    ).fetchone()
+    if row is None:
+        known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")
+        raise ConfigError(
+            f"{path} has no session {name!r}; it has "
+            f"{', '.join(repr(other) for (other,) in known) or 'none'}."
+        )
+    found: tuple[Any, ...] = row
+    return found

@@ -79,12 +79,12 @@ def repair(connection: sqlite3.Connection, path: Path, header: Header) -> None:
     damaged = [
         *_pages(connection),
         *(line for table in schema.EVIDENCE_TABLES for line in _orphans(connection, table)),
-        *_evidence(connection, path, header),
+        *_evidence(connection, path, header, "WHERE removed IS NULL"),
     ]
     if damaged:
         raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Remove "
-            "that session and copy the map with `fieldgrid merge`, or restore a copy."
+            f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Take "
+            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
     for table in (*schema.DERIVED_TABLES, *schema.GEOMETRIES, "density"):
         connection.execute(f"DELETE FROM {table}")
@@ -130,11 +130,13 @@ def _orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
         yield f"Row {row_id} of {name} has no counterpart in {parent}."
 
 
-def _evidence(connection: sqlite3.Connection, path: Path, header: Header) -> Iterator[str]:
-    """Every frame and session against its own digest."""
+def _evidence(
+    connection: sqlite3.Connection, path: Path, header: Header, which: str = ""
+) -> Iterator[str]:
+    """Every frame and session, or those of `which`, against its own digest."""
     sessions = connection.execute(
         "SELECT id, name, digest, frames, grid_width_m, grid_length_m, grid_cell_m, "
-        "heading_source FROM fieldgrid_session ORDER BY id"
+        f"heading_source FROM fieldgrid_session {which} ORDER BY id"
     ).fetchall()
     for session_id, name, digest, count, *grid, heading_source in sessions:
         frames: list[str] = []
