@@ -89,7 +89,7 @@ def encode_sums(sums: npt.NDArray[np.uint64]) -> bytes:
     counts = np.array([max(1, -(-int(row.max()).bit_length() // 8)) for row in stored])
     octets = np.empty((counts.sum(), _TILE_AREA), dtype=np.uint8)
     byte_planes(stored, counts, octets)
-    return bytes((*counts.tolist(), shift)) + deflate(octets.data)
+    return bytes((*counts.tolist(), shift)) + deflate(octets.data, zlib.Z_RLE)
 
 
 def decode_sums(blob: object, what: str) -> npt.NDArray[np.uint64]:
@@ -123,7 +123,9 @@ def encode_moments(moments: Moments) -> bytes:
     counts = np.array([-(-int(quantity.max()).bit_length() // 8) for quantity in stored])
     octets = np.empty((counts.sum(), _TILE_AREA), dtype=np.uint8)
     byte_planes(stored, counts, octets)
-    return bytes((shift, *counts.tolist())) + deflate(octets.data if octets.size else b"")
+    return bytes((shift, *counts.tolist())) + deflate(
+        octets.data if octets.size else b"", zlib.Z_RLE
+    )
 
 
 def decode_moments(blob: object, what: str) -> Moments:
