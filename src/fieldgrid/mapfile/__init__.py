@@ -10,6 +10,9 @@ from it. QGIS and GDAL open the file as it is; `docs/map-format.md` says what is
     view = open_map("vineyard.gpkg").read(cell_m=0.25)
     view.density, view.observed, view.bounds
 
+    with open_map("vineyard.gpkg", writable=True) as universal:
+        universal.remove_session("june-03")  # and restore_session, repose, repair
+
 A session is in the map when its block ends, or not at all; a new map appears when its own
 block ends. One process adds a session at a time, any number read meanwhile.
 """
