@@ -10,7 +10,7 @@ SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench accuracy fuzz format lock clean
+.PHONY: help demo test check bench crash accuracy heading fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +32,10 @@ check: .venv/installed ## Check style, types, and the code and commands in the d
 
 bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks
+
+crash: .venv/installed ## Kill writers and break their disk, hundreds of times (some minutes)
+	$(PY) -m tests.crash.kills 250
+	$(PY) -m tests.crash.failures 40
 
 accuracy: .venv/installed ## Measure the accuracy of the maps
 	$(PY) -m benchmarks.accuracy

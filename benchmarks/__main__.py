@@ -1,6 +1,7 @@
 """`make bench`: speed as ratios to something known in the same run, and memory.
 
-Run it on an otherwise idle machine. The figures of docs/accuracy.md come from here.
+Run it on an otherwise idle machine; it takes some minutes, and 3 GB of disk for a map of 100 ha
+(not with --no-hectares). The figures of docs/accuracy.md come from here.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numba
 import numpy as np
 
 from benchmarks import EXAMPLE
+from benchmarks.lasting import Line, measure_map
 from benchmarks.long_drive import write_long_drive
 from benchmarks.timing import paired_ms
 from fieldgrid import ground
@@ -41,14 +42,6 @@ FULL_DISPARITIES = 128
 LONG_DRIVES = (100, 1000)
 
 
-class Line(NamedTuple):
-    """One measured figure, and what was asked of it."""
-
-    what: str
-    value: str
-    asked: str = ""
-
-
 def main() -> None:
     """Measure and print everything."""
     print(
@@ -59,10 +52,11 @@ def main() -> None:
         ("chain", measure_chain()),
         ("kernels", measure_kernels()),
         ("memory", measure_memory()),
+        ("map file", measure_map(large="--no-hectares" not in sys.argv[1:])),
     ):
         print(f"\n{title}")
         for line in lines:
-            print(f"  {line.what:<58} {line.value:>16}  {line.asked}")
+            print(f"  {line.what:<58} {line.value:>16}  {line.asked}", flush=True)
 
 
 def measure_chain() -> Iterator[Line]:

@@ -19,7 +19,7 @@ LAYERS = (
     ("errors", "geodesy", "angles", "kernel"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
     ("gnss", "course", "gear", "smoother", "stereo", "odometry", "ground", "transfer"),
-    ("pose", "localgrid", "recording"),
+    ("pose", "localgrid", "recording", "moments"),
     ("mapfile", "settings"),
     ("rows", "route", "export", "figures", "track", "evaluation", "view"),
     ("build", "live"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import shutil
 import sqlite3
 import threading
@@ -159,6 +160,13 @@ def test_the_session_keeps_what_made_it(two_lanes_map: Path) -> None:
         ("left", "000000.jpg"),
         ("right", "000000.jpg"),
     ]
+    log = TWO_LANES / "gnss" / "gnss_rtk.nmea"
+    assert info.source_sha256 == hashlib.sha256(log.read_bytes()).hexdigest()
+    assert first.images_sha256 == tuple(
+        hashlib.sha256((TWO_LANES / side / "000000.jpg").read_bytes()).hexdigest()
+        for side in ("left", "right")
+    )
+    assert first.quality == 4
 
 
 def test_with_the_rough_log_no_pose_is_silently_wrong(tmp_path: Path) -> None:
@@ -709,6 +717,9 @@ class Watched:
         image = self.image.read()
         self.alive.watch(image)
         return image
+
+    def sha256(self) -> str:
+        return self.image.sha256()
 
 
 class LongDrive:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.lattice import Bounds
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import merge_maps, open_map
     from fieldgrid.recording import open_recording
     from fieldgrid.settings import BuildSettings
     from fieldgrid.trajectory import Pose, Trajectory
@@ -42,6 +42,7 @@ _HOMES = {
     "export_geotiff": "export",
     "figures": "",
     "local_grid": "build",
+    "merge_maps": "mapfile",
     "open_map": "mapfile",
     "open_recording": "recording",
     "read_truth": "evaluation",
@@ -64,6 +65,7 @@ __all__ = [
     "export_geotiff",
     "figures",
     "local_grid",
+    "merge_maps",
     "open_map",
     "open_recording",
     "read_truth",

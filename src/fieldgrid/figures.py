@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
 from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.mapfile import FrameRecord, MapView
+from fieldgrid.mapfile import MEANING, Change, ChangeView, FrameRecord, MapView
 from fieldgrid.mapfile.publish import Draft
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
@@ -29,6 +30,16 @@ UNSEEN = "#cfdbe6"
 """Colour of cells that no frame has seen: neither bright nor dark."""
 
 _DENSITY = LinearSegmentedColormap.from_list("density", ["#ffffff", "#000000"])
+_CHANGES = {
+    Change.UNKNOWN: UNSEEN,
+    Change.FREE: "#ffffff",
+    Change.STAYED: "#404040",
+    Change.APPEARED: "#c1121f",
+    Change.VANISHED: "#1d6fd1",
+    Change.NEW_OBSTACLE: "#e08e45",
+    Change.NEW_FREE: "#f2ecd8",
+    Change.NOT_SEEN_AGAIN: "#a9b4bd",
+}
 _GRID_POINT, _REJECTED_POINT = "#0b6e4f", "#c1121f"
 
 
@@ -89,6 +100,34 @@ def heading(track: list[Trajectory], frames: list[FrameRecord]) -> Figure:
     """Heading against time, with its 3-sigma band (Figs. 7b, 10b, 12b)."""
     figure = _figure((9.0, 4.0))
     draw_heading(figure.add_subplot(), track, frames)
+    return figure
+
+
+def change(view: ChangeView, *, title: str = "") -> Figure:
+    """What changed between two moments: a colour for what became of each cell."""
+    bounds = view.bounds
+    width_m, height_m = bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m
+    scale = 9.0 / max(width_m, height_m)
+    figure = _figure((max(width_m * scale, 3.0) + 3.8, max(height_m * scale, 3.0) + 1.2))
+    axes = figure.add_subplot()
+    axes.imshow(
+        view.change,
+        origin="lower",
+        extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
+        cmap=ListedColormap([_CHANGES[kind] for kind in Change]),
+        vmin=0,
+        vmax=len(Change) - 1,
+        interpolation="none",
+        aspect="equal",
+    )
+    axes.set_xlabel("east (m)")
+    axes.set_ylabel("north (m)")
+    axes.ticklabel_format(useOffset=False)
+    axes.set_title(title or f"{', '.join(view.after)} against {', '.join(view.before)}", wrap=True)
+    legend = [
+        Patch(facecolor=_CHANGES[kind], edgecolor="0.6", label=MEANING[kind]) for kind in Change
+    ]
+    figure.legend(handles=legend, loc="outside right upper", fontsize="small")
     return figure
 
 

@@ -50,6 +50,10 @@ class Datum:
                 "give the ellipsoidal height in metres."
             )
 
+    def described(self) -> str:
+        """Latitude, longitude and height as text, to a tenth of a millimetre and a millimetre."""
+        return f"{self.lat_deg:.9f} {self.lon_deg:.9f} {self.height_m:.3f} m"
+
     def to_enu(
         self, lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, height_m: npt.ArrayLike
     ) -> tuple[_Float64, _Float64, _Float64]:

@@ -12,10 +12,19 @@ from fieldgrid.errors import MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile.codec import (
     decode_grid,
+    decode_moments,
     decode_sums,
     encode_grid,
+    encode_moments,
     encode_sums,
     inflate,
+)
+from fieldgrid.mapfile.planes import (
+    empty_stored,
+    from_stored,
+    from_stored_reference,
+    to_stored,
+    to_stored_reference,
 )
 
 
@@ -94,3 +103,56 @@ def test_a_senseless_header_of_sums_is_damage(header: bytes) -> None:
     assert decode_sums(b"\1\1\0" + body, "tile").sum() == 0
     with pytest.raises(MapError, match="damaged"):
         decode_sums(header + (body if len(header) == 3 else b""), "tile")
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    bits=st.tuples(*(st.integers(0, 63) for _ in range(4))),
+    unit=st.sampled_from([1, 2, 16, 64]),
+    share=st.sampled_from([0.0, 0.1, 1.0]),
+    seed=st.integers(0, 99),
+)
+def test_moments_read_back_even_where_no_drive_has_them(
+    bits: tuple[int, int, int, int], unit: int, share: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    moments = np.zeros((256, 256, 5), dtype=np.uint64)
+    for k, size in enumerate(bits):
+        values = random.integers(0, 1 << size, (256, 256), dtype=np.uint64, endpoint=True)
+        moments[..., k] = values * np.uint64(unit if k < 3 else 1)
+    moments[..., 4] = random.integers(0, 256, (256, 256), dtype=np.uint64)
+    moments[random.random((256, 256)) >= share] = 0
+    cells, shift = moments.reshape(-1, 5), int(unit > 1)
+    stored, expected = empty_stored(len(cells)), empty_stored(len(cells))
+    to_stored(cells, shift, stored)
+    to_stored_reference(cells, shift, expected)
+    np.testing.assert_array_equal(stored, expected)
+    for back in (from_stored, from_stored_reference):
+        again = np.empty_like(cells)
+        back(stored, shift, again)
+        np.testing.assert_array_equal(again, cells)
+    read = decode_moments(encode_moments(moments), "tile")
+    np.testing.assert_array_equal(read, moments)
+    assert read.dtype == np.uint64
+    assert read.flags.c_contiguous
+
+
+def test_cells_seen_once_cost_no_more_than_their_sums() -> None:
+    density = np.random.default_rng(1).integers(0, 256, (256, 256)).astype(np.uint64)
+    sixteen = np.full_like(density, 16)
+    moments = np.stack(
+        [sixteen, 16 * density, 16 * density**2, np.ones_like(density), density], axis=-1
+    )
+    blob = encode_moments(moments)
+    assert tuple(blob[:6]) == (4, 1, 1, 0, 0, 0)
+    assert len(blob) < 256 * 256 * 1.02
+
+
+@pytest.mark.parametrize(
+    "header", [b"", b"\1\1", b"\5\1\1\1\1\1", b"\0\x09\0\0\0\0", b"\0\2\0\0\0\0"]
+)
+def test_a_senseless_header_of_moments_is_damage(header: bytes) -> None:
+    body = zlib.compress(bytes(65536))
+    assert decode_moments(b"\0\1\0\0\0\0" + body, "tile").sum() == 0
+    with pytest.raises(MapError, match="damaged"):
+        decode_moments(header + (body if len(header) == 6 else b""), "tile")

@@ -21,7 +21,8 @@ from rasterio.warp import transform
 from rasterio.windows import Window as RasterWindow
 
 from fieldgrid.mapfile import open_map
-from tests.mapfile.maps import CELL_M, DATUM, drive, one_cell, track, write_map
+from fieldgrid.trajectory import Status
+from tests.mapfile.maps import CELL_M, DATUM, drive, one_cell, pose_at, track, write_map
 
 # East, north, up: asymmetric, so that no swap or sign goes unnoticed.
 POINTS = ((12.3, -45.6, 0.0), (-830.2, 410.7, -3.4), (1500.0, 2200.0, 5.1))
@@ -169,7 +170,12 @@ def test_overviews_show_the_cells_at_their_place(path: Path) -> None:
 
 def test_the_layers_are_these_and_the_binary_tables_are_none(path: Path) -> None:
     layers = dict(pyogrio.list_layers(path).tolist())
-    assert layers == {"trajectory": "Point", "frame_position": "Point", "fieldgrid_session": None}
+    assert layers == {
+        "trajectory": "Point",
+        "frame_position": "Point",
+        "footprint": "Polygon",
+        "fieldgrid_session": None,
+    }
 
 
 def test_the_trajectory_is_a_layer_of_points_at_the_right_place(path: Path) -> None:
@@ -181,7 +187,7 @@ def test_the_trajectory_is_a_layer_of_points_at_the_right_place(path: Path) -> N
     fields = dict(zip(meta["fields"].tolist(), columns, strict=True))
     assert sorted(fields) == sorted(
         ["session", "time_ns", "up_m", "heading_deg", "heading_sigma_deg", "position_sigma_m",
-         "speed_mps", "quality", "status", "reason"]
+         "speed_mps", "gear", "quality", "status", "reason"]
     )  # fmt: skip
     for name in ("time_ns", "up_m", "heading_deg", "position_sigma_m", "speed_mps", "quality"):
         np.testing.assert_array_equal(fields[name], getattr(expected, name))
@@ -209,7 +215,7 @@ def test_the_frames_are_a_layer_of_points(path: Path) -> None:
 def test_the_system_lists_the_same_layers(path: Path) -> None:
     out = tool("ogrinfo", "-ro", "-so", "-al", str(path))
     assert re.findall(r"Layer name: (\w+)", out) == [
-        "trajectory", "frame_position", "fieldgrid_session",
+        "trajectory", "frame_position", "footprint", "fieldgrid_session",
     ]  # fmt: skip
 
 
@@ -232,6 +238,7 @@ def test_the_header_and_tables_are_those_of_geopackage_1_3(path: Path) -> None:
         "density": "tiles",
         "trajectory": "features",
         "frame_position": "features",
+        "footprint": "features",
         "fieldgrid_session": "attributes",
     }
     for row in contents.values():
@@ -250,3 +257,28 @@ def test_the_header_and_tables_are_those_of_geopackage_1_3(path: Path) -> None:
     for row in database.execute("SELECT tile_data FROM density"):
         assert Image.open(io.BytesIO(row["tile_data"])).mode == "LA"
     database.close()
+
+
+def test_gdals_validator_of_geopackages_finds_nothing(tmp_path: Path) -> None:
+    """Its script is in Debian's python3-gdal, and checks one requirement after the other."""
+    validator = ["/usr/bin/python3", "-m", "osgeo_utils.samples.validate_gpkg"]
+    if (
+        not Path(validator[0]).exists()
+        or subprocess.run(
+            [validator[0], "-c", "import osgeo_utils.samples.validate_gpkg"], capture_output=True
+        ).returncode
+    ):
+        pytest.skip("GDAL's validator (Debian's python3-gdal) is not installed")
+    unseen = (one_cell(*CELLS[0])[0], pose_at(float("nan"), 2.0, 3.0, status=Status.REJECTED))
+    path = write_map(
+        tmp_path / "map.gpkg", [drive(30), [unseen], drive(2, start=9)], trajectory=track(7)
+    )
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("2")
+    done = subprocess.run(
+        [*validator, "--extra", "--warning-as-error", "-k", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

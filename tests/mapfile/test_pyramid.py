@@ -99,7 +99,7 @@ def test_a_drive_longer_than_the_memory_gives_the_same_map(
 ) -> None:
     there = drive(30)
     frames = [*there, *drive(30, heading_deg=37.3, start=0)[::-1], *drive(10, heading_deg=140.0)]
-    monkeypatch.setattr(staging_module, "POOL_TILES", 3)
-    monkeypatch.setattr(staging_module, "PART_CELLS", 50)
+    monkeypatch.setattr(staging_module, "POOL_TILES", 4)
+    monkeypatch.setattr(staging_module, "PART_TILES", 2)
     path = write_map(tmp_path / "map.gpkg", [frames])
     assert_levels_show(path, frames)

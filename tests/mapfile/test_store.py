@@ -207,15 +207,15 @@ def test_a_reader_sees_the_last_committed_state_while_a_session_is_written(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    update = Pyramid.add
+    update = Pyramid.change
 
-    def look_while_updating(*arguments: object) -> None:
-        update(*arguments)  # type: ignore[arg-type]
+    def look_while_updating(*arguments: object, **options: object) -> None:
+        update(*arguments, **options)  # type: ignore[arg-type]
         seen.append(session_names(path))
 
     with open_map(path, datum=DATUM) as universal, open_map(path) as reader:
         before = reader.read()
-        monkeypatch.setattr(Pyramid, "add", look_while_updating)
+        monkeypatch.setattr(Pyramid, "change", look_while_updating)
         with universal.add_session("more") as session:
             session.add(*drive(1, heading_deg=120.0)[0])
             assert session_names(path) == ["0"]
@@ -322,13 +322,13 @@ def test_a_writer_that_is_killed_leaves_the_map_as_it_was(path: Path, new: bool)
     target = path.with_name("new.gpkg") if new else path
     done = run(
         """
-        update = Pyramid.add
-        def update_and_die(*arguments):
-            update(*arguments)
+        update = Pyramid.change
+        def update_and_die(*arguments, **options):
+            update(*arguments, **options)
             os.kill(os.getpid(), signal.SIGKILL)
         with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
             universal._connection.execute("PRAGMA cache_size = 5")  # so pages reach the file
-            Pyramid.add = update_and_die
+            Pyramid.change = update_and_die
             write_session(universal, "more", drive(20, heading_deg=120.0))
         """,
         target,
@@ -410,7 +410,7 @@ def changed(path: Path, *statements: str) -> Path:
 
 def test_a_newer_format_is_refused_by_both_numbers(path: Path) -> None:
     newer = changed(path, "UPDATE fieldgrid_meta SET value = '7' WHERE key = 'format_version'")
-    with pytest.raises(MapError, match=r"format version 7.*up to 1; update fieldgrid"):
+    with pytest.raises(MapError, match=r"format version 7.*up to 2; update fieldgrid"):
         open_map(newer)
 
 
@@ -491,3 +491,40 @@ def test_a_closed_map_says_so(path: Path) -> None:
     universal.close()
     with pytest.raises(MapError, match="is closed"):
         universal.read()
+
+
+def test_what_a_killed_writer_left_of_a_new_map_goes_with_the_next_one(tmp_path: Path) -> None:
+    done = run(
+        """
+        with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+            write_session(universal, "one", drive(3))
+            os.kill(os.getpid(), signal.SIGKILL)
+        """,
+        tmp_path / "map.gpkg",
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert any(name.endswith(".partial") for name in names_in(tmp_path))
+    other = create_map(tmp_path / "map.gpkg.gpkg", DATUM, cell_m=CELL_M)
+    mine = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)
+    late = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)  # leaves the living ones alone
+    for universal in (late, other, mine):
+        write_session(universal, "one", drive(1))
+    late.discard()
+    other.close()
+    mine.close()
+    assert names_in(tmp_path) == ["map.gpkg", "map.gpkg.gpkg"]
+
+
+def test_a_journal_that_was_never_needed_is_not_in_the_way_of_a_new_map(path: Path) -> None:
+    path.with_name("map.gpkg-journal").write_bytes(bytes(512))
+    write_map(path.with_name("other.gpkg"), [drive(1)])
+    with create_map(path, DATUM, cell_m=CELL_M, overwrite=True) as universal:
+        write_session(universal, "new", drive(2))
+    assert session_names(path) == ["new"]
+    assert names_in(path.parent) == ["map.gpkg", "other.gpkg"]
+
+
+def test_an_older_format_is_refused_with_what_to_do(path: Path) -> None:
+    older = changed(path, "UPDATE fieldgrid_meta SET value = '1' WHERE key = 'format_version'")
+    with pytest.raises(MapError, match=r"format version 1 .*build it again from its recordings"):
+        open_map(older)

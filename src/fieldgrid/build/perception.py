@@ -34,6 +34,7 @@ class Perceived(NamedTuple):
     grid: LocalGrid
     ground: FrameGround
     features: Features | None
+    images_sha256: tuple[str, str]
     decode_s: float
     match_s: float
     grid_s: float
@@ -116,6 +117,7 @@ def _side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: in
 def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Perceived:
     start = time.thread_time()
     left, right = frame.images()
+    hashes = frame.left.sha256(), frame.right.sha256()
     decoded = time.thread_time()
     disparity = gridder.matcher.disparity(left, right)
     matched = time.thread_time()
@@ -128,6 +130,7 @@ def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Percei
         grid,
         ground,
         seen,
+        hashes,
         decoded - start,
         matched - decoded,
         gridded - matched,

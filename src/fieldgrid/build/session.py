@@ -8,6 +8,7 @@ memory.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from array import array
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.perception import CameraMotion, perceive
 from fieldgrid.build.poses import (
     NO_GROUND,
@@ -36,6 +38,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, create_map, open_map
 from fieldgrid.motion import Steps
 from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording.stored import StoredRecording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
@@ -82,6 +85,8 @@ def add_recording(
             trajectory=trajectory,
             config=session_config(settings, recording.rig, gridder, every),
             source=recording.gnss_source,
+            source_sha256=_log_sha256(recording),
+            inputs=to_arrays(_inputs(recording, steps, spool)),
         ) as session:
             _place(spool, session, trajectory, report)
             closing = time.perf_counter()
@@ -110,7 +115,9 @@ class _Perceiving(NamedTuple):
             frame = seen.frame
             time_ns = frame.time_ns + recording.rig.image_time_offset_ns
             names = (frame.left.name, frame.right.name)
-            spool.put(frame.frame_id, time_ns, names, seen.ground.refined, seen.grid)
+            spool.put(
+                frame.frame_id, time_ns, names, seen.images_sha256, seen.ground.refined, seen.grid
+            )
             spooled = time.thread_time()
             if motion is not None and seen.features is not None:
                 motion.add(time_ns, seen.features)
@@ -158,7 +165,13 @@ def _place(spool: Spool, session: Session, trajectory: Trajectory, report: Sessi
         pose = trajectory.at(waiting.time_ns)
         if pose.status is Status.OK and not waiting.ground_refined:
             pose = replace(pose, status=Status.REJECTED, reason=NO_GROUND)
-        session.add(waiting.grid, pose, frame_id=waiting.frame_id, images=waiting.images)
+        session.add(
+            waiting.grid,
+            pose,
+            frame_id=waiting.frame_id,
+            images=waiting.images,
+            images_sha256=waiting.images_sha256,
+        )
         report.frames += 1
         report.ground_refined += waiting.ground_refined
         if pose.status is not Status.OK:
@@ -177,6 +190,11 @@ def _place(spool: Spool, session: Session, trajectory: Trajectory, report: Sessi
     report.stages.map_s += time.thread_time() - start
 
 
+def _inputs(recording: Recording, steps: Steps | None, spool: Spool) -> Inputs:
+    motion = recording.motion()._replace(steps=steps)
+    return Inputs(list(recording.fixes()), motion, *spool.frames())
+
+
 def session_config(
     settings: BuildSettings, rig: Rig, gridder: LocalGridder, every: int
 ) -> dict[str, Any]:
@@ -188,6 +206,14 @@ def session_config(
         "search": gridder.region._asdict(),
         "every": every,
     }
+
+
+def _log_sha256(recording: Recording) -> str:
+    """The hash of the log of fixes where that is a file, else nothing."""
+    if not (isinstance(recording, StoredRecording) and recording.gnss_source):
+        return ""
+    log = recording.folder / recording.gnss_source
+    return hashlib.sha256(log.read_bytes()).hexdigest() if log.is_file() else ""
 
 
 def _median(values: Sequence[float]) -> float | None:

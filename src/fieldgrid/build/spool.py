@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple, Self
 
+import numpy as np
+import numpy.typing as npt
+
 from fieldgrid.errors import MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import decode_grid, encode_grid
@@ -18,6 +21,7 @@ class Waiting(NamedTuple):
     frame_id: str
     time_ns: int
     images: tuple[str, str]
+    images_sha256: tuple[str, str]
     ground_refined: bool
     grid: LocalGrid
 
@@ -26,6 +30,7 @@ class _Entry(NamedTuple):
     frame_id: str
     time_ns: int
     images: tuple[str, str]
+    images_sha256: tuple[str, str]
     ground_refined: bool
     sizes: tuple[int, int]
 
@@ -43,6 +48,7 @@ class Spool:
         frame_id: str,
         time_ns: int,
         images: tuple[str, str],
+        images_sha256: tuple[str, str],
         ground_refined: bool,
         grid: LocalGrid,
     ) -> None:
@@ -57,7 +63,16 @@ class Spool:
                 "some space, or name a larger folder in TMPDIR."
             ) from error
         sizes = (len(density), len(observed))
-        self._entries.append(_Entry(frame_id, time_ns, images, ground_refined, sizes))
+        self._entries.append(
+            _Entry(frame_id, time_ns, images, images_sha256, ground_refined, sizes)
+        )
+
+    def frames(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """The times of all frames, and whether the ground was found in each."""
+        return (
+            np.array([entry.time_ns for entry in self._entries], dtype=np.int64),
+            np.array([entry.ground_refined for entry in self._entries], dtype=np.bool_),
+        )
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -68,7 +83,7 @@ class Spool:
         for entry in self._entries:
             density, observed = (self._file.read(size) for size in entry.sizes)
             grid = decode_grid(self._spec, density, observed, f"frame {entry.frame_id}")
-            yield Waiting(*entry[:4], grid)
+            yield Waiting(*entry[:5], grid)
 
     def close(self) -> None:
         """Drop the file."""

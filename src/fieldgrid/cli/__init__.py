@@ -13,7 +13,19 @@ from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import build, evaluate, export, sessions, show, track
+from fieldgrid.cli import (
+    build,
+    diff,
+    evaluate,
+    export,
+    merge,
+    query,
+    repair,
+    sessions,
+    show,
+    track,
+    verify,
+)
 from fieldgrid.errors import FieldgridError
 
 app = typer.Typer(
@@ -31,6 +43,11 @@ app.command("sessions")(sessions.command)
 app.command("show")(show.command)
 app.command("export")(export.command)
 app.command("evaluate")(evaluate.command)
+app.command("diff")(diff.command)
+app.command("query")(query.command)
+app.command("merge")(merge.command)
+app.command("verify")(verify.command)
+app.command("repair")(repair.command)
 
 
 def _version(wanted: bool) -> None:

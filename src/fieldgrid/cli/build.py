@@ -16,6 +16,7 @@ from fieldgrid.cli import output, parse
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress, SessionReport
+    from fieldgrid.geodesy import Datum
     from fieldgrid.settings import BuildSettings
 
 
@@ -58,6 +59,10 @@ def command(
             metavar="LAT,LON,HEIGHT",
             help="Origin of a new map [recording's own, else its first accepted fix].",
         ),
+    ] = None,
+    datum_from: Annotated[
+        Path | None,
+        typer.Option(metavar="MAP.gpkg", help="Take the origin of another map, to merge with it."),
     ] = None,
     cell: Annotated[
         float | None, typer.Option(metavar="M", help="Universal cell, L_U [that of --local-cell].")
@@ -121,7 +126,7 @@ def command(
             out,
             gnss,
             settings,
-            parse.datum(datum),
+            _datum(datum, datum_from),
             append,
             overwrite,
             name,
@@ -135,6 +140,18 @@ def command(
         output.print_json({"map": str(out), "sessions": [report.as_dict() for report in reports]})
     else:
         _print_reports(out, reports)
+
+
+def _datum(text: str | None, other: Path | None) -> Datum | None:
+    if text is not None and other is not None:
+        raise typer.BadParameter(
+            "--datum and --datum-from exclude each other", param_hint="--datum-from"
+        )
+    if other is None:
+        return parse.datum(text)
+    from fieldgrid.mapfile import read_datum
+
+    return read_datum(other)
 
 
 def _settings(

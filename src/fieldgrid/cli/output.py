@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -36,6 +37,11 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title:
     width = None if sys.stdout.isatty() else 1000
     console = Console(file=sys.stdout, highlight=False, width=width)
     console.print(table)
+
+
+def known(value: float) -> float | None:
+    """A number for JSON, which has none for what is not known."""
+    return value if math.isfinite(value) else None
 
 
 def number(value: float | None, digits: int, unit: str = "") -> str:

@@ -41,7 +41,12 @@ def command(
         tuple[float, float, float, float] | None,
         typer.Option(metavar="W S E N", help="Crop, metres east and north."),
     ] = None,
-    at: Annotated[str | None, typer.Option(metavar="SESSION", help="Only this session.")] = None,
+    at: Annotated[
+        str | None, typer.Option(metavar="SESSION|DATE", help="The map as of then.")
+    ] = None,
+    session: Annotated[
+        str | None, typer.Option(metavar="SESSION", help="Only this session.")
+    ] = None,
     averaging: Annotated[
         str, typer.Option(metavar="mean|paper", help="How values meet in a cell.")
     ] = "mean",
@@ -58,9 +63,26 @@ def command(
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:
-        drawn = _draw(universal, figure, cell, parse.bounds(bounds), at, averaging, map_.stem)
+        chosen = _sessions(universal, at, session)
+        drawn = _draw(universal, figure, cell, parse.bounds(bounds), chosen, averaging, map_.stem)
     save(drawn, out)
     typer.echo(f"figure {out}")
+
+
+def _sessions(universal: MapFile, at: str | None, session: str | None) -> list[str]:
+    """The sessions to draw, in the order of their drives."""
+    from fieldgrid.errors import ConfigError
+
+    infos = universal.sessions()
+    found = [info.name for info in infos if info.active]
+    if at is not None:
+        found = universal.sessions_at(at)
+    if session is None:
+        return found
+    if session not in found:
+        names = ", ".join(repr(name) for name in found) or "none"
+        raise ConfigError(f"{universal.path} has no session {session!r}; it has {names}.")
+    return [session]
 
 
 def _draw(
@@ -68,23 +90,22 @@ def _draw(
     kind: Kind,
     cell_m: float | None,
     bounds: Bounds | None,
-    session: str | None,
+    sessions: list[str],
     averaging: str,
     title: str,
 ) -> Figure:
     from fieldgrid import figures
 
-    frames = list(universal.frames(session))
+    frames = [frame for frame in universal.frames() if frame.session in sessions]
     if kind is Kind.GRID:
-        view = _view(universal, cell_m, bounds, session, averaging)
+        view = _view(universal, cell_m, bounds, sessions, averaging)
         return figures.universal_grid(view, frames, title=_title(title, view))
-    names = [info.name for info in universal.sessions() if session in (None, info.name)]
-    tracks = [universal.trajectory(name) for name in names]
+    tracks = [universal.trajectory(name) for name in sessions]
     if kind is Kind.TRAJECTORY:
         return figures.trajectory(tracks, frames)
     if kind is Kind.HEADING:
         return figures.heading(tracks, frames)
-    view = _view(universal, cell_m, bounds, session, averaging)
+    view = _view(universal, cell_m, bounds, sessions, averaging)
     return figures.sheet(view, tracks, frames, title=_title(title, view))
 
 
@@ -96,7 +117,7 @@ def _view(
     universal: MapFile,
     cell_m: float | None,
     bounds: Bounds | None,
-    session: str | None,
+    sessions: list[str],
     averaging: str,
 ) -> MapView:
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
@@ -122,5 +143,5 @@ def _view(
         bounds,
         cell_m,
         averaging=Averaging(averaging),
-        sessions=None if session is None else [session],
+        sessions=sessions,
     )

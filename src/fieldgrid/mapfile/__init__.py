@@ -10,25 +10,42 @@ from it. QGIS and GDAL open the file as it is; `docs/map-format.md` says what is
     view = open_map("vineyard.gpkg").read(cell_m=0.25)
     view.density, view.observed, view.bounds
 
+    with open_map("vineyard.gpkg", writable=True) as universal:
+        universal.remove_session("june-03")  # and restore_session, repose, repair
+
 A session is in the map when its block ends, or not at all; a new map appears when its own
 block ends. One process adds a session at a time, any number read meanwhile.
 """
 
+from fieldgrid.mapfile.cells import LAYERS
+from fieldgrid.mapfile.change import MEANING, Change, ChangeView
 from fieldgrid.mapfile.codec import decode_grid, encode_grid
+from fieldgrid.mapfile.merge import Merged, merge_maps
+from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
+from fieldgrid.mapfile.verification import Verdict
 from fieldgrid.mapfile.view import MapView
 
 __all__ = [
+    "LAYERS",
+    "MEANING",
+    "Change",
+    "ChangeView",
+    "Contribution",
     "FrameRecord",
     "MapFile",
     "MapView",
+    "Merged",
+    "Provenance",
     "Session",
     "SessionInfo",
+    "Verdict",
     "create_map",
     "decode_grid",
     "encode_grid",
+    "merge_maps",
     "open_map",
     "read_datum",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapError, MapWriteError
@@ -50,10 +50,34 @@ def keep_one_file(connection: sqlite3.Connection, *, durable: bool) -> None:
 
     A write-ahead log would let readers in during a commit, but leaves two more files beside
     the map while anyone has it open, and copying the map without them loses what they hold.
-    A program that edited the map may have switched it to one; this switches it back.
+    A program that edited the map may have switched it to one; this switches it back. EXTRA is
+    FULL, and syncs the folder after the journal is gone: without that, a power cut just after a
+    commit can bring the journal back, which undoes it.
     """
     connection.execute("PRAGMA journal_mode = DELETE")
-    connection.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
+    connection.execute(f"PRAGMA synchronous = {'EXTRA' if durable else 'OFF'}")
+
+
+def clear_journal(path: Path) -> None:
+    """Play back or delete the journal that an interrupted writer left beside a map.
+
+    Nothing happens while another program writes it, or where there is none.
+    """
+    journal = path.with_name(f"{path.name}-journal")
+    if not (path.is_file() and journal.exists()):
+        return
+    with suppress(sqlite3.Error), closing(sqlite3.connect(path, isolation_level=None)) as found:
+        found.execute("BEGIN EXCLUSIVE")  # which plays back one that is complete
+        # SQLite takes one that begins with 0 for one that was never needed, and leaves it.
+        with suppress(OSError):
+            if _first_byte(journal) in (b"", b"\0"):
+                journal.unlink()
+        found.execute("ROLLBACK")
+
+
+def _first_byte(file: Path) -> bytes:
+    with file.open("rb") as opened:
+        return opened.read(1)
 
 
 @contextmanager

@@ -31,17 +31,22 @@ class Header(NamedTuple):
             return own
         return Lattice(cell_m)
 
+    def is_datum(self, datum: Datum) -> bool:
+        """Whether a datum is that of the map, up to rounding."""
+        own = self.datum
+        return (
+            abs(datum.lat_deg - own.lat_deg) <= _SAME_ANGLE_DEG
+            and abs(datum.lon_deg - own.lon_deg) <= _SAME_ANGLE_DEG
+            and abs(datum.height_m - own.height_m) <= _SAME_HEIGHT_M
+        )
+
     def check_datum(self, path: Path, datum: Datum) -> None:
         """Raise DatumError unless `datum` is that of the map."""
-        own = self.datum
-        if (
-            abs(datum.lat_deg - own.lat_deg) > _SAME_ANGLE_DEG
-            or abs(datum.lon_deg - own.lon_deg) > _SAME_ANGLE_DEG
-            or abs(datum.height_m - own.height_m) > _SAME_HEIGHT_M
-        ):
+        if not self.is_datum(datum):
             raise DatumError(
-                f"The datum of {path} is {_described(own)} for good, not {_described(datum)}; "
-                "estimate the trajectory with the map's datum, or make another map."
+                f"The datum of {path} is {self.datum.described()} for good, not "
+                f"{datum.described()}; build with the map's own, with --append or --datum-from "
+                f"{path}, or make another map."
             )
 
     def check_settings(self, path: Path, cell_m: float | None, transfer: Transfer | None) -> None:
@@ -76,6 +81,11 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
                 f"{path} has format version {version}, and this fieldgrid reads up to "
                 f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
             )
+        if version < schema.FORMAT_VERSION:
+            raise MapError(
+                f"{path} has format version {version} of an earlier fieldgrid, and this one reads "
+                f"{schema.FORMAT_VERSION}; build it again from its recordings."
+            )
         missing = sorted(({*schema.OWN_TABLES, *schema.LAYERS}) - tables)
         if missing:
             raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
@@ -101,7 +111,3 @@ def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
     # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
     if mode != "wal" and path.stat().st_size < pages * page_bytes:
         raise MapError(f"{path} is damaged: its end is missing. Restore it from a copy.")
-
-
-def _described(datum: Datum) -> str:
-    return f"{datum.lat_deg:.9f} {datum.lon_deg:.9f} {datum.height_m:.3f} m"

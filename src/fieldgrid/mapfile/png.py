@@ -12,7 +12,10 @@ import zlib
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.mapfile.codec import deflate
+from fieldgrid.errors import MapError
+from fieldgrid.kernel import kernel
+from fieldgrid.lattice import TILE_CELLS, Window
+from fieldgrid.mapfile.codec import deflate, inflate
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY_ALPHA = 4
@@ -30,6 +33,42 @@ def encode_png(density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]) 
     rows[:, 1::2] = density[::-1]
     rows[:, 2::2] = observed[::-1]
     rows[:, 2::2] *= np.uint8(255)
+    return _encode_rows(rows)
+
+
+def encode_mean(sums: npt.NDArray[np.uint64]) -> tuple[bytes, Window]:
+    """The PNG of the mean density of sums, uint64 [rows, columns, 2], and what was observed.
+
+    The same as `encode_png` of `mean_density`, in one pass. Some cell must be observed.
+    """
+    height, width, _ = sums.shape
+    rows = np.zeros((height, 1 + 2 * width), dtype=np.uint8)
+    i0, j0, i1, j1 = draw_mean(sums, rows)
+    return _encode_rows(rows), Window(int(i0), int(j0), int(i1 - i0 + 1), int(j1 - j0 + 1))
+
+
+@kernel
+def draw_mean(sums, rows):  # type: ignore[no-untyped-def]
+    """Fill the rows of a picture, which are 0 before; returns the observed cells' extent."""
+    height, width = sums.shape[0], sums.shape[1]
+    i0, j0, i1, j1 = width, height, -1, -1
+    two = np.uint64(2)
+    for j in range(height):
+        row = height - 1 - j
+        for i in range(width):
+            weight = sums[j, i, 0]
+            if weight == 0:
+                continue
+            i0, j0, i1, j1 = min(i0, i), min(j0, j), max(i1, i), max(j1, j)
+            rows[row, 2 + 2 * i] = 255
+            total = sums[j, i, 1]
+            if total != 0:
+                rows[row, 1 + 2 * i] = np.uint8((two * total + weight) // (two * weight))
+    return i0, j0, i1, j1
+
+
+def _encode_rows(rows: npt.NDArray[np.uint8]) -> bytes:
+    height, width = rows.shape[0], rows.shape[1] // 2
     header = struct.pack(">IIBBBBB", width, height, _BIT_DEPTH, _GREY_ALPHA, 0, 0, 0)
     return b"".join(
         (
@@ -39,6 +78,27 @@ def encode_png(density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]) 
             _chunk(b"IEND", b""),
         )
     )
+
+
+def decode_png(blob: object, what: str) -> npt.NDArray[np.uint8]:
+    """Grey and alpha [rows, columns, 2] of a PNG as written here, its upper row first.
+
+    `what` names it in the MapError for anything else.
+    """
+    damaged = MapError(f"The stored {what} is damaged. Repair the map.")
+    start = len(_SIGNATURE) + 8
+    if not isinstance(blob, bytes) or len(blob) < start + 33 or not blob.startswith(_SIGNATURE):
+        raise damaged
+    width, height, *kind = struct.unpack(">IIBBBBB", blob[start : start + 13])
+    (size,) = struct.unpack(">I", blob[start + 17 : start + 21])
+    data = blob[start + 25 : start + 25 + size]
+    if (width, height) != (TILE_CELLS, TILE_CELLS) or kind != [_BIT_DEPTH, _GREY_ALPHA, 0, 0, 0]:
+        raise damaged
+    rows = np.frombuffer(inflate(data, height * (1 + 2 * width), what), dtype=np.uint8)
+    rows = rows.reshape(height, 1 + 2 * width)
+    if rows[:, 0].any():
+        raise damaged
+    return rows[:, 1:].reshape(height, width, 2)
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

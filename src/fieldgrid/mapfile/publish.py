@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import glob
 import os
 import secrets
+import time
+from contextlib import suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapExistsError, MapWriteError
 
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 
+_YOUNG_S = 60.0
+"""An empty draft may be of another program that is just about to hold it."""
+
 
 class Draft:
     """A file in the making beside `target`, which is untouched until `publish`.
 
     `advice` completes the error for a target that exists: what to do other than overwrite.
+    What a killed program left of an earlier draft of the same target is removed.
     """
 
     def __init__(self, target: Path, *, overwrite: bool, advice: str = "") -> None:
@@ -34,9 +42,13 @@ class Draft:
         self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
         try:
             # Made here, so that it gets the usual permissions and nobody else's file is taken.
-            os.close(os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
+            self._held = os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
         except OSError as error:
             raise _unwritable(target, error) from error
+        # The system lets go of it when this program ends, however that happens.
+        with suppress(OSError):
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _remove_orphans(place)
 
     def publish(self) -> None:
         """Bring the file to its final name, at once and for good; no file is replaced unasked."""
@@ -60,8 +72,12 @@ class Draft:
 
     def discard(self) -> None:
         """Remove what was made so far; nothing happens when it is published or gone."""
+        if self._held >= 0:
+            os.close(self._held)
+            self._held = -1
         for stray in (self.file, *_companions(self.file)):
-            stray.unlink(missing_ok=True)
+            with suppress(OSError):  # a broken disk; the next draft tries again
+                stray.unlink(missing_ok=True)
 
     def _publish_new(self, place: Path) -> None:
         try:
@@ -85,6 +101,22 @@ class Draft:
                     f"{stray} lies beside {self.target}: an older map of that name is in use, or "
                     "its writer was interrupted. Open that map once, or delete the journal."
                 )
+
+
+def _remove_orphans(place: Path) -> None:
+    """Delete the drafts of a target whose programs are gone: they no longer hold them."""
+    for orphan in place.parent.glob(f".{glob.escape(place.name)}.????????.partial"):
+        with suppress(OSError):
+            held = os.open(orphan, os.O_RDONLY)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # A draft of this very moment is not held yet, and is empty.
+                found = orphan.stat()
+                if found.st_size > 0 or time.time() - found.st_mtime > _YOUNG_S:
+                    for stray in (*_companions(orphan), orphan):
+                        stray.unlink(missing_ok=True)
+            finally:
+                os.close(held)
 
 
 def _companions(file: Path) -> tuple[Path, ...]:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile.codec import decode_grid, encode_grid
+from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.trajectory import Pose, Status
 
 SESSION_SQL = (
     "SELECT name, created, source, config, software_version, heading_source, first_time_ns, "
-    "last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m "
-    "FROM fieldgrid_session"
+    "last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, removed, "
+    "source_sha256, digest FROM fieldgrid_session"
 )
 
 FRAME_SQL = (
     "SELECT f.id, s.name, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.frame_id, f.time_ns, "
     "f.east_m, f.north_m, f.up_m, f.heading_deg, f.position_sigma_m, f.heading_sigma_deg, "
-    "f.speed_mps, f.status, f.reason, f.images "
+    "f.speed_mps, f.status, f.reason, f.quality, f.images, f.images_sha256, f.digest "
     "FROM fieldgrid_frame AS f JOIN fieldgrid_session AS s ON s.id = f.session_id"
 )
 
@@ -31,9 +34,10 @@ FRAME_SQL = (
 class SessionInfo:
     """One drive in the map.
 
-    `created` is ISO 8601 in UTC. The times are those of the first and the last frame; None,
-    like `grid`, in a session without frames. `accepted` counts the frames that are in the
-    universal grid.
+    `created` is ISO 8601 in UTC, and so is `removed`, None while the session is in the universal
+    grid. The times are those of the first and the last frame; None, like `grid`, in a session
+    without frames. `accepted` counts the frames that are in the universal grid. `digest` is the
+    SHA-256 of the evidence, the same under any name.
     """
 
     name: str
@@ -47,11 +51,30 @@ class SessionInfo:
     frames: int
     accepted: int
     grid: GridSpec | None
+    removed: str | None = None
+    source_sha256: str = ""
+    digest: str = ""
+
+    @property
+    def driven(self) -> str:
+        """The UTC day on which the drive ended, a dash when it has no frames."""
+        if self.last_time_ns is None:
+            return "-"
+        return str(np.datetime_as_string(np.datetime64(self.last_time_ns, "ns"), unit="D"))
+
+    @property
+    def active(self) -> bool:
+        """Whether the session is in the universal grid, or was removed."""
+        return self.removed is None
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One frame as the map keeps it: where it was, the verdict, and what it saw."""
+    """One frame as the map keeps it: where it was, the verdict, and what it saw.
+
+    `quality` is that of the accepted fix nearest in time (of GGA), None where there is none.
+    `images_sha256` are the hashes of the files named in `images`, as far as they are known.
+    """
 
     session: str
     frame_id: str
@@ -59,6 +82,9 @@ class FrameRecord:
     images: tuple[str, ...]
     spec: GridSpec
     load: Callable[[], LocalGrid] = field(repr=False, compare=False)
+    quality: int | None = None
+    images_sha256: tuple[str, ...] = ()
+    digest: str = ""
 
     @property
     def status(self) -> Status:
@@ -86,9 +112,26 @@ def is_accepted(pose: Pose) -> bool:
 
 
 def frame_row(
-    grid: LocalGrid, pose: Pose, frame_id: str, images: tuple[str, ...]
+    grid: LocalGrid,
+    pose: Pose,
+    frame_id: str,
+    quality: int | None,
+    images: Sequence[str],
+    images_sha256: Sequence[str],
 ) -> tuple[Any, ...]:
     """A frame as stored, in the order of `schema.FRAME_COLUMNS`."""
+    values = frame_values(pose, frame_id, quality, images, images_sha256)
+    return (*values, frame_digest(values, grid), *encode_grid(grid))
+
+
+def frame_values(
+    pose: Pose,
+    frame_id: str,
+    quality: int | None,
+    images: Sequence[str],
+    images_sha256: Sequence[str],
+) -> tuple[Any, ...]:
+    """What is stored of a frame before its digest and its cells."""
     return (
         frame_id,
         int(pose.time_ns),
@@ -101,14 +144,16 @@ def frame_row(
         float(pose.speed_mps),
         pose.status.value,
         pose.reason,
-        json.dumps(images, ensure_ascii=False),
-        *encode_grid(grid),
+        quality,
+        json.dumps(list(images), ensure_ascii=False),
+        json.dumps(list(images_sha256)),
     )
 
 
 def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]]) -> FrameRecord:
     """A frame from a row of `FRAME_SQL`; `blobs` fetches its density and observed blobs."""
-    _, session, width_m, length_m, cell_m, frame_id, time_ns, *pose, status, reason, images = row
+    _, session, width_m, length_m, cell_m, frame_id, time_ns, *pose = row[:14]
+    status, reason, quality, images, images_sha256, digest = row[14:]
     try:
         spec = GridSpec(width_m, length_m, cell_m)
         return FrameRecord(
@@ -129,6 +174,9 @@ def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]
             images=tuple(str(name) for name in json.loads(images)),
             spec=spec,
             load=lambda: decode_grid(spec, *blobs(), f"grid of frame {frame_id!r}"),
+            quality=None if quality is None else int(quality),
+            images_sha256=tuple(str(value) for value in json.loads(images_sha256)),
+            digest=str(digest),
         )
     except (TypeError, ValueError, FieldgridError) as error:
         raise MapError(f"Frame {frame_id!r} of session {session!r} is damaged: {error}") from error
@@ -136,7 +184,8 @@ def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]
 
 def session_info(row: tuple[Any, ...]) -> SessionInfo:
     """A session from a row of `SESSION_SQL`."""
-    name, created, source, config, software, heading_source, first, last, *counts = row
+    name, created, source, config, software, heading_source, first, last, *counts = row[:13]
+    removed, source_sha256, digest = row[13:]
     frames, accepted, width_m, length_m, cell_m = counts
     try:
         return SessionInfo(
@@ -151,6 +200,9 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
             frames=int(frames),
             accepted=int(accepted),
             grid=None if cell_m is None else GridSpec(width_m, length_m, cell_m),
+            removed=None if removed is None else str(removed),
+            source_sha256=str(source_sha256),
+            digest=str(digest),
         )
     except (TypeError, ValueError, FieldgridError) as error:
         raise MapError(f"Session {name!r} is damaged: {error}") from error

@@ -14,8 +14,8 @@ from fieldgrid.lattice import TILE_CELLS, Lattice
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 
-FORMAT_VERSION = 1
-"""Of the `fieldgrid_` tables; a map of a newer one is refused."""
+FORMAT_VERSION = 2
+"""Of the `fieldgrid_` tables; a map of another one is refused."""
 
 APPLICATION_ID = 0x47504B47
 """'GPKG', in the header of the file."""
@@ -26,7 +26,10 @@ GEOPACKAGE_VERSION = 10300
 SRS_ID = 100001
 """The map's own plane in gpkg_spatial_ref_sys."""
 
-NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ', 'now')"
+GEOMETRIES = {"trajectory": "POINT", "frame_position": "POINT", "footprint": "POLYGON"}
+"""Of the layers of features."""
+
+NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ','now')"
 
 _WGS84_WKT = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,'
@@ -102,6 +105,7 @@ CREATE TABLE trajectory (
     heading_sigma_deg DOUBLE,
     position_sigma_m DOUBLE,
     speed_mps DOUBLE,
+    gear INTEGER,
     quality INTEGER,
     status TEXT NOT NULL,
     reason TEXT NOT NULL
@@ -114,9 +118,20 @@ CREATE TABLE frame_position (
     frame_id TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     heading_deg DOUBLE,
+    quality INTEGER,
     status TEXT NOT NULL,
     reason TEXT NOT NULL
 );
+CREATE INDEX frame_position_by_session ON frame_position (session);
+CREATE TABLE footprint (
+    fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    geom POLYGON,
+    session TEXT NOT NULL,
+    frame_id TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    status TEXT NOT NULL
+);
+CREATE INDEX footprint_by_session ON footprint (session);
 """
 
 _OWN = """
@@ -128,7 +143,9 @@ CREATE TABLE fieldgrid_session (
     id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
     name TEXT NOT NULL UNIQUE,
     created DATETIME NOT NULL,
+    removed DATETIME,
     source TEXT NOT NULL,
+    source_sha256 TEXT NOT NULL,
     config TEXT NOT NULL,
     software_version TEXT NOT NULL,
     heading_source TEXT NOT NULL,
@@ -138,8 +155,36 @@ CREATE TABLE fieldgrid_session (
     accepted INTEGER NOT NULL,
     grid_width_m DOUBLE,
     grid_length_m DOUBLE,
-    grid_cell_m DOUBLE
+    grid_cell_m DOUBLE,
+    digest TEXT NOT NULL
 );
+CREATE TABLE fieldgrid_array (
+    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
+    kind TEXT NOT NULL,
+    name TEXT NOT NULL,
+    part INTEGER NOT NULL,
+    dtype TEXT NOT NULL,
+    shape TEXT NOT NULL,
+    data BLOB NOT NULL,
+    PRIMARY KEY (session_id, kind, name, part)
+);
+CREATE TABLE fieldgrid_extent (
+    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
+    layer TEXT NOT NULL,
+    west_m DOUBLE NOT NULL,
+    south_m DOUBLE NOT NULL,
+    east_m DOUBLE NOT NULL,
+    north_m DOUBLE NOT NULL,
+    PRIMARY KEY (session_id, layer)
+);
+CREATE TABLE fieldgrid_session_tile (
+    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
+    ty INTEGER NOT NULL,
+    tx INTEGER NOT NULL,
+    moments BLOB NOT NULL,
+    PRIMARY KEY (session_id, ty, tx)
+);
+CREATE INDEX fieldgrid_session_tile_by_place ON fieldgrid_session_tile (ty, tx, session_id);
 CREATE TABLE fieldgrid_tile (
     zoom INTEGER NOT NULL,
     ty INTEGER NOT NULL,
@@ -161,7 +206,10 @@ FRAME_COLUMNS = """
     speed_mps DOUBLE,
     status TEXT NOT NULL,
     reason TEXT NOT NULL,
+    quality INTEGER,
     images TEXT NOT NULL,
+    images_sha256 TEXT NOT NULL,
+    digest TEXT NOT NULL,
     density BLOB NOT NULL,
     observed BLOB NOT NULL
 """
@@ -176,12 +224,18 @@ CREATE TABLE fieldgrid_frame (
 );
 """
 
-OWN_TABLES = ("fieldgrid_meta", "fieldgrid_session", "fieldgrid_frame", "fieldgrid_tile")
+EVIDENCE_TABLES = ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_array")
+
+DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
+"""Those of our own that follow from the evidence."""
+
+OWN_TABLES = ("fieldgrid_meta", *EVIDENCE_TABLES, *DERIVED_TABLES)
 
 LAYERS = {
     "density": ("tiles", "3D density 0..255, bright alpha where observed"),
     "trajectory": ("features", "Where the vehicle was: one point per fix"),
     "frame_position": ("features", "Where each local grid was taken"),
+    "footprint": ("features", "The ground that each local grid covers"),
     # As the only table without geometry that is announced, it also keeps GDAL from listing
     # the binary tables as layers.
     "fieldgrid_session": ("attributes", "The drives in this map"),
@@ -207,6 +261,17 @@ def create(
     connection.executemany(
         "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _reference_systems(datum)
     )
+    announce_layers(connection, matrices)
+    connection.executemany(
+        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
+    )
+
+
+def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> None:
+    """List the layers for a GIS, still without extents, in place of what was listed of them."""
+    names = ", ".join(repr(layer) for layer in LAYERS)
+    for table in ("gpkg_geometry_columns", "gpkg_tile_matrix_set", "gpkg_contents"):
+        connection.execute(f"DELETE FROM {table} WHERE table_name IN ({names})")
     for table, (data_type, description) in LAYERS.items():
         srs_id = None if data_type == "attributes" else SRS_ID
         connection.execute(
@@ -216,16 +281,13 @@ def create(
         )
         if data_type == "features":
             connection.execute(
-                "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', 'POINT', ?, 0, 0)",
-                (table, SRS_ID),
+                "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)",
+                (table, GEOMETRIES[table], SRS_ID),
             )
     half_m = matrices.half_m
     connection.execute(
         "INSERT INTO gpkg_tile_matrix_set VALUES ('density', ?, ?, ?, ?, ?)",
         (SRS_ID, -half_m, -half_m, half_m, half_m),
-    )
-    connection.executemany(
-        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
     )
 
 

@@ -5,26 +5,77 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from fieldgrid.errors import ConfigError, DatumError
 from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.lattice import Bounds, Window
+from fieldgrid.mapfile import derived
+from fieldgrid.mapfile.arrays import Array, Kind, array_rows, trajectory_arrays
 from fieldgrid.mapfile.database import explained, writing
-from fieldgrid.mapfile.geometry import encode_point
-from fieldgrid.mapfile.pyramid import Pyramid, union
-from fieldgrid.mapfile.records import frame_row, is_accepted
+from fieldgrid.mapfile.digest import session_digest
+from fieldgrid.mapfile.records import FrameRecord, frame_row, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL, software_version
 from fieldgrid.mapfile.staging import SessionFold, Staging
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Transfer, check_cell_sizes
+
+
+class About(NamedTuple):
+    """What is kept of a session beside its frames. `created` is empty for one of now."""
+
+    name: str
+    trajectory: Trajectory | None
+    config: str
+    source: str
+    source_sha256: str
+    inputs: Mapping[str, Array]
+    software_version: str
+    created: str = ""
+
+    @property
+    def heading_source(self) -> str:
+        """How the headings of the trajectory were found."""
+        return "" if self.trajectory is None else self.trajectory.heading_source
+
+    @property
+    def arrays(self) -> dict[Kind, Mapping[str, Array]]:
+        """All arrays, by kind."""
+        track = self.trajectory
+        return {
+            Kind.TRAJECTORY: {} if track is None else trajectory_arrays(track),
+            Kind.INPUT: self.inputs,
+        }
+
+
+def about_session(
+    name: str,
+    trajectory: Trajectory | None,
+    config: Mapping[str, Any] | None,
+    source: str,
+    source_sha256: str,
+    inputs: Mapping[str, Array] | None,
+) -> About:
+    """A session of now; ConfigError for a name, config or array that cannot be stored."""
+    if not name or not name.isprintable():
+        raise ConfigError(f"A session cannot be called {name!r}; give --name a printable one.")
+    about = About(
+        name,
+        trajectory,
+        as_json(config or {}),
+        source,
+        source_sha256,
+        {key: np.array(value) for key, value in (inputs or {}).items()},
+        software_version(),
+    )
+    array_rows(Kind.INPUT, about.inputs)
+    return about
 
 
 class Session:
@@ -37,22 +88,17 @@ class Session:
         self,
         connection: sqlite3.Connection,
         path: Path,
-        name: str,
+        about: About,
         *,
         matrices: TileMatrixSet,
         transfer: Transfer,
-        trajectory: Trajectory | None,
-        config: Mapping[str, Any],
-        source: str,
         on_end: Callable[[bool], None],
     ) -> None:
-        self.name = name
+        self.name = about.name
+        self._about = about
         self._connection = connection
         self._path = path
         self._matrices = matrices
-        self._trajectory = trajectory
-        self._config = _as_json(config)
-        self._source = source
         self._on_end = on_end
         self._spec: GridSpec | None = None
         self._count = 0
@@ -85,20 +131,35 @@ class Session:
         *,
         frame_id: str | None = None,
         images: Sequence[str] = (),
+        images_sha256: Sequence[str] = (),
     ) -> None:
         """Keep one frame: its local grid and pose, and, when accepted, its share of the map.
 
         Without `frame_id` frames are numbered from "000000". `images` names the files that the
-        grid was made from. Raises ConfigError for a grid unlike the session's others, cells
-        larger than the map's or a frame that is there already, DatumError for a pose too far
-        from the datum.
+        grid was made from, `images_sha256` are their hashes. Raises ConfigError for a grid unlike
+        the session's others, cells larger than the map's or a frame that is there already,
+        DatumError for a pose too far from the datum.
         """
         if not self._open:
             raise ConfigError(f"Session {self.name!r} has ended; add frames inside its block.")
         self._check(grid, pose)
         identity = f"{self._count:06d}" if frame_id is None else str(frame_id)
+        quality = quality_at(self._about.trajectory, pose.time_ns)
+        names = [str(image) for image in images]
+        self._keep(grid, pose, frame_row(grid, pose, identity, quality, names, images_sha256))
+
+    def add_record(self, frame: FrameRecord) -> None:
+        """Keep a frame of another map as it is there."""
+        grid, pose = frame.grid(), frame.pose
+        self._check(grid, pose)
+        row = frame_row(
+            grid, pose, frame.frame_id, frame.quality, frame.images, frame.images_sha256
+        )
+        self._keep(grid, pose, row)
+
+    def _keep(self, grid: LocalGrid, pose: Pose, row: tuple[Any, ...]) -> None:
         with explained(self._path, writing=True):
-            self._staging.add_frame(frame_row(grid, pose, identity, tuple(map(str, images))))
+            self._staging.add_frame(row)
             if is_accepted(pose):
                 self._fold.add(grid, pose)
         self._spec = grid.spec
@@ -108,7 +169,7 @@ class Session:
         """Forget everything that was added; nothing happens when it is in the map already."""
         if self._open:
             self._open = False
-            self._staging.close()
+            self._fold.close()
             self._on_end(self._committed)
 
     def _check(self, grid: LocalGrid, pose: Pose) -> None:
@@ -118,42 +179,42 @@ class Session:
                 f"take one of {_described(grid.spec)}; make them alike, or use two sessions."
             )
         check_cell_sizes(self._matrices.lattice.cell_m, grid.spec.cell_m)
-        if not is_accepted(pose):
-            return
-        if not all(math.isfinite(v) for v in (pose.east_m, pose.north_m, pose.heading_deg)):
-            raise ConfigError(
-                f"A pose at east {pose.east_m}, north {pose.north_m}, heading {pose.heading_deg} "
-                "is marked ok; reject it, or give it numbers."
-            )
-        if max(abs(pose.east_m), abs(pose.north_m)) > MAX_DISTANCE_M:
-            raise DatumError(
-                f"A pose {pose.east_m:.0f} m east and {pose.north_m:.0f} m north is over "
-                f"{MAX_DISTANCE_M / 1000:.0f} km from the map's datum; start another map there."
-            )
+        check_pose(pose)
 
     def _commit(self) -> None:
         with writing(self._connection, self._path):
             session_id = self._insert_session()
-            self._insert_frames(session_id)
-            self._insert_trajectory()
-            pyramid = Pyramid(self._connection, self._matrices)
-            pyramid.add(self._fold.tiles(), self._fold.sums)
-            self._extend(pyramid.extent)
-            self._connection.execute(f"UPDATE gpkg_contents SET last_change = {NOW_SQL}")
+            self._connection.executemany(
+                f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 17})",
+                ((session_id, *row) for row in self._staging.frames()),
+            )
+            put_arrays(self._connection, session_id, self._about.arrays)
+            sum_up(self._connection, session_id, self._about)
+            derived.show(
+                self._connection,
+                self._matrices,
+                session_id,
+                self.name,
+                self._about.trajectory,
+                self._fold,
+            )
 
     def _insert_session(self) -> int:
-        spec, track = self._spec, self._trajectory
+        about, spec = self._about, self._spec
         try:
             cursor = self._connection.execute(
-                "INSERT INTO fieldgrid_session (name, created, source, config, software_version, "
-                "heading_source, frames, accepted, grid_width_m, grid_length_m, grid_cell_m) "
-                f"VALUES (?, {NOW_SQL}, ?, ?, ?, ?, 0, 0, ?, ?, ?)",
+                "INSERT INTO fieldgrid_session (name, created, source, source_sha256, config, "
+                "software_version, heading_source, frames, accepted, grid_width_m, grid_length_m, "
+                f"grid_cell_m, digest) VALUES (?, coalesce(nullif(?, ''), {NOW_SQL}), "
+                "?, ?, ?, ?, ?, 0, 0, ?, ?, ?, '')",
                 (
-                    self.name,
-                    self._source,
-                    self._config,
-                    software_version(),
-                    "" if track is None else track.heading_source,
+                    about.name,
+                    about.created,
+                    about.source,
+                    about.source_sha256,
+                    about.config,
+                    about.software_version,
+                    about.heading_source,
                     *((spec.width_m, spec.length_m, spec.cell_m) if spec else (None, None, None)),
                 ),
             )
@@ -162,109 +223,97 @@ class Session:
         assert cursor.lastrowid is not None
         return cursor.lastrowid
 
-    def _insert_frames(self, session_id: int) -> None:
-        self._connection.executemany(
-            f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 14})",
-            ((session_id, *row) for row in self._staging.frames()),
-        )
-        positions = self._connection.execute(
-            "SELECT frame_id, time_ns, east_m, north_m, heading_deg, status, reason "
-            "FROM fieldgrid_frame WHERE session_id = ? ORDER BY id",
-            (session_id,),
-        ).fetchall()
-        self._insert_points(
-            "frame_position",
-            "session, frame_id, time_ns, heading_deg, status, reason",
-            (
-                (east, north, (self.name, frame_id, time_ns, *rest))
-                for frame_id, time_ns, east, north, *rest in positions
-            ),
-        )
-        self._connection.execute(
-            "UPDATE fieldgrid_session SET (frames, accepted, first_time_ns, last_time_ns) = "
-            "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
-            "FROM fieldgrid_frame WHERE session_id = ?1) WHERE id = ?1",
-            (session_id,),
-        )
 
-    def _insert_trajectory(self) -> None:
-        track = self._trajectory
-        if track is None:
-            return
-        columns = (
-            track.time_ns, track.up_m, track.heading_deg, track.heading_sigma_deg,
-            track.position_sigma_m, track.speed_mps, track.quality,
-        )  # fmt: skip
-        rows = zip(
-            *(column.tolist() for column in columns), track.status, track.reason, strict=True
+def put_arrays(
+    connection: sqlite3.Connection, session_id: int, arrays: Mapping[Kind, Mapping[str, Array]]
+) -> None:
+    """Store arrays with a session in place of those of the same kind."""
+    for kind, named in arrays.items():
+        connection.execute(
+            "DELETE FROM fieldgrid_array WHERE session_id = ? AND kind = ?",
+            (session_id, kind.value),
         )
-        self._insert_points(
-            "trajectory",
-            "session, time_ns, up_m, heading_deg, heading_sigma_deg, position_sigma_m, speed_mps, "
-            "quality, status, reason",
-            (
-                (east, north, (self.name, *row))
-                for east, north, row in zip(
-                    track.east_m.tolist(), track.north_m.tolist(), rows, strict=True
-                )
-            ),
-        )
-
-    def _insert_points(
-        self, table: str, columns: str, rows: Iterable[tuple[Any, Any, tuple[Any, ...]]]
-    ) -> None:
-        """Add (east, north, attributes) to a layer, and widen the extent that it announces."""
-        points = [
-            (encode_point(*(math.nan if v is None else v for v in (east, north))), *attributes)
-            for east, north, attributes in rows
-        ]
-        places = ", ?" * (columns.count(",") + 1)
-        self._connection.executemany(
-            f"INSERT INTO {table} (geom, {columns}) VALUES (?{places})", points
-        )
-        blobs = [point[0] for point in points if point[0] is not None]
-        if blobs:
-            # East and north are the last sixteen bytes of a point.
-            positions = np.frombuffer(b"".join(blob[-16:] for blob in blobs), dtype="<f8")
-            east, north = positions[0::2], positions[1::2]
-            self._widen(table, Bounds(east.min(), north.min(), east.max(), north.max()))
-
-    def _extend(self, seen: Window | None) -> None:
-        """Record which base cells have data, and the raster's extent for a GIS."""
-        if seen is None:
-            return
-        before = self._connection.execute(
-            "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'"
-        ).fetchone()
-        window = union(None if before is None else Window(*json.loads(before[0])), seen)
-        self._connection.execute(
-            "INSERT OR REPLACE INTO fieldgrid_meta VALUES ('data_window', ?)",
-            (json.dumps(list(window)),),
-        )
-        (top,) = self._connection.execute(
-            "SELECT min(zoom_level) FROM gpkg_tile_matrix WHERE table_name = 'density'"
-        ).fetchone()
-        self._connection.execute(
-            "UPDATE gpkg_contents SET (min_x, min_y, max_x, max_y) = (?, ?, ?, ?) "
-            "WHERE table_name = 'density'",
-            self._matrices.lattice.bounds(self._matrices.whole_cells(window, top)),
-        )
-
-    def _widen(self, table: str, bounds: Bounds) -> None:
-        self._connection.execute(
-            "UPDATE gpkg_contents SET min_x = min(?1, coalesce(min_x, ?1)), "
-            "min_y = min(?2, coalesce(min_y, ?2)), max_x = max(?3, coalesce(max_x, ?3)), "
-            "max_y = max(?4, coalesce(max_y, ?4)) WHERE table_name = ?5",
-            (*(float(v) for v in bounds), table),
+        connection.executemany(
+            "INSERT INTO fieldgrid_array VALUES (?, ?, ?, ?, ?, ?, ?)",
+            ((session_id, *row) for row in array_rows(kind, named)),
         )
 
 
-def name_is_taken(name: str, path: Path) -> ConfigError:
+def sum_up(connection: sqlite3.Connection, session_id: int, about: About) -> None:
+    """Bring a session's own row up to date with its frames and arrays."""
+    connection.execute(
+        "UPDATE fieldgrid_session SET (frames, accepted, first_time_ns, last_time_ns) = "
+        "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
+        "FROM fieldgrid_frame WHERE session_id = ?1) WHERE id = ?1",
+        (session_id,),
+    )
+    (*grid, heading_source) = connection.execute(
+        "SELECT grid_width_m, grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session "
+        "WHERE id = ?",
+        (session_id,),
+    ).fetchone()
+    frames = connection.execute(
+        "SELECT digest FROM fieldgrid_frame WHERE session_id = ?", (session_id,)
+    )
+    connection.execute(
+        "UPDATE fieldgrid_session SET digest = ? WHERE id = ?",
+        (digest_of(about, grid, heading_source, [row[0] for row in frames]), session_id),
+    )
+
+
+def digest_of(
+    about: About, grid: Sequence[float | None], heading_source: str, frames: Sequence[str]
+) -> str:
+    """The digest of a session; `grid` is its width, length and cell, or three times None."""
+    values = (
+        about.source, about.source_sha256, about.config, about.software_version, heading_source,
+        *grid,
+    )  # fmt: skip
+    return session_digest(values, about.arrays, frames)
+
+
+def check_pose(pose: Pose) -> None:
+    """Raise for an accepted pose that cannot be folded: without numbers, or far from the datum."""
+    if not is_accepted(pose):
+        return
+    if not all(math.isfinite(v) for v in (pose.east_m, pose.north_m, pose.heading_deg)):
+        raise ConfigError(
+            f"A pose at east {pose.east_m}, north {pose.north_m}, heading {pose.heading_deg} "
+            "is marked ok; reject it, or give it numbers."
+        )
+    if max(abs(pose.east_m), abs(pose.north_m)) > MAX_DISTANCE_M:
+        raise DatumError(
+            f"A pose {pose.east_m:.0f} m east and {pose.north_m:.0f} m north is over "
+            f"{MAX_DISTANCE_M / 1000:.0f} km from the map's datum; start another map there."
+        )
+
+
+def quality_at(track: Trajectory | None, time_ns: int) -> int | None:
+    """The quality of the accepted fix nearest in time, None where there is none."""
+    if track is None:
+        return None
+    accepted = np.flatnonzero(track.accepted)
+    if accepted.size == 0:
+        return None
+    times_ns = track.time_ns[accepted]
+    after = int(np.searchsorted(times_ns, time_ns))
+    near = [k for k in (after - 1, after) if 0 <= k < accepted.size]
+    nearest = min(near, key=lambda k: abs(int(times_ns[k]) - time_ns))
+    return int(track.quality[accepted[nearest]])
+
+
+def name_is_taken(name: str, path: Path, *, removed: bool = False) -> ConfigError:
     """The error for a second session of one name."""
+    if removed:
+        return ConfigError(
+            f"{path} has a session {name!r} that was removed; put it back with --restore, or give "
+            "another name with --name."
+        )
     return ConfigError(f"{path} has a session {name!r} already; give another name with --name.")
 
 
-def _as_json(config: Mapping[str, Any]) -> str:
+def as_json(config: Mapping[str, Any]) -> str:
+    """A session's config as it is stored; ConfigError when it is no JSON."""
     try:
         return json.dumps(dict(config), ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:

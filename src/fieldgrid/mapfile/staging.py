@@ -1,4 +1,4 @@
-"""What a session has so far: frames on disk, tile sums in memory and on disk.
+"""What a session has so far: frames on disk, the moments of its tiles in memory and on disk.
 
 It is kept apart from the map until the session ends. So the map is locked for the moment of
 the commit only, readers and other drives meanwhile see it as it was, and giving up costs
@@ -15,24 +15,21 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import LocalGrid
-from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
-from fieldgrid.mapfile.codec import decode_sums, encode_sums
+from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window
+from fieldgrid.mapfile.codec import decode_moments, encode_moments
 from fieldgrid.mapfile.schema import FRAME_COLUMNS
+from fieldgrid.moments import PLANES, Moments, add_to_tiles, finished, merge_moments
 from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer, add_to_sums, footprint
+from fieldgrid.transfer import Transfer, footprint
 
-POOL_TILES = 64
-"""Tiles whose sums are in memory, 1 MB each."""
+POOL_TILES = 32
+"""Tiles whose moments are in memory, 2.6 MB each."""
 
-SLAB_TILES = 16
-"""Tiles that are asked of the system at a time."""
-
-PART_CELLS = 2048
-"""Side of the largest window that a frame is folded over in one go."""
+PART_TILES = 4
+"""Side of the largest square of tiles that a frame is folded into in one go."""
 
 
 class Staging:
@@ -45,7 +42,7 @@ class Staging:
         self._database.execute("PRAGMA synchronous = OFF")
         self._database.execute(f"CREATE TABLE frame (id INTEGER PRIMARY KEY, {FRAME_COLUMNS})")
         self._database.execute(
-            "CREATE TABLE tile (ty INTEGER, tx INTEGER, sums BLOB, PRIMARY KEY (ty, tx))"
+            "CREATE TABLE tile (ty INTEGER, tx INTEGER, moments BLOB, PRIMARY KEY (ty, tx))"
         )
 
     def add_frame(self, row: tuple[Any, ...]) -> None:
@@ -63,20 +60,20 @@ class Staging:
         return (row[1:] for row in self._database.execute("SELECT * FROM frame ORDER BY id"))
 
     def tiles(self) -> set[TileIndex]:
-        """The tiles whose sums are here."""
+        """The tiles whose moments are here."""
         return {TileIndex(*row) for row in self._database.execute("SELECT ty, tx FROM tile")}
 
-    def sums(self, tile: TileIndex) -> npt.NDArray[np.uint64] | None:
-        """A tile's sums, or None."""
+    def moments(self, tile: TileIndex) -> Moments | None:
+        """A tile's moments, or None."""
         row = self._database.execute(
-            "SELECT sums FROM tile WHERE ty = ? AND tx = ?", tile
+            "SELECT moments FROM tile WHERE ty = ? AND tx = ?", tile
         ).fetchone()
-        return None if row is None else decode_sums(row[0], f"tile {tuple(tile)}")
+        return None if row is None else decode_moments(row[0], f"tile {tuple(tile)}")
 
-    def put_sums(self, tile: TileIndex, sums: npt.NDArray[np.uint64]) -> None:
-        """Keep a tile's sums in place of those that were there."""
+    def put_moments(self, tile: TileIndex, moments: Moments) -> None:
+        """Keep a tile's moments in place of those that were there."""
         self._database.execute(
-            "INSERT OR REPLACE INTO tile VALUES (?, ?, ?)", (*tile, encode_sums(sums))
+            "INSERT OR REPLACE INTO tile VALUES (?, ?, ?)", (*tile, encode_moments(moments))
         )
 
     def close(self) -> None:
@@ -88,79 +85,77 @@ class SessionFold:
     """The fold over a session's frames, tile by tile.
 
     The tiles last used are in memory, the others are compressed into the staging. Where the
-    drive comes back to such a tile it starts afresh, and the two parts are added later.
+    drive comes back to such a tile it starts afresh, and the two parts are merged later.
     """
 
     def __init__(self, lattice: Lattice, transfer: Transfer, staging: Staging) -> None:
         self._lattice = lattice
         self._transfer = transfer
         self._staging = staging
-        self._pool: OrderedDict[TileIndex, npt.NDArray[np.uint64]] = OrderedDict()
-        self._free: list[npt.NDArray[np.uint64]] = []
-        self._scratch = np.zeros(0, dtype=np.uint64)
+        # Memory that is not touched is not taken.
+        self._pool = np.zeros((POOL_TILES, TILE_CELLS, TILE_CELLS, PLANES), dtype=np.uint64)
+        self._slots: OrderedDict[TileIndex, int] = OrderedDict()
+        self._free = list(range(POOL_TILES))
+        self._number = 0
 
     def add(self, grid: LocalGrid, pose: Pose) -> None:
         """Carry one local grid into the tiles under it."""
-        for window in _parts(footprint(grid.spec, pose, self._lattice)):
-            sums = self._fold(grid, pose, window)
-            for tile in window.tiles():
-                cells = tile_window(tile)
-                shared = cells.intersect(window)
-                if shared is not None:
-                    pooled = self._pooled(tile)[cells.slices_of(shared)]
-                    pooled += sums[window.slices_of(shared)]
+        self._number += 1
+        for tiles in _parts(footprint(grid.spec, pose, self._lattice)):
+            rows, columns = (
+                range(tiles.j0, tiles.j0 + tiles.height),
+                range(tiles.i0, tiles.i0 + tiles.width),
+            )
+            slots = np.array(
+                [[self._slot(TileIndex(ty, tx)) for tx in columns] for ty in rows], dtype=np.int32
+            )
+            window = Window(*(TILE_CELLS * value for value in tiles))
+            add_to_tiles(
+                self._pool, slots, window, grid, pose, self._lattice, self._transfer, self._number
+            )
 
     def tiles(self) -> set[TileIndex]:
         """Every tile that any local grid may have touched."""
-        return self._staging.tiles() | self._pool.keys()
+        return self._staging.tiles() | self._slots.keys()
 
-    def sums(self, tile: TileIndex) -> npt.NDArray[np.uint64]:
-        """What this session adds to a tile: (weight, weighted sum), uint64 [256, 256, 2]."""
-        pooled, staged = self._pool.get(tile), self._staging.sums(tile)
-        if pooled is None:
-            assert staged is not None
-            return staged
-        return pooled if staged is None else pooled + staged
+    def moments(self, tile: TileIndex) -> Moments:
+        """What this session has in a tile, uint64 [256, 256, 5]."""
+        slot, staged = self._slots.get(tile), self._staging.moments(tile)
+        if slot is None:
+            return np.zeros(self._pool.shape[1:], dtype=np.uint64) if staged is None else staged
+        pooled = finished(self._pool[slot])
+        return pooled if staged is None else merge_moments(pooled, staged)
 
-    def _fold(self, grid: LocalGrid, pose: Pose, window: Window) -> npt.NDArray[np.uint64]:
-        """One frame's sums over a window, in memory that the next frame takes over.
+    def close(self) -> None:
+        """Throw everything away."""
+        self._staging.close()
 
-        The same as `MeanFold`, which would ask the system for new memory at each frame: that
-        takes longer than the fold.
-        """
-        size = window.height * window.width * 2
-        if size > self._scratch.size:
-            self._scratch = np.zeros(size, dtype=np.uint64)
-        sums = self._scratch[:size].reshape(*window.shape, 2)
-        sums.fill(0)
-        add_to_sums(sums, window, grid, pose, self._lattice, self._transfer)
-        return sums
-
-    def _pooled(self, tile: TileIndex) -> npt.NDArray[np.uint64]:
-        sums = self._pool.get(tile)
-        if sums is None:
-            if len(self._pool) == POOL_TILES:
-                self._stage(*self._pool.popitem(last=False))
+    def _slot(self, tile: TileIndex) -> int:
+        slot = self._slots.get(tile)
+        if slot is None:
             if not self._free:
-                # Several tiles at once get large pages of memory, and are touched faster.
-                slab = np.zeros((SLAB_TILES, TILE_CELLS, TILE_CELLS, 2), dtype=np.uint64)
-                self._free.extend(slab)
-            sums = self._pool[tile] = self._free.pop()
-        self._pool.move_to_end(tile)
-        return sums
+                self._stage(*self._slots.popitem(last=False))
+            slot = self._slots[tile] = self._free.pop()
+        self._slots.move_to_end(tile)
+        return slot
 
-    def _stage(self, tile: TileIndex, sums: npt.NDArray[np.uint64]) -> None:
-        if sums[..., 0].any():  # or it is a corner of a footprint, which no cell reached
-            staged = self._staging.sums(tile)
-            self._staging.put_sums(tile, sums if staged is None else sums + staged)
-        sums.fill(0)
-        self._free.append(sums)
+    def _stage(self, tile: TileIndex, slot: int) -> None:
+        moments = finished(self._pool[slot])
+        if moments[..., 0].any():  # or it is a corner of a footprint, which no cell reached
+            staged = self._staging.moments(tile)
+            merged = moments if staged is None else merge_moments(moments, staged)
+            self._staging.put_moments(tile, merged)
+            self._pool[slot] = 0
+        self._free.append(slot)
 
 
 def _parts(window: Window) -> Iterator[Window]:
-    """The window, cut up where its sums would take more than 64 MB."""
-    for j0 in range(window.j0, window.j0 + window.height, PART_CELLS):
-        for i0 in range(window.i0, window.i0 + window.width, PART_CELLS):
-            part = window.intersect(Window(i0, j0, PART_CELLS, PART_CELLS))
+    """The tiles under a window, cut up where they are more than the pool should hold at once."""
+    ty0, ty1 = window.j0 // TILE_CELLS, (window.j0 + window.height - 1) // TILE_CELLS
+    tx0, tx1 = window.i0 // TILE_CELLS, (window.i0 + window.width - 1) // TILE_CELLS
+    whole = Window(tx0, ty0, tx1 - tx0 + 1, ty1 - ty0 + 1)
+    for ty in range(ty0, ty1 + 1, PART_TILES):
+        for tx in range(tx0, tx1 + 1, PART_TILES):
+            part = whole.intersect(Window(tx, ty, PART_TILES, PART_TILES))
             if part is not None:
                 yield part

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import weakref
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,16 +14,35 @@ from typing import Any, Self
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.database import connect, explained, keep_one_file, reading, writing
+from fieldgrid.mapfile import revision, schema
+from fieldgrid.mapfile.arrays import Array
+from fieldgrid.mapfile.cells import check_layers
+from fieldgrid.mapfile.change import ChangeView
+from fieldgrid.mapfile.database import (
+    clear_journal,
+    connect,
+    explained,
+    keep_one_file,
+    reading,
+    writing,
+)
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header, read_header
+from fieldgrid.mapfile.provenance import Provenance, trace
 from fieldgrid.mapfile.publish import Draft
+from fieldgrid.mapfile.reading import (
+    Request,
+    extent_of,
+    read_change,
+    read_view,
+    sessions_at,
+)
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
-from fieldgrid.mapfile.session import Session, name_is_taken
+from fieldgrid.mapfile.session import About, Session, about_session, name_is_taken
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.mapfile.view import MapView, empty_view, fold
-from fieldgrid.trajectory import Trajectory
+from fieldgrid.mapfile.verification import Verdict, repair, verify
+from fieldgrid.mapfile.view import MapView
+from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
 
 DEFAULT_CELL_M = 0.05
@@ -33,32 +54,36 @@ def open_map(
     datum: Datum | None = None,
     cell_m: float | None = None,
     transfer: Transfer | None = None,
+    writable: bool = False,
 ) -> MapFile:
-    """Open a map: without `datum` to read it, with one to add sessions to it.
+    """Open a map: to read it, or with `datum` or `writable` to change it.
 
-    With `datum` a map that does not exist is made, with cells of `cell_m` (0.05 m when not
-    given) and the `transfer` rule (centre when not given). A map that exists keeps its own:
-    another datum raises DatumError, another cell size or rule ConfigError. A file that is
-    absent, foreign, damaged or of a newer format raises MapError.
+    `writable` is for a map that exists, whatever its datum. With `datum` a map that does not
+    exist is made, with cells of `cell_m` (0.05 m when not given) and the `transfer` rule (centre
+    when not given). A map that exists keeps its own: another datum raises DatumError, another
+    cell size or rule ConfigError. A file that is absent, foreign, damaged or of another format
+    raises MapError.
     """
     path = Path(path)
     if datum is not None and not path.exists():
         return create_map(path, datum, cell_m=cell_m, transfer=transfer)
     if not path.is_file():
         raise MapError(f"There is no map {path}; check the name, or build it first.")
-    connection = connect(path, path, writable=datum is not None)
+    writable = writable or datum is not None
+    connection = connect(path, path, writable=writable)
     try:
         with reading(connection, path):
             header = read_header(connection, path)
         if datum is not None:
             header.check_datum(path, datum)
-            header.check_settings(path, cell_m, transfer)
+        header.check_settings(path, cell_m, transfer)
+        if writable:
             with explained(path, writing=True):
                 keep_one_file(connection, durable=True)
     except BaseException:
         connection.close()
         raise
-    return MapFile(path, connection, header, writable=datum is not None)
+    return MapFile(path, connection, header, writable=writable)
 
 
 def create_map(
@@ -169,6 +194,7 @@ class MapFile:
         try:
             if self._draft is not None and self._has_new_session and self._release.alive:
                 self._connection.close()
+                clear_journal(self.path.resolve())  # of a map that is to be replaced
                 self._draft.publish()
         finally:
             self._release()
@@ -185,43 +211,116 @@ class MapFile:
         trajectory: Trajectory | None = None,
         config: Mapping[str, Any] | None = None,
         source: str = "",
+        source_sha256: str = "",
+        inputs: Mapping[str, Array] | None = None,
     ) -> Session:
         """A session to add frames to, inside `with`: all of it is added at the end, or nothing.
 
-        `trajectory` is stored as a layer of points; `config` is kept as JSON; `source` names
-        the recording, with its hash if there is one. Raises ConfigError when the map has a
-        session of that name, DatumError when the trajectory has another datum.
+        `trajectory` is stored, and shown as a layer of points; `config` is kept as JSON; `source`
+        names the log of fixes, `source_sha256` is its hash. `inputs` are named arrays that the
+        map keeps without looking into them. Raises ConfigError when the map has a session of
+        that name, DatumError when the trajectory has another datum.
         """
+        return self.add_about(
+            about_session(name, trajectory, config, source, source_sha256, inputs)
+        )
+
+    def add_about(self, about: About) -> Session:
+        """`add_session` of what is known already, as when it comes from another map."""
         self._require_writable()
-        if not name or not name.isprintable():
-            raise ConfigError(f"A session cannot be called {name!r}; give --name a printable one.")
-        if trajectory is not None:
-            self._header.check_datum(self.path, trajectory.datum)
+        if about.trajectory is not None:
+            self._header.check_datum(self.path, about.trajectory.datum)
         with reading(self._connection, self.path):
-            if self._evidence.has_session(name):
-                raise name_is_taken(name, self.path)
+            is_active = self._evidence.find_name(about.name)
+        if is_active is not None:
+            raise name_is_taken(about.name, self.path, removed=not is_active)
         self._session = Session(
             self._connection,
             self.path,
-            name,
+            about,
             matrices=TileMatrixSet(self._header.lattice),
             transfer=self._header.transfer,
-            trajectory=trajectory,
-            config=config or {},
-            source=source,
             on_end=self._session_ended,
         )
         return self._session
 
+    def remove_session(self, name: str) -> None:
+        """Take a session out: the map is as if it had never had it. The evidence is kept.
+
+        Raises ConfigError when there is none of that name, or it is removed already.
+        """
+        with self._changing():
+            revision.remove(self._connection, self.path, self._header, name)
+
+    def restore_session(self, name: str) -> None:
+        """Put back a session that was removed: the map is as if it had never been."""
+        with self._changing():
+            revision.restore(self._connection, self.path, self._header, name)
+
+    def repose(
+        self,
+        name: str,
+        poses: Mapping[str, Pose],
+        trajectory: Trajectory | None = None,
+        config: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Give the frames of a session other poses and verdicts, without their images.
+
+        `poses` has one for each frame_id. `trajectory` and `config` replace those of the session
+        where they are given. The map is then as if the session had been added so. Raises
+        ConfigError when a frame is left out, DatumError for a trajectory of another datum.
+        """
+        if trajectory is not None:
+            self._header.check_datum(self.path, trajectory.datum)
+        with self._changing():
+            revision.repose(
+                self._connection, self.path, self._header, name, poses, trajectory, config
+            )
+
     def sessions(self) -> list[SessionInfo]:
-        """The sessions, in the order in which they were added."""
+        """The sessions, in the order in which they were added, removed ones included."""
         with reading(self._connection, self.path):
             return self._evidence.sessions()
+
+    def about(self, name: str) -> About:
+        """All that is kept of a session beside its frames, for `add_about` of another map."""
+        with reading(self._connection, self.path):
+            return revision.find(self._connection, self.path, self.datum, name).about
+
+    def has_datum(self, datum: Datum) -> bool:
+        """Whether a datum is that of the map, up to rounding."""
+        return self._header.is_datum(datum)
+
+    def verify(self) -> Verdict:
+        """Check the file, the evidence against its hashes, and that all else follows from it."""
+        with reading(self._connection, self.path):
+            return verify(self._connection, self.path, self._header)
+
+    def repair(self) -> None:
+        """Make everything anew that follows from the evidence: tiles, pictures, layers.
+
+        Raises MapError when the evidence itself is damaged.
+        """
+        with self._changing():
+            repair(self._connection, self.path, self._header)
+
+    def sessions_at(self, at: str | int) -> list[str]:
+        """The names of the active sessions as of a moment, in the order of their drives.
+
+        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds.
+        """
+        with reading(self._connection, self.path):
+            return list(sessions_at(self._evidence, at, self.path))
+
+    def session_inputs(self, name: str) -> dict[str, Array]:
+        """The arrays that `add_session` was given as `inputs`, bit for bit."""
+        with reading(self._connection, self.path):
+            return self._evidence.inputs(name)
 
     def frames(
         self, session: str | None = None, *, with_grid: bool = False
     ) -> Iterator[FrameRecord]:
-        """The frames of one or of all sessions, rejected ones included, in time order.
+        """The frames of one or of all active sessions, rejected ones included, in time order.
 
         With `with_grid` each carries its compressed local grid, for `FrameRecord.grid`.
         """
@@ -240,6 +339,8 @@ class MapFile:
         bounds: Bounds | None = None,
         cell_m: float | None = None,
         *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
         averaging: Averaging = Averaging.MEAN,
         transfer: Transfer | None = None,
         sessions: Collection[str] | None = None,
@@ -247,48 +348,103 @@ class MapFile:
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
-        With the map's own cell and rule and all its frames it comes from the stored tiles.
-        Anything else is folded anew from the accepted frames: another `cell_m` (not below the
-        local grids': ConfigError), another `transfer`, the `averaging` of the paper (in time
-        order, by cell centres), only some `sessions`, only frames for which `frame_filter` is
-        true. Raises MapError when the map has no observed cell, ConfigError when the view
-        would exceed 400 million cells.
+        `layers` adds to the density: count, variance, max, sessions, persistence. `at` is a
+        session or a date: the map as of then; `sessions` are some of them by name.
+
+        With the map's own cell, or that times a power of two, and its own rule it comes from
+        the stored tiles, of which only those within `bounds` are touched. Anything else is folded
+        anew from the accepted frames: another `cell_m` (not below the local grids':
+        ConfigError), another `transfer`, the `averaging` of the paper (in time order, by cell
+        centres), only frames for which `frame_filter` is true. Raises MapError when the map has
+        no observed cell, ConfigError when the view would exceed 400 million cells.
         """
         if averaging is Averaging.PAPER and transfer is Transfer.AREA:
             raise ConfigError(
                 "The paper's averaging goes by cell centres; leave out transfer='area', or take "
                 "the mean."
             )
-        header, rule = self._header, transfer or self.transfer
-        lattice = header.lattice_of(cell_m)
-        as_stored = (lattice, rule, averaging) == (header.lattice, header.transfer, Averaging.MEAN)
+        names = check_layers(layers)
         with reading(self._connection, self.path):
-            extent = header.lattice.bounds(self._evidence.data_window())
-            view = empty_view(lattice, lattice.window(bounds or extent), self.datum)
-            if as_stored and sessions is None and frame_filter is None:
-                self._evidence.fill_from_tiles(view)
-            else:
-                frames = self._evidence.accepted(view.bounds, sessions, frame_filter)
-                for frame in frames:
-                    check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
-                fold(view, frames, averaging, rule)
-        return view
+            request = self._request(bounds, cell_m, transfer)
+            request = request._replace(
+                averaging=averaging,
+                sessions=self._chosen(at, sessions),
+                frame_filter=frame_filter,
+                layers=names,
+            )
+            return read_view(self._evidence, self._header, request)
+
+    def diff(
+        self,
+        from_: str | int,
+        to: str | int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+    ) -> ChangeView:
+        """What the drives after `from_` and up to `to` found, beside what was known by `from_`.
+
+        Both are sessions or dates. In each cell the latest drive that observed it counts.
+        """
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            return read_change(self._evidence, self._header, request, (from_, to), self.path)
+
+    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
+        """Which sessions and frames observed the cell at a point, and what each said of it."""
+        if not (math.isfinite(east_m) and math.isfinite(north_m)):
+            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
+        lattice = self._header.lattice_of(cell_m)
+        half_m = lattice.cell_m
+        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+        with reading(self._connection, self.path):
+            frames = self._evidence.accepted(near, None, None)
+            for frame in frames:
+                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
+            return trace(east_m, north_m, lattice, self.transfer, frames)
+
+    def _request(
+        self, bounds: Bounds | None, cell_m: float | None, transfer: Transfer | None
+    ) -> Request:
+        lattice = self._header.lattice_of(cell_m)
+        extent = extent_of(self._evidence, self._header)
+        return Request(lattice, lattice.window(bounds or extent), transfer or self.transfer)
+
+    def _chosen(
+        self, at: str | int | None, sessions: Collection[str] | None
+    ) -> tuple[str, ...] | None:
+        """The sessions that are asked for in the order of their drives; None for all."""
+        if at is None and sessions is None:
+            return None
+        every = [info.name for info in self._evidence.active()]
+        chosen = set(every if at is None else sessions_at(self._evidence, at, self.path))
+        if sessions is not None:
+            self._evidence.check_sessions(sessions, active=True)
+            chosen &= set(sessions)
+        return None if chosen == set(every) else tuple(n for n in every if n in chosen)
 
     def _blobs(self, row: tuple[Any, ...]) -> Callable[[], tuple[object, object]]:
         with reading(self._connection, self.path):
             blobs = self._evidence.blobs(row)
         return lambda: blobs
 
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """One transaction in which the map is changed."""
+        self._require_writable()
+        with writing(self._connection, self.path):
+            yield
+
     def _require_writable(self) -> None:
         if not self._release.alive:
-            raise ConfigError(f"{self.path} is closed; open it again to add a session.")
+            raise ConfigError(f"{self.path} is closed; open it again to change it.")
         if not self._writable:
             raise ConfigError(
-                f"{self.path} was opened for reading; open it with datum=... to add a session."
+                f"{self.path} was opened for reading; open it with datum=... or writable=True to "
+                "change it."
             )
         if self._session is not None:
             raise ConfigError(
-                f"Session {self._session.name!r} has not ended; add one session at a time."
+                f"Session {self._session.name!r} has not ended; make one change at a time."
             )
 
     def _session_ended(self, committed: bool) -> None:

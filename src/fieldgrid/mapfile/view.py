@@ -1,9 +1,10 @@
-"""A part of a map as arrays, folded anew from the evidence where the tiles do not have it."""
+"""A part of a map as arrays, with what places them on Earth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,8 @@ BLOCK_CELLS = 2048
 class MapView:
     """A window of a map: 3D density, uint8 [rows north, columns east], row 0 in the south.
 
-    0 with `observed` is free ground; without, nothing is known of the cell.
+    0 with `observed` is free ground; without, nothing is known of the cell. `layers` has what
+    else was asked for, by name, in arrays of the same shape.
     """
 
     lattice: Lattice
@@ -33,29 +35,83 @@ class MapView:
     density: npt.NDArray[np.uint8]
     observed: npt.NDArray[np.bool_]
     datum: Datum
+    layers: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     @property
     def bounds(self) -> Bounds:
         """The outer edges in metres east and north of the datum."""
         return self.lattice.bounds(self.window)
 
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """(a, b, c, d, e, f): east = a·column + b·row + c and north = d·column + e·row + f of a
+        cell's south-west corner."""
+        cell_m, bounds = 1.0 / self.lattice.cells_per_m, self.bounds
+        return cell_m, 0.0, bounds.west_m, 0.0, cell_m, bounds.south_m
+
+    @property
+    def crs_wkt(self) -> str:
+        """The plane of east and north as well-known text, for a GIS."""
+        return self.datum.crs_wkt("WKT2_2019")
+
+    def layer(self, name: str) -> npt.NDArray[Any]:
+        """A layer by its name; ConfigError when it was not asked for."""
+        arrays = {"density": self.density, "observed": self.observed, **self.layers}
+        if name not in arrays:
+            raise ConfigError(
+                f"The view has no layer {name!r} but {', '.join(arrays)}; "
+                f"read the map with layers=[{name!r}]."
+            )
+        return arrays[name]
+
+    def to_xarray(self) -> Any:
+        """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
+
+        Raises ConfigError when xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise ConfigError(
+                "A view as Dataset needs xarray, which is not installed; "
+                "run: pip install 'fieldgrid[xarray]'"
+            ) from error
+        east_m, north_m = self.lattice.centres(self.window)
+        arrays = {"density": self.density, "observed": self.observed, **self.layers}
+        return xarray.Dataset(
+            {name: (("north_m", "east_m"), array) for name, array in arrays.items()},
+            coords={"north_m": north_m, "east_m": east_m},
+            attrs={
+                "cell_m": self.lattice.cell_m,
+                "datum_lat_deg": self.datum.lat_deg,
+                "datum_lon_deg": self.datum.lon_deg,
+                "datum_height_m": self.datum.height_m,
+                "crs_wkt": self.crs_wkt,
+            },
+        )
+
 
 def empty_view(lattice: Lattice, window: Window, datum: Datum) -> MapView:
     """A view in which nothing has been observed, to be filled in place."""
+    check_size(lattice, window)
+    density = np.zeros(window.shape, dtype=np.uint8)
+    return MapView(lattice, window, density, np.zeros(window.shape, dtype=np.bool_), datum)
+
+
+def check_size(lattice: Lattice, window: Window) -> None:
+    """Raise ConfigError for a window of more cells than a view may have."""
     if window.width * window.height > MAX_CELLS:
         raise ConfigError(
             f"A view of {window.width} x {window.height} cells of {lattice.cell_m} m is over "
             f"{MAX_CELLS / 1e6:.0f} million cells; give smaller bounds or a larger cell."
         )
-    density = np.zeros(window.shape, dtype=np.uint8)
-    return MapView(lattice, window, density, np.zeros(window.shape, dtype=np.bool_), datum)
 
 
 def fold(
     view: MapView, frames: Sequence[FrameRecord], averaging: Averaging, transfer: Transfer
 ) -> None:
     """Fill a view from frames in the order given, block by block, a grid in memory at a time."""
-    for block in _blocks(view.window):
+    for block in blocks(view.window, BLOCK_CELLS):
         inside = [
             frame
             for frame in frames
@@ -74,9 +130,10 @@ def fold(
         view.density[place], view.observed[place] = sums.density()
 
 
-def _blocks(window: Window) -> Iterator[Window]:
-    for j0 in range(window.j0, window.j0 + window.height, BLOCK_CELLS):
-        for i0 in range(window.i0, window.i0 + window.width, BLOCK_CELLS):
-            block = window.intersect(Window(i0, j0, BLOCK_CELLS, BLOCK_CELLS))
+def blocks(window: Window, side: int) -> Iterator[Window]:
+    """The window cut into squares of at most `side` cells."""
+    for j0 in range(window.j0, window.j0 + window.height, side):
+        for i0 in range(window.i0, window.i0 + window.width, side):
+            block = window.intersect(Window(i0, j0, side, side))
             assert block is not None
             yield block

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import struct
 from dataclasses import dataclass
@@ -59,6 +60,10 @@ class ImageFile:
         if image is None or image.shape != (header.height_px, header.width_px):
             raise RecordingError(f"{self.path} is truncated or damaged; copy it again.")
         return image
+
+    def sha256(self) -> str:
+        """The hash of the file."""
+        return hashlib.sha256(read_bytes(self.path, _MAX_FILE_BYTES)).hexdigest()
 
 
 class _Header(NamedTuple):

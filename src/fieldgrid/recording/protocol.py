@@ -30,6 +30,9 @@ class ImageSource(Protocol):
     def read(self) -> Image:
         """The image in grey, 8 bit; :class:`RecordingError` when it cannot be had."""
 
+    def sha256(self) -> str:
+        """The hash of its bytes as recorded, in hexadecimal; empty when there are none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:

@@ -1,0 +1,61 @@
+"""One step of the work on a map of 100 ha; prints what was done, and the peak memory in MB.
+
+python -m benchmarks.hectares build|read|verify MAP.gpkg
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.synthetic import DATUM, real_grids, rows
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import create_map, open_map
+
+SIDE_M, ROW_M, STEP_M = 1000.0, 3.0, 4.0
+STRIPS = 20
+
+
+def build(path: Path) -> str:
+    """Rows 3 m apart over 1000 x 1000 m, a frame every 4 m, in strips of a session each."""
+    grids = real_grids()
+    per_strip = int(SIDE_M / STRIPS / ROW_M) * int(SIDE_M / STEP_M)
+    frames = 0
+    with create_map(path, DATUM) as universal:
+        for strip in range(STRIPS):
+            with universal.add_session(f"strip {strip:02d}") as session:
+                west_m = strip * SIDE_M / STRIPS
+                for k, pose in enumerate(rows(per_strip, SIDE_M, STEP_M, ROW_M, west_m, 0.0)):
+                    session.add(grids[(7 * k + strip) % len(grids)], pose)
+                    frames += 1
+    return f"{frames} frames, {path.stat().st_size / 1e9:.2f} GB"
+
+
+def read(path: Path) -> str:
+    """All of it at 5 cm window by window, at 10 cm at once, and folded anew to 25 cm."""
+    seen = 0
+    with open_map(path) as universal:
+        west_m, south_m, east_m, north_m = universal.bounds
+        while south_m < north_m:
+            strip = Bounds(west_m, south_m, east_m, min(south_m + 51.2, north_m))
+            seen += int(universal.read(strip).observed.sum())
+            south_m += 51.2
+        universal.read(cell_m=0.1)
+        universal.read(cell_m=0.25)
+    return f"{seen / 1e6:.0f} M cells seen, {path.stat().st_size / seen:.2f} bytes a cell"
+
+
+def verify(path: Path) -> str:
+    """The whole map made anew and compared."""
+    with open_map(path) as universal:
+        verdict = universal.verify()
+    return f"sound {verdict.sound}, {verdict.tiles} tiles"
+
+
+if __name__ == "__main__":
+    start = time.perf_counter()
+    said = {"build": build, "read": read, "verify": verify}[sys.argv[1]](Path(sys.argv[2]))
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(f"{said}, {time.perf_counter() - start:.0f} s {peak_mb:.0f}")

@@ -1,0 +1,118 @@
+"""`fieldgrid query`: where the value of a cell comes from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import output
+
+if TYPE_CHECKING:
+    from fieldgrid.mapfile import Contribution, MapFile, Provenance
+
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
+
+
+def command(
+    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    place: Annotated[
+        list[str],
+        typer.Argument(metavar="E N | LAT,LON", help="Metres east and north, or degrees."),
+    ],
+    cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Tell which sessions and frames a cell's value comes from, and what each said.
+
+    Examples:
+
+        fieldgrid query vineyard.gpkg -- -5.1 55.3
+
+        fieldgrid query vineyard.gpkg 41.6505,-4.7201 --json
+    """
+    from fieldgrid.mapfile import open_map
+
+    numbers = _numbers(" ".join(place))
+    with open_map(map_) as universal:
+        east_m, north_m = _position(universal, numbers)
+        found = universal.query(east_m, north_m, cell)
+    if as_json:
+        output.print_json(_as_dict(map_, found))
+        return
+    west, south, east, north = found.bounds
+    value = "not observed" if found.density is None else f"density {found.density}"
+    print(f"cell {west:.3f} {south:.3f} {east:.3f} {north:.3f} (west south east north): {value}")
+    if found.contributions:
+        output.print_table(_COLUMNS, [_row(one) for one in found.contributions])
+
+
+_COLUMNS = ("session", "frame", "density", "cells", "heading °", "sigma °", "sigma m", "images")
+
+
+def _numbers(text: str) -> tuple[float, float, bool]:
+    """The two numbers, and whether they are latitude and longitude."""
+    match = re.fullmatch(rf"({_NUMBER})(\s*,\s*|\s+)({_NUMBER})", text.strip())
+    if not match:
+        raise typer.BadParameter(
+            f"{text!r} is neither EAST NORTH in metres, as in 12.5 -3, nor LAT,LON in degrees, as "
+            "in 41.6505,-4.7201"
+        )
+    return float(match[1]), float(match[3]), "," in match[2]
+
+
+def _position(universal: MapFile, numbers: tuple[float, float, bool]) -> tuple[float, float]:
+    first, second, is_geodetic = numbers
+    if not is_geodetic:
+        return first, second
+    from fieldgrid.geodesy import Datum
+
+    point = Datum(first, second, universal.datum.height_m)  # refuses what is not on Earth
+    east, north, _ = universal.datum.to_enu(point.lat_deg, point.lon_deg, point.height_m)
+    return float(east), float(north)
+
+
+def _row(one: Contribution) -> tuple[str, ...]:
+    return (
+        one.session,
+        one.frame_id,
+        f"{one.density:.0f}",
+        f"{one.cells:.2f}",
+        f"{one.pose.heading_deg:.1f}",
+        f"{one.pose.heading_sigma_deg:.2f}",
+        f"{one.pose.position_sigma_m:.3f}",
+        ", ".join(Path(image).name for image in one.images),
+    )
+
+
+def _as_dict(path: Path, found: Provenance) -> dict[str, Any]:
+    return {
+        "map": str(path),
+        "east_m": found.east_m,
+        "north_m": found.north_m,
+        "cell_m": found.bounds._asdict(),
+        "density": found.density,
+        "contributions": [
+            {
+                "session": one.session,
+                "frame_id": one.frame_id,
+                "time_ns": one.pose.time_ns,
+                "density": one.density,
+                "cells": one.cells,
+                "east_m": one.pose.east_m,
+                "north_m": one.pose.north_m,
+                "up_m": output.known(one.pose.up_m),
+                "heading_deg": one.pose.heading_deg,
+                "position_sigma_m": output.known(one.pose.position_sigma_m),
+                "heading_sigma_deg": output.known(one.pose.heading_sigma_deg),
+                "quality": one.quality,
+                "images": list(one.images),
+                "images_sha256": list(one.images_sha256),
+            }
+            for one in found.contributions
+        ],
+    }

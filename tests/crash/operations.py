@@ -1,0 +1,120 @@
+"""Everything that changes a map, as steps that can be told apart afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.mapfile import create_map, merge_maps, open_map
+from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_session
+
+State = dict[str, tuple[bool, float]]
+"""The sessions of a map: whether each is active, and the heading of its first frame."""
+
+
+class Step(NamedTuple):
+    """An operation on a map, and what it makes of the sessions."""
+
+    name: str
+    run: Callable[[Path], None]
+    expected: Callable[[State], State]
+
+
+def state_of(path: Path) -> State:
+    """The sessions as the map tells of them; {} where there is no map."""
+    if not path.exists():
+        return {}
+    with open_map(path) as universal:
+        return {
+            info.name: (info.active, next(universal.frames(info.name)).pose.heading_deg)
+            for info in universal.sessions()
+        }
+
+
+def add(name: str, heading_deg: float, frames: int) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+            write_session(universal, name, drive(frames, heading_deg=heading_deg), track(5))
+
+    return Step(f"add {name}", run, lambda state: {**state, name: (True, heading_deg)})
+
+
+def remove(name: str) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.remove_session(name)
+
+    return Step(f"remove {name}", run, lambda s: {**s, name: (False, s[name][1])})
+
+
+def restore(name: str) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.restore_session(name)
+
+    return Step(f"restore {name}", run, lambda s: {**s, name: (True, s[name][1])})
+
+
+def repose(name: str, heading_deg: float) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            count = sum(1 for _ in universal.frames(name))
+            poses = {
+                f"{k:06d}": pose
+                for k, (_, pose) in enumerate(drive(count, heading_deg=heading_deg))
+            }
+            universal.repose(name, poses, track(7))
+
+    return Step(f"repose {name}", run, lambda s: {**s, name: (s[name][0], heading_deg)})
+
+
+def repair() -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.repair()
+
+    return Step("repair", run, lambda state: state)
+
+
+def merge(into: Path) -> Step:
+    """A copy that takes the place of an earlier one; the map itself is not changed."""
+
+    def run(path: Path) -> None:
+        merge_maps([path], into, overwrite=True)
+
+    return Step("merge", run, lambda state: state)
+
+
+def make(path: Path, heading_deg: float = 30.0) -> None:
+    """A map with one session to begin with."""
+    with create_map(path, DATUM, cell_m=CELL_M, overwrite=True) as universal:
+        write_session(universal, "0", drive(3, heading_deg=heading_deg), track(4))
+
+
+def random_step(random: np.random.Generator, state: State, number: int) -> Step:
+    """Any step that is possible now."""
+    active = sorted(name for name, (is_active, _) in state.items() if is_active)
+    removed = sorted(state.keys() - set(active))
+    heading_deg = round(float(random.uniform(-170.0, 170.0)), 2)
+    steps = [
+        add(f"s{number}", heading_deg, int(random.integers(1, 9))),
+        repose(str(random.choice(sorted(state))), heading_deg),
+        repair(),
+    ]
+    if len(active) > 1:
+        steps.append(remove(str(random.choice(active))))
+    if removed:
+        steps.append(restore(str(random.choice(removed))))
+    return steps[int(random.integers(len(steps)))]
+
+
+def check(path: Path, allowed: list[State]) -> None:
+    """The map is sound, and its sessions are one of the states that there may be."""
+    with open_map(path) as universal:
+        verdict = universal.verify()
+    assert verdict.sound, verdict.problems
+    found = state_of(path)
+    assert found in allowed, (found, allowed)

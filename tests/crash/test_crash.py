@@ -1,0 +1,77 @@
+"""A few of the deaths and failures of `make crash`, which has hundreds."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import re
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.mapfile import open_map
+from tests.crash.failures import run_in_child
+from tests.crash.kills import run_kills
+from tests.crash.operations import make
+from tests.mapfile.content import ANONYMOUS, content
+from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
+
+
+def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
+    hit = run_kills(12, seed=5, folder=tmp_path)
+    assert hit.total() == 12
+
+
+def test_no_call_that_fails_or_is_the_last_tears_a_map() -> None:
+    if shutil.which("cc") is None and shutil.which("gcc") is None:
+        pytest.skip("there is no C compiler (cc) to make calls fail with")
+    done = run_in_child(2)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "every map verified" in done.stdout
+    refused = re.search(r"full disk: refused (\d+)", done.stdout)
+    assert refused
+    assert int(refused[1]) >= 6
+
+
+def _append(path: Path, name: str, start: float) -> None:
+    time.sleep(max(0.0, start - time.time()))
+    for k in range(3):
+        with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+            write_session(universal, f"{name}{k}", drive(4, heading_deg=ord(name) + 10.0 * k))
+    os._exit(0)
+
+
+def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path: Path) -> None:
+    path = tmp_path / "map.gpkg"
+    make(path)
+    start = time.time() + 0.2
+    fork = multiprocessing.get_context("fork")
+    writers = [fork.Process(target=_append, args=(path, name, start)) for name in "abcd"]
+    for writer in writers:
+        writer.start()
+    seen = 0
+    while any(writer.is_alive() for writer in writers):
+        with open_map(path) as universal:
+            names = {info.name for info in universal.sessions()}
+            stored = universal.read(universal.bounds)
+            # Between the two more sessions may come: each by itself is one state.
+            now = {info.name for info in universal.sessions()}
+            if names == now:
+                anew = universal.read(stored.bounds, sessions=sorted(names))
+                if {info.name for info in universal.sessions()} == names:
+                    np.testing.assert_array_equal(stored.density, anew.density)
+                    seen += 1
+    assert [writer.exitcode for writer in writers] == [0] * 4
+    assert seen > 0
+    frames = [drive(3, heading_deg=30.0)] + [
+        drive(4, heading_deg=ord(name) + 10.0 * k) for name in "abcd" for k in range(3)
+    ]
+    once = write_map(tmp_path / "once.gpkg", frames)
+    kinds = [kind for kind in ANONYMOUS if kind != "extents"]
+    assert content(path, *kinds) == content(once, *kinds)
+    with open_map(path) as universal:
+        assert universal.verify().sound
+        assert len(universal.sessions()) == 13

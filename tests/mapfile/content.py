@@ -1,0 +1,39 @@
+"""All that a map says, for comparison: tiles, pictures, layers, extents, but no row numbers."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+_QUERIES = {
+    "tiles": "SELECT zoom, ty, tx, sums FROM fieldgrid_tile ORDER BY 1, 2, 3",
+    "pictures": "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
+    "session tiles": "SELECT s.name, ty, tx, moments FROM fieldgrid_session_tile AS t "
+    "JOIN fieldgrid_session AS s ON s.id = t.session_id ORDER BY 1, 2, 3",
+    "extents": "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents ORDER BY 1",
+    "levels": "SELECT * FROM gpkg_tile_matrix ORDER BY 2",
+    "window": "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'",
+    "fixes": "SELECT session, time_ns, geom, up_m, heading_deg, heading_sigma_deg, quality, "
+    "position_sigma_m, speed_mps, status, reason FROM trajectory ORDER BY session, time_ns",
+    "frames": "SELECT session, frame_id, time_ns, geom, heading_deg, quality, status, reason "
+    "FROM frame_position ORDER BY session, frame_id",
+    "footprints": "SELECT session, frame_id, geom, status FROM footprint ORDER BY 1, 2",
+    "digests": "SELECT name, digest FROM fieldgrid_session WHERE removed IS NULL ORDER BY 1",
+}
+
+ANONYMOUS = ("tiles", "pictures", "extents", "levels", "window")
+"""What does not depend on how frames are divided into sessions."""
+
+
+def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
+    """The rows of the active sessions by kind, all kinds when none is named."""
+    database = sqlite3.connect(path)
+    try:
+        return {
+            kind: database.execute(query).fetchall()
+            for kind, query in _QUERIES.items()
+            if not kinds or kind in kinds
+        }
+    finally:
+        database.close()

@@ -1,0 +1,183 @@
+"""What `verify` finds, and what `repair` can make good."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.errors import MapError
+from fieldgrid.mapfile import merge_maps, open_map
+from tests.mapfile.content import content
+from tests.mapfile.maps import drive, track, write_map
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("map") / "map.gpkg"
+    write_map(
+        path,
+        [drive(6, step_m=9.0), drive(5, heading_deg=-70.0), drive(4, heading_deg=200.0)],
+        trajectory=track(9),
+    )
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("2")
+    return path
+
+
+def changed(sound: Path, tmp_path: Path, statement: str) -> Path:
+    copy = tmp_path / "changed.gpkg"
+    shutil.copy(sound, copy)
+    database = sqlite3.connect(copy, isolation_level=None)
+    assert database.execute(statement).rowcount != 0, "the statement changes nothing"
+    database.close()
+    return copy
+
+
+def problems(path: Path) -> tuple[str, ...]:
+    with open_map(path) as universal:
+        return universal.verify().problems
+
+
+def test_a_map_as_written_is_sound(sound: Path) -> None:
+    with open_map(sound) as universal:
+        verdict = universal.verify()
+    assert verdict.sound
+    assert (verdict.sessions, verdict.removed, verdict.frames) == (3, 1, 15)
+    assert verdict.tiles > 3
+
+
+DERIVED = [
+    "UPDATE fieldgrid_tile SET sums = (SELECT sums FROM fieldgrid_tile WHERE rowid = 1) "
+    "WHERE rowid = 2",
+    "UPDATE fieldgrid_tile SET sums = 'text' WHERE rowid = 2",
+    "DELETE FROM fieldgrid_tile WHERE rowid = 2",
+    "DELETE FROM fieldgrid_tile",
+    "UPDATE fieldgrid_tile SET ty = ty + 90 WHERE rowid = 2",
+    "DELETE FROM fieldgrid_session_tile WHERE session_id = 1",
+    "UPDATE fieldgrid_session_tile SET moments = zeroblob(20) WHERE rowid = 1",
+    "UPDATE fieldgrid_session_tile SET session_id = 3 WHERE session_id = 1",
+    "UPDATE density SET tile_data = (SELECT tile_data FROM density WHERE id = 1)",
+    "UPDATE density SET tile_data = x'00' WHERE id = 2",
+    "DELETE FROM density WHERE id = 2",
+    "INSERT INTO density SELECT NULL, zoom_level, tile_column + 7, tile_row, tile_data "
+    "FROM density LIMIT 1",
+    "DELETE FROM gpkg_tile_matrix WHERE zoom_level = (SELECT min(zoom_level) FROM density)",
+    "UPDATE gpkg_tile_matrix SET pixel_x_size = 1",
+    "UPDATE gpkg_tile_matrix_set SET min_x = 0",
+    "UPDATE gpkg_contents SET max_x = 0 WHERE table_name = 'density'",
+    "UPDATE gpkg_contents SET min_y = 0 WHERE table_name = 'footprint'",
+    "DELETE FROM gpkg_contents WHERE table_name = 'trajectory'",
+    "UPDATE fieldgrid_meta SET value = '[0, 0, 1, 1]' WHERE key = 'data_window'",
+    "DELETE FROM fieldgrid_meta WHERE key = 'data_window'",
+    "UPDATE trajectory SET heading_deg = 0 WHERE fid = 3",
+    "DELETE FROM trajectory WHERE fid = 3",
+    "UPDATE frame_position SET status = 'rejected' WHERE fid = 1",
+    "DELETE FROM frame_position",
+    "UPDATE footprint SET geom = NULL WHERE fid = 1",
+    "DELETE FROM fieldgrid_extent",
+    "UPDATE fieldgrid_session SET removed = NULL WHERE name = '2'",
+    "UPDATE fieldgrid_session SET removed = 'now' WHERE name = '1'",
+]
+
+
+@pytest.mark.parametrize("statement", DERIVED)
+def test_what_does_not_follow_from_the_evidence_is_found_and_repaired(
+    sound: Path, tmp_path: Path, statement: str
+) -> None:
+    path = changed(sound, tmp_path, statement)
+    found = problems(path)
+    silent = "fieldgrid_extent" in statement  # its sums, in gpkg_contents, are what is compared
+    assert bool(found) is not silent
+    assert all(problem.endswith(".") for problem in found), found
+    with open_map(path, writable=True) as universal:
+        universal.repair()
+    assert problems(path) == ()
+    if "SET removed" not in statement:
+        assert content(path) == content(sound)
+
+
+EVIDENCE = [
+    "UPDATE fieldgrid_frame SET east_m = east_m + 1e-9 WHERE id = 2",
+    "UPDATE fieldgrid_frame SET status = 'rejected' WHERE id = 2",
+    "UPDATE fieldgrid_frame SET reason = 'why' WHERE id = 2",
+    "UPDATE fieldgrid_frame SET images = '[\"a\"]' WHERE id = 2",
+    "UPDATE fieldgrid_frame SET quality = 9 WHERE id = 2",
+    "UPDATE fieldgrid_frame SET digest = 'x' WHERE id = 2",
+    "UPDATE fieldgrid_frame SET density = (SELECT density FROM fieldgrid_frame WHERE id = 1) "
+    "WHERE id = 2",
+    "UPDATE fieldgrid_frame SET observed = zeroblob(9) WHERE id = 2",
+    "DELETE FROM fieldgrid_frame WHERE id = 2",
+    "DELETE FROM fieldgrid_frame WHERE session_id = 3",
+    "UPDATE fieldgrid_frame SET session_id = 2 WHERE id = 6",
+    "UPDATE fieldgrid_session SET config = '{\"a\": 1}' WHERE id = 1",
+    "UPDATE fieldgrid_session SET config = '{' WHERE id = 1",
+    "UPDATE fieldgrid_session SET source = 'other' WHERE id = 1",
+    "UPDATE fieldgrid_array SET data = zeroblob(5) WHERE name = 'east_m' AND session_id = 1",
+    "DELETE FROM fieldgrid_array WHERE name = 'up_m' AND session_id = 3",
+]
+
+
+@pytest.mark.parametrize("statement", EVIDENCE)
+def test_damage_of_the_evidence_is_found_and_not_repaired(
+    sound: Path, tmp_path: Path, statement: str
+) -> None:
+    path = changed(sound, tmp_path, statement)
+    before = content(path, "tiles", "pictures", "fixes")
+    assert problems(path)
+    if "session_id = 3" in statement:  # of a session that is removed, and not needed for repair
+        with open_map(path, writable=True) as universal:
+            universal.repair()
+            assert universal.verify().problems
+        return
+    with (
+        open_map(path, writable=True) as universal,
+        pytest.raises(MapError, match="its evidence is damaged"),
+    ):
+        universal.repair()
+    assert content(path, "tiles", "pictures", "fixes") == before
+
+
+# Not settings that are no JSON: without them the session cannot even be listed.
+OF_SESSION_0 = [one for one in EVIDENCE if "session_id = 3" not in one and "'{'" not in one]
+
+
+@pytest.mark.parametrize("statement", OF_SESSION_0)
+def test_a_session_whose_evidence_is_damaged_can_be_taken_out(
+    sound: Path, tmp_path: Path, statement: str
+) -> None:
+    path = changed(sound, tmp_path, statement)
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("0")
+        if "session_id = 2" in statement:  # a frame that came to another session damages both
+            universal.remove_session("1")
+            return
+        universal.repair()
+        assert universal.verify().problems  # that it is out does not make it sound
+    merge_maps([path], tmp_path / "rest.gpkg")
+    assert problems(tmp_path / "rest.gpkg") == ()
+    assert content(tmp_path / "rest.gpkg") == content(path)
+
+
+def test_noise_in_the_file_never_passes_for_sound(sound: Path, tmp_path: Path) -> None:
+    """Whatever bytes are overwritten: what passes is the map as it was."""
+    whole = sound.read_bytes()
+    expected = content(sound)
+    random = np.random.default_rng(3)
+    path = tmp_path / "noise.gpkg"
+    passed = 0
+    for _ in range(25):
+        noise = bytearray(whole)
+        start = int(random.integers(100, len(whole) - 600))
+        noise[start : start + 512] = random.bytes(512)
+        path.write_bytes(noise)
+        try:
+            if not problems(path):
+                assert content(path) == expected
+                passed += 1
+        except MapError:
+            pass
+    assert passed < 25
