@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,9 +21,18 @@ if TYPE_CHECKING:
 
 def command(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP.gpkg", help="The map file.")],
+        list[Path] | None, typer.Argument(metavar="RECORDING...", help="Folders of recordings.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="MAP.gpkg", help="The map file.")
+    ] = None,
+    repose: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP.gpkg",
+            help="Instead: estimate the poses of this map's drives again, without images.",
+        ),
+    ] = None,
     gnss: Annotated[
         str | None, typer.Option(metavar="FILE", help="Which GNSS log of the recording.")
     ] = None,
@@ -104,7 +112,20 @@ def command(
         fieldgrid build june-10 june-17 -o vineyard.gpkg --append
 
         fieldgrid build 2011_09_30_drive_0020_sync -o road.gpkg --grid 20x15
+
+        fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
+    if repose is not None:
+        if recordings or out is not None:
+            raise typer.BadParameter(
+                "it takes neither recordings nor --out: a map keeps what poses come from",
+                param_hint="--repose",
+            )
+        _repose(repose, name, config, _pose_overrides(heading, visual_odometry, budget), as_json)
+        return
+    if not recordings or out is None:
+        missing = "RECORDING..." if not recordings else "--out"
+        raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
     settings = _settings(
@@ -140,6 +161,52 @@ def command(
         output.print_json({"map": str(out), "sessions": [report.as_dict() for report in reports]})
     else:
         _print_reports(out, reports)
+
+
+def _pose_overrides(
+    heading: str | None, visual_odometry: bool | None, budget_m: float | None
+) -> dict[str, Any]:
+    return {"heading": heading, "visual_odometry": visual_odometry, "cell_budget_m": budget_m}
+
+
+def _repose(
+    path: Path,
+    name: str | None,
+    config: Path | None,
+    overrides: dict[str, Any],
+    as_json: bool,
+) -> None:
+    from fieldgrid.build.repose import repose_map
+    from fieldgrid.settings import resolve
+    from fieldgrid.track import grouped_reasons
+
+    given = {key: value for key, value in overrides.items() if value is not None}
+    if config is not None:
+        chosen = resolve(config, {"pose": given}).pose
+        given = {key: getattr(chosen, key) for key in chosen.model_fields_set}
+    reports = repose_map(path, given, name)
+    if as_json:
+        output.print_json({"map": str(path), "sessions": [r.as_dict() for r in reports]})
+        return
+    for report in reports:
+        rows = [
+            ("frames used before", f"{report.used_before} of {report.frames}"),
+            ("frames used now", f"{report.used} of {report.frames}"),
+            (f"heading sigma, median ({report.heading_source})",
+             output.number(report.heading_sigma_deg, 2, "°")),
+            ("moved, median / most", _change(report.moved_m, 3, "m")),
+            ("turned, median / most", _change(report.turned_deg, 2, "°")),
+        ]  # fmt: skip
+        output.print_table(("", ""), rows, title=f"session {report.session}")
+        for count, example in grouped_reasons(report.reasons):
+            print(f"rejected {count}: {example}")
+        for note in report.notes:
+            print(f"note: {note}")
+    print(f"map {path}")
+
+
+def _change(values: tuple[float, float] | None, decimals: int, unit: str) -> str:
+    return "-" if values is None else f"{values[0]:.{decimals}f} / {values[1]:.{decimals}f} {unit}"
 
 
 def _datum(text: str | None, other: Path | None) -> Datum | None:
@@ -179,11 +246,7 @@ def _settings(
             "slice_top_m": top_m,
             "max_range_m": max_range,
         },
-        "pose": {
-            "heading": heading,
-            "visual_odometry": visual_odometry,
-            "cell_budget_m": budget_m,
-        },
+        "pose": _pose_overrides(heading, visual_odometry, budget_m),
         "map": {"cell_m": cell, "transfer": transfer},
     }
     return resolve(config, overrides)
@@ -258,6 +321,8 @@ def _progress() -> Iterator[Callable[[Progress], None] | None]:
 
 
 def _print_reports(out: Path, reports: list[SessionReport]) -> None:
+    from fieldgrid.track import grouped_reasons
+
     for report in reports:
         rows = [
             ("frames used", f"{report.used} of {report.frames}"),
@@ -283,12 +348,3 @@ def _print_reports(out: Path, reports: list[SessionReport]) -> None:
 def _steps(report: SessionReport) -> str:
     tried = report.camera_steps + report.camera_refusals
     return f"{report.camera_steps} of {tried}" if tried else "not used"
-
-
-def grouped_reasons(reasons: Mapping[str, int]) -> list[tuple[int, str]]:
-    """Reasons that differ in their numbers only, together: how many, and one of them."""
-    groups: dict[str, list[tuple[int, str]]] = {}
-    for reason, count in reasons.items():
-        groups.setdefault(re.sub(r"\d+(\.\d+)?", "#", reason), []).append((count, reason))
-    totals = [(sum(n for n, _ in group), max(group)[1]) for group in groups.values()]
-    return sorted(totals, key=lambda total: -total[0])

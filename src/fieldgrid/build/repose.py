@@ -1,0 +1,151 @@
+"""Poses estimated again, from what the map itself keeps: no image and no recording is needed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.build.inputs import Inputs, from_arrays
+from fieldgrid.build.poses import NO_GROUND, cell_budget
+from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.mapfile import MapFile, SessionInfo, open_map
+from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose, Status
+
+
+@dataclass(frozen=True, slots=True)
+class ReposeReport:
+    """What estimating a session's poses again has changed.
+
+    `moved_m` and `turned_deg` are the medians and largest changes of the frames used both
+    before and after; None where there are none.
+    """
+
+    session: str
+    frames: int
+    used_before: int
+    used: int
+    heading_source: str
+    heading_sigma_deg: float | None
+    moved_m: tuple[float, float] | None
+    turned_deg: tuple[float, float] | None
+    reasons: Mapping[str, int]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**asdict(self), "reasons": dict(self.reasons), "notes": list(self.notes)}
+
+
+def repose_map(
+    path: Path, pose_settings: Mapping[str, Any] | None = None, name: str | None = None
+) -> list[ReposeReport]:
+    """Estimate the poses of one or all active sessions of a map again.
+
+    Each keeps the settings it was built with, but for those of `pose_settings`. A session is
+    changed as a whole or not at all; those before a failing one stay changed.
+    """
+    with open_map(path, writable=True) as universal:
+        sessions = [s for s in universal.sessions() if s.removed is None]
+        if name is not None:
+            sessions = [session for session in sessions if session.name == name]
+            if not sessions:
+                raise ConfigError(
+                    f"{path} has no active session {name!r}; fieldgrid sessions lists them."
+                )
+        return [_repose(universal, session, pose_settings or {}) for session in sessions]
+
+
+def _repose(
+    universal: MapFile, session: SessionInfo, pose_settings: Mapping[str, Any]
+) -> ReposeReport:
+    settings = _settings(session, pose_settings)
+    rig = _rig(session)
+    inputs = from_arrays(universal.session_inputs(session.name))
+    estimate = _estimate(universal, inputs, rig, settings)
+    found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
+    before = {frame.frame_id: frame.pose for frame in universal.frames(session.name)}
+    after = {key: _pose(estimate, pose.time_ns, found) for key, pose in before.items()}
+    config = {**session.config, "settings": settings.model_dump(mode="json")}
+    universal.repose(session.name, after, estimate.trajectory, config)
+    return _report(session.name, before, after, estimate)
+
+
+def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSettings:
+    stored = session.config.get("settings", {})
+    tables = {**stored, "pose": {**stored.get("pose", {}), **pose_settings}}
+    try:
+        return BuildSettings.model_validate(tables)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigError(
+            f"Session {session.name!r} was built with settings that this version does not take: "
+            f"{'.'.join(str(part) for part in first['loc'])} = {first['input']!r}."
+        ) from error
+
+
+def _rig(session: SessionInfo) -> Rig:
+    try:
+        rig = dict(session.config["rig"])
+        return Rig(
+            StereoCamera(**rig.pop("camera")),
+            Mount(**rig.pop("mount")),
+            LeverArm(**rig.pop("antenna")),
+            **rig,
+        )
+    except (KeyError, TypeError) as error:
+        raise MapError(
+            f"Session {session.name!r} does not say what rig it was driven with ({error}); build "
+            "it again from its recording."
+        ) from error
+
+
+def _estimate(universal: MapFile, inputs: Inputs, rig: Rig, settings: BuildSettings) -> Estimate:
+    motion = inputs.motion
+    if not settings.pose.uses_camera:
+        motion = motion._replace(steps=None)
+    return estimate_poses(
+        inputs.fixes, rig, universal.datum, settings.pose, motion, cell_budget(rig, settings)
+    )
+
+
+def _pose(estimate: Estimate, time_ns: int, ground_found: Mapping[int, bool]) -> Pose:
+    pose = estimate.trajectory.at(time_ns)
+    if pose.status is Status.OK and not ground_found.get(time_ns, True):
+        return replace(pose, status=Status.REJECTED, reason=NO_GROUND)
+    return pose
+
+
+def _report(
+    name: str, before: Mapping[str, Pose], after: Mapping[str, Pose], estimate: Estimate
+) -> ReposeReport:
+    used = [key for key, pose in after.items() if pose.status is Status.OK]
+    both = [(before[k], after[k]) for k in used if before[k].status is Status.OK]
+    moved = [np.hypot(b.east_m - a.east_m, b.north_m - a.north_m) for a, b in both]
+    turned = [abs(float(wrap_deg(b.heading_deg - a.heading_deg))) for a, b in both]
+    sigmas = [after[key].heading_sigma_deg for key in used]
+    return ReposeReport(
+        session=name,
+        frames=len(after),
+        used_before=sum(pose.status is Status.OK for pose in before.values()),
+        used=len(used),
+        heading_source=estimate.trajectory.heading_source,
+        heading_sigma_deg=float(np.median(sigmas)) if sigmas else None,
+        moved_m=_middle_and_most(moved),
+        turned_deg=_middle_and_most(turned),
+        reasons=Counter(p.reason for p in after.values() if p.status is not Status.OK),
+        notes=estimate.report.notes,
+    )
+
+
+def _middle_and_most(values: list[float]) -> tuple[float, float] | None:
+    return (float(np.median(values)), float(np.max(values))) if values else None
