@@ -37,6 +37,9 @@ crash: .venv/installed ## Kill writers and break their disk, hundreds of times (
 	$(PY) -m tests.crash.kills 250
 	$(PY) -m tests.crash.failures 40
 
+heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
+	$(PY) -m benchmarks.heading
+
 accuracy: .venv/installed ## Measure the accuracy of the maps
 	$(PY) -m benchmarks.accuracy
 

@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fieldgrid import figures
-    from fieldgrid.build import add_recording, estimate_trajectory, local_grid
+    from fieldgrid.build import (
+        add_recording,
+        estimate_drive,
+        estimate_trajectory,
+        local_grid,
+        visual_odometry,
+    )
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import export_geotiff
@@ -37,6 +43,7 @@ _HOMES = {
     "Trajectory": "trajectory",
     "Transfer": "transfer",
     "add_recording": "build",
+    "estimate_drive": "build",
     "estimate_trajectory": "build",
     "evaluate": "evaluation",
     "export_geotiff": "export",
@@ -46,6 +53,7 @@ _HOMES = {
     "open_map": "mapfile",
     "open_recording": "recording",
     "read_truth": "evaluation",
+    "visual_odometry": "build",
 }
 
 __all__ = [
@@ -60,6 +68,7 @@ __all__ = [
     "Trajectory",
     "Transfer",
     "add_recording",
+    "estimate_drive",
     "estimate_trajectory",
     "evaluate",
     "export_geotiff",
@@ -69,6 +78,7 @@ __all__ = [
     "open_map",
     "open_recording",
     "read_truth",
+    "visual_odometry",
 ]
 
 
