@@ -52,6 +52,9 @@ WHEEL_SIGMA_MPS, WHEEL_SIGMA_SHARE = 0.05, 0.05
 TURNING_RAD_S = np.radians(4.0)
 """A faster turn than a gyro's bias and a shaking engine make is one."""
 
+DRIVING_MPS = 0.2
+"""Faster, a vehicle drives for certain, and its speed has a sign."""
+
 RECORDED_NEAR_S = 2.0
 """For so long a recorded heading vouches for those around it."""
 
@@ -133,11 +136,6 @@ def _has_gyro(at: Nodes) -> bool:
 
 def _seconds(time_ns: _Int64) -> _Float64:
     return np.asarray((time_ns - time_ns[0]) / 1e9)
-
-
-def _nearest(to_ns: _Int64, time_ns: _Int64, values: _Float64) -> _Float64:
-    """Values at the last of `time_ns` before or at each instant."""
-    return np.asarray(values[np.maximum(np.searchsorted(time_ns, to_ns, side="right") - 1, 0)])
 
 
 class _Moves(NamedTuple):
@@ -390,6 +388,10 @@ def _drive(
     fix_station = np.searchsorted(moves.station, _last_fix(at.fix), side="right") - 1
     doubt = moves.gears.doubt[np.maximum(fix_station, 0)]
     doubt = np.where(_near_recorded(seen), 0.0, doubt)
+    # The batch may say that the vehicle went the other way than its gears do: nobody knows.
+    assigned = moves.gears.gear[np.maximum(fix_station, 0)]
+    backward = (np.sign(found.state[:, 3]) != assigned) & ~resting
+    doubt = np.where(backward & (np.abs(found.state[:, 3]) > DRIVING_MPS), 1.0, doubt)
     east, north, heading, speed, _, bias = found.state[:, :6].T
     gear = np.where(resting, 0, np.where(speed >= 0.0, 1, -1))
     sigma_deg = np.hypot(np.degrees(found.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)

@@ -13,7 +13,7 @@ from fieldgrid.smoother.banded import factor, inverse_blocks, solve
 _Float64 = npt.NDArray[np.float64]
 
 MOST_ROUNDS = 25
-ENOUGH_M, ENOUGH_RAD = 1e-3, 1e-4
+ENOUGH_M, ENOUGH_RAD = 3e-3, 3e-4
 """Rounds end when no node moves or turns by more."""
 
 OUTLIER_FREEDOM = 4.0
@@ -125,12 +125,13 @@ def smooth(
     found = _converged(problem, start, _stated_weights(seen))
     restlessness = USUAL_RESTLESSNESS
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
-    if np.mean(np.isfinite(seen.turned_rad)) < GYRO_SHARE:
+    gyro = np.isfinite(seen.turned_rad)
+    if gyro.size and gyro.mean() < GYRO_SHARE:
         restlessness = _restlessness(problem, found)
         found = _adapted(problem, found, restlessness)
     system, off = _normal_equations(problem, found.x, found.weights)
     blocks, _ = inverse_blocks(factor(system[0]), model.STATES)
-    return _with_sigmas(found.x, blocks, seen, off, found.rounds, restlessness)
+    return _with_sigmas(found, blocks, seen, off, restlessness)
 
 
 class _Problem(NamedTuple):
@@ -143,6 +144,7 @@ class _Solution(NamedTuple):
     x: _Float64
     weights: _Weights
     rounds: int
+    last_change: _Float64
 
 
 def _converged(
@@ -161,7 +163,7 @@ def _converged(
         if rounds > 2 and moved_m < ENOUGH_M and turned < ENOUGH_RAD:
             break
         now = _robust(stated, off)
-    return _Solution(x, now, rounds)
+    return _Solution(x, now, rounds, change)
 
 
 def _adapted(problem: _Problem, found: _Solution, restlessness: float) -> _Solution:
@@ -181,10 +183,11 @@ def _adapted(problem: _Problem, found: _Solution, restlessness: float) -> _Solut
 
 def _blind(seen: Sightings) -> npt.NDArray[np.bool_]:
     """Steps [n - 1] on which no fix is near."""
-    at = seen.time_s[np.isfinite(seen.fix_sigma_m)]
+    fixes_s = seen.time_s[np.isfinite(seen.fix_sigma_m)]
+    at = np.concatenate([[-np.inf], fixes_s, [np.inf]])  # a stretch may have none
     middle = (seen.time_s[1:] + seen.time_s[:-1]) / 2.0
-    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
-    apart = np.minimum(np.abs(middle - at[after - 1]), np.abs(at[after] - middle))
+    after = np.searchsorted(at, middle)
+    apart = np.minimum(middle - at[after - 1], at[after] - middle)
     return np.asarray(apart > BLIND_S)
 
 
@@ -314,26 +317,25 @@ def _robust(weights: _Weights, off: _Off) -> _Weights:
 
 
 def _with_sigmas(
-    x: _Float64,
-    blocks: _Float64,
-    seen: Sightings,
-    off: _Off,
-    rounds: int,
-    restlessness: float,
+    found: _Solution, blocks: _Float64, seen: Sightings, off: _Off, restlessness: float
 ) -> Smoothed:
+    """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     east, north, phi = model.E, model.N, model.PHI
     b = np.nan_to_num(seen.fix_bias_m)
     relative = sum(
         blocks[:, axis, axis] + 2.0 * b * blocks[:, axis, bias] + b**2 * blocks[:, bias, bias]
         for axis, bias in ((east, model.BIAS_E), (north, model.BIAS_N))
     )
+    moved, turned = found.last_change[:, : model.PHI], found.last_change[:, model.PHI]
+    unsettled = (moved**2).sum(axis=1)
+    absolute = blocks[:, east, east] + blocks[:, north, north]
     return Smoothed(
-        x,
-        np.sqrt((blocks[:, east, east] + blocks[:, north, north]) / 2.0),
-        np.sqrt(np.maximum(relative, 0.0) / 2.0),
-        np.sqrt(blocks[:, phi, phi]),
+        found.x,
+        np.sqrt((absolute + unsettled) / 2.0),
+        np.sqrt((np.maximum(relative, 0.0) + unsettled) / 2.0),
+        np.sqrt(blocks[:, phi, phi] + turned**2),
         off.fix_m,
         off.step,
-        rounds,
+        found.rounds,
         restlessness,
     )

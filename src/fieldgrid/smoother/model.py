@@ -183,8 +183,8 @@ def add_start(system, x, k):  # type: ignore[no-untyped-def]
     """What is known of a node with nothing before it: little."""
     index, slope = np.zeros(1, np.int64), np.ones(1)
     for state, sigma in (
-        (E, 1e5),
-        (N, 1e5),
+        (E, 1e3),
+        (N, 1e3),
         (PHI, 10.0),
         (V, 10.0),
         (KAPPA, CURVATURE_SIGMA),
