@@ -102,13 +102,15 @@ def test_the_example_in_python(
     monkeypatch.chdir(tmp_path)
 
     with fg.open_recording("june-03") as recording:
-        trajectory = fg.estimate_trajectory(recording)
+        steps = fg.visual_odometry(recording)
+        trajectory = fg.estimate_trajectory(recording, steps=steps)
         with (
             fg.open_map("vineyard.gpkg", datum=trajectory.datum, cell_m=0.05) as universal,
-            universal.add_session(recording.name) as session,  # all or nothing
+            universal.add_session(recording.name, trajectory=trajectory) as session,
         ):
             for frame in recording.frames():
-                session.add(fg.local_grid(frame, recording.rig), trajectory.at(frame.time_ns))
+                grid = fg.local_grid(frame, recording.rig)
+                session.add(grid, trajectory.at(frame.time_ns), frame_id=frame.frame_id)
 
     with warnings.catch_warnings():
         # The example leaves the map that it reads to the garbage collector.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -160,14 +162,22 @@ def test_settings_do_not_change() -> None:
         settings.grid.width_m = 3.0  # type: ignore[misc]
 
 
+def toml_lines(table: str, values: dict[str, Any]) -> Iterator[str]:
+    """A table and those within it; TOML's strings, lists, numbers are JSON's, and so are true
+    and false."""
+    yield f"[{table}]"
+    inner = {key: value for key, value in values.items() if isinstance(value, dict)}
+    for key, value in values.items():
+        if value is not None and key not in inner:
+            yield f"{key} = {json.dumps(value)}"
+    for key, value in inner.items():
+        yield from toml_lines(f"{table}.{key}", value)
+
+
 def test_every_setting_can_stand_in_a_file(tmp_path: Path) -> None:
     tables = BuildSettings().model_dump(mode="json")
-    lines = []
-    for table, values in tables.items():
-        lines.append(f"[{table}]")
-        for key, value in values.items():
-            if value is not None:
-                lines.append(f"{key} = {value!r}")
-    text = "\n".join(lines)
+    text = "\n".join(line for table in tables.items() for line in toml_lines(*table))
+    assert "visual_odometry = true" in text
+    assert "[pose.gnss]" in text
     assert sum(len(values) for values in tomllib.loads(text).values()) > 20
     assert resolve(written(tmp_path, text), {}) == BuildSettings()

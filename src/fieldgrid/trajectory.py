@@ -22,6 +22,10 @@ MAX_GAP_NS = 1_500_000_000
 1 Hz may be late."""
 
 
+ESTIMATED = 6
+"""GGA's quality of a position that no fix gave."""
+
+
 class Status(StrEnum):
     """The verdict on a fix or a pose.
 

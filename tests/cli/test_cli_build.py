@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.cli.build import grouped_reasons
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 from fieldgrid.settings import BuildSettings
+from fieldgrid.track import grouped_reasons
 from fieldgrid.transfer import Transfer
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
@@ -64,8 +64,19 @@ def test_the_table(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
     assert re.search(r"^frames used +3 of 3$", text, re.MULTILINE)
     assert re.search(r"^fixes accepted +\d+ of 437$", text, re.MULTILINE)
     assert re.search(r"^rate +\d+\.\d frames/s$", text, re.MULTILINE)
-    assert re.search(r"^heading sigma, median \(course\) +0\.\d\d °$", text, re.MULTILINE)
+    assert re.search(r"^heading sigma, median \(smooth\) +0\.\d\d °$", text, re.MULTILINE)
+    assert re.search(r"^camera steps +2 of 2$", text, re.MULTILINE)
     assert "rejected" not in text
+
+
+def test_without_the_camera_s_motion_the_table_says_so(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    text = fieldgrid("build", make_drive(), "-o", out, "--no-visual-odometry").output()
+    assert re.search(r"^camera steps +not used$", text, re.MULTILINE)
+    with open_map(out) as universal:
+        (info,) = universal.sessions()
+    assert info.config["settings"]["pose"]["visual_odometry"] is False
 
 
 def test_json_is_one_object_and_nothing_else(
@@ -80,7 +91,10 @@ def test_json_is_one_object_and_nothing_else(
     assert first["used"] == 3
     assert first["reasons"] == {}
     assert first["frames_per_s"] > 0
-    assert set(first["stages"]) == {"decode_s", "match_s", "grid_s", "map_s"}
+    stages = {"decode_s", "match_s", "grid_s", "odometry_s", "pose_s", "map_s"}
+    assert set(first["stages"]) == stages
+    assert (first["camera_steps"], first["camera_refusals"]) == (2, 0)
+    assert first["heading_source"] == "smooth"
 
 
 def test_every_flag_reaches_the_map(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
@@ -140,7 +154,9 @@ def test_rejected_frames_are_told_by_reason(
 ) -> None:
     drive = make_drive(frames=[4, 5, 22, 23, 40])
     shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
-    text = fieldgrid("build", drive, "-o", out, "--gnss", "gnss_sf1.nmea").output()
+    # The camera would carry the poses over the hole in the log.
+    flags = ["--gnss", "gnss_sf1.nmea", "--heading", "course"]
+    text = fieldgrid("build", drive, "-o", out, *flags).output()
     assert re.search(r"^frames used +3 of 5$", text, re.MULTILINE)
     assert re.search(
         r"^rejected 2: no accepted fix for \d+\.\d\d s around it: ", text, re.MULTILINE
@@ -195,6 +211,16 @@ def test_on_a_terminal_there_is_progress_on_stderr_alone(make_drive: MakeDrive, 
     assert "frames/s" in progress
 
 
+def test_a_log_without_heights_gives_a_map_in_the_plane(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    drive = make_drive()
+    without_sentences(drive, "GGA")
+    text = fieldgrid("build", drive, "-o", out).output()
+    assert re.search(r"^frames used +3 of 3$", text, re.MULTILINE)
+    assert "without a height: taken as 0 m" in " ".join(text.split())
+
+
 # --- what is wrong with the data: one sentence, exit status 1, nothing left behind
 
 
@@ -231,10 +257,21 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def without_positions(drive: Path) -> None:
+def without_sentences(drive: Path, *types: str) -> None:
     path = drive / "gnss" / "gnss_rtk.nmea"
-    kept = [line for line in path.read_text().splitlines(keepends=True) if "GGA" not in line]
-    path.write_text("".join(kept))
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if line[3:6] not in types))
+
+
+def without_fixes(drive: Path) -> None:
+    without_sentences(drive, "GGA", "RMC")
+
+
+def swap_sides(drive: Path) -> None:
+    left, right = drive / "left", drive / "right"
+    left.rename(drive / "was_left")
+    right.rename(left)
+    (drive / "was_left").rename(right)
 
 
 CALIBRATION, MOUNTING = "calibration/stereo_opencv.yaml", "calibration/mounting.json"
@@ -277,10 +314,14 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
         r"The GNSS log holds no position at all; record one, or choose another with --gnss",
     ),
-    "no fix in the log": (without_positions, "holds no position at all; .*--gnss"),
+    "no fix in the log": (without_fixes, "holds no position at all; .*--gnss"),
     "no frame": (
         lambda drive: (drive / "frames.csv").write_text("frame_id,timestamp_utc_s,left,right\n"),
         "has no stereo pair; a recording needs at least one",
+    ),
+    "left and right swapped": (
+        swap_sides,
+        r"with left and right exchanged, so the two are swapped, .*; exchange the two folders",
     ),
     "several logs": (
         lambda drive: shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss"),
@@ -315,9 +356,10 @@ def test_a_recording_with_a_fault(
             "--transfer best",
             r"map\.transfer = 'best' cannot be: input should be 'centre' or 'area'",
         ),
-        ("--heading north", "'north' is none of auto, recorded, course, constant:DEG"),
+        ("--heading north", "'north' is none of smooth, course, recorded, constant:DEG"),
+        ("--heading auto", "'auto' is none of smooth, course, recorded, constant:DEG"),
         ("--heading constant:400", "'constant:400' is none of"),
-        ("--heading recorded", "has a heading of its own; use --heading course"),
+        ("--heading recorded", "has a heading of its own; use --heading smooth"),
         ("--gnss nowhere.nmea", r"'nowhere\.nmea' is neither in .* has: gnss_rtk\.nmea"),
         ("--config nowhere.toml", r"nowhere\.toml cannot be read \(No such file or directory\)"),
         ("--cell 0.02", r"0\.02 m are smaller than the local cells of 0\.05 m"),
@@ -544,8 +586,8 @@ def test_a_terminated_build_leaves_nothing(out: Path, make_drive: MakeDrive) -> 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("build", "Missing argument 'RECORDING...'"),
-        ("build DRIVE", "Missing option '--out' / '-o'"),
+        ("build", "Invalid value for RECORDING...: it is needed, unless there is --repose"),
+        ("build DRIVE", "Invalid value for --out: it is needed, unless there is --repose"),
         ("build DRIVE -o OUT --wrong", "No such option: --wrong"),
         ("build DRIVE -o OUT --every 0", "Invalid value for '--every'"),
         ("build DRIVE -o OUT --every two", "Invalid value for '--every'"),

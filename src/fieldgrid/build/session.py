@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldgrid.build.doubt import camera_notes, check_cameras
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.perception import CameraMotion, perceive
 from fieldgrid.build.poses import (
@@ -42,6 +43,7 @@ from fieldgrid.recording.stored import StoredRecording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
+from fieldgrid.transfer import check_cell_sizes
 
 
 def add_recording(
@@ -70,15 +72,18 @@ def add_recording(
         max_range_m=gridder.max_range_m,
         notes=tuple(recording.notes),
     )
-    with Spool(gridder.spec) as spool:
+    # Before the first image is read: the map itself would ask after the last one.
+    check_cell_sizes(universal.cell_m, gridder.spec.cell_m)
+    check_names([report.session], [info.name for info in universal.sessions()])
+    with Spool(gridder.spec, universal.path) as spool:
         look = trajectory is None and settings.pose.uses_camera
         perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
         steps = perceiving(spool, report, odometry=look)
+        check_cameras(recording, report, int(spool.frames()[1].sum()), every)
         if trajectory is None:
             trajectory = _estimated(recording, settings, universal.datum, steps, report)
         else:
-            report.fixes = len(trajectory)
-            report.fixes_accepted = int(trajectory.accepted.sum())
+            report.fixes, report.fixes_accepted = _fixes_in(recording, trajectory)
         report.heading_source = trajectory.heading_source
         with universal.add_session(
             report.session,
@@ -89,6 +94,7 @@ def add_recording(
             inputs=to_arrays(_inputs(recording, steps, spool)),
         ) as session:
             _place(spool, session, trajectory, report)
+            report.notes += tuple(camera_notes(recording, report))
             closing = time.perf_counter()
     report.stages.map_s += time.perf_counter() - closing
     report.wall_s = time.perf_counter() - started
@@ -154,6 +160,14 @@ def _estimated(
     report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
     check_poses(recording, estimate.trajectory)
     return estimate.trajectory
+
+
+def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
+    """How many fixes a drive has, and how many of them a trajectory accepts: it has rows of
+    other instants, too."""
+    times_ns = np.array([fix.time_ns for fix in recording.fixes()], dtype=np.int64)
+    accepted_ns = trajectory.time_ns[trajectory.accepted]
+    return len(times_ns), int(np.isin(accepted_ns, times_ns).sum())
 
 
 def _place(spool: Spool, session: Session, trajectory: Trajectory, report: SessionReport) -> None:

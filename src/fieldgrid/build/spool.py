@@ -1,16 +1,23 @@
-"""Local grids that wait for their poses: on disk, since a drive has thousands."""
+"""Local grids that wait for their poses: on disk, since a drive has thousands.
+
+They lie beside the map, where there must be room for them anyway: the system's place for
+temporary files is often a small part of the memory. Their file has no name, so the system
+deletes it also when the program is killed.
+"""
 
 from __future__ import annotations
 
+import errno
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import MapWriteError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import decode_grid, encode_grid
 
@@ -36,12 +43,20 @@ class _Entry(NamedTuple):
 
 
 class Spool:
-    """Grids in the order they were put, in a temporary file that is gone afterwards."""
+    """Grids in the order they were put, for the map at `target`; gone when it is closed."""
 
-    def __init__(self, spec: GridSpec) -> None:
+    def __init__(self, spec: GridSpec, target: Path) -> None:
         self._spec = spec
+        self._target = target
         self._entries: list[_Entry] = []
-        self._file = tempfile.TemporaryFile(prefix="fieldgrid-")  # noqa: SIM115 (closed in close)
+        place = target.resolve().parent
+        try:
+            # Without a buffer, which would be written once more when a full disk is given up.
+            self._file = tempfile.TemporaryFile(  # noqa: SIM115 (closed in close)
+                prefix=f".{target.name}.", suffix=".grids", dir=place, buffering=0
+            )
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def put(
         self,
@@ -55,13 +70,11 @@ class Spool:
         """Append one frame."""
         density, observed = encode_grid(grid)
         try:
-            self._file.write(density)
-            self._file.write(observed)
+            left = memoryview(density + observed)
+            while left:  # a disk that fills up takes a part first
+                left = left[self._file.write(left) :]
         except OSError as error:
-            raise MapError(
-                f"The local grids do not fit into {tempfile.gettempdir()} ({error.strerror}); free "
-                "some space, or name a larger folder in TMPDIR."
-            ) from error
+            raise self._unwritable(error) from error
         sizes = (len(density), len(observed))
         self._entries.append(
             _Entry(frame_id, time_ns, images, images_sha256, ground_refined, sizes)
@@ -84,6 +97,15 @@ class Spool:
             density, observed = (self._file.read(size) for size in entry.sizes)
             grid = decode_grid(self._spec, density, observed, f"frame {entry.frame_id}")
             yield Waiting(*entry[:5], grid)
+
+    def _unwritable(self, error: OSError) -> MapWriteError:
+        advice = "check the folder and its permissions"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            advice = "free some space there and try again"
+        return MapWriteError(
+            f"The local grids of the drive cannot be kept beside {self._target} "
+            f"({error.strerror}), so the drive is not in it; {advice}."
+        )
 
     def close(self) -> None:
         """Drop the file."""

@@ -23,7 +23,7 @@ from fieldgrid.mapfile.records import FrameRecord, frame_row, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL, software_version
 from fieldgrid.mapfile.staging import SessionFold, Staging
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.trajectory import Pose, Trajectory
+from fieldgrid.trajectory import ESTIMATED, Pose, Trajectory
 from fieldgrid.transfer import Transfer, check_cell_sizes
 
 
@@ -289,10 +289,13 @@ def check_pose(pose: Pose) -> None:
 
 
 def quality_at(track: Trajectory | None, time_ns: int) -> int | None:
-    """The quality of the accepted fix nearest in time, None where there is none."""
+    """The quality of the accepted fix nearest in time, None where there is none.
+
+    Poses between fixes, whose quality is that of an estimate, are not asked.
+    """
     if track is None:
         return None
-    accepted = np.flatnonzero(track.accepted)
+    accepted = np.flatnonzero(track.accepted & (track.quality != ESTIMATED))
     if accepted.size == 0:
         return None
     times_ns = track.time_ns[accepted]

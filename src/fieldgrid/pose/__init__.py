@@ -5,12 +5,10 @@ from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, PoseReport, carry_lever, estimate_poses
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.placed import datum_of, no_fix_sentence
-from fieldgrid.pose.rows import ESTIMATED
 from fieldgrid.pose.settings import HeadingSource, PoseSettings, heading_source
 from fieldgrid.pose.verdict import Budget
 
 __all__ = [
-    "ESTIMATED",
     "Budget",
     "ClockOffset",
     "Comparison",

@@ -14,12 +14,10 @@ from fieldgrid.pose.settings import HeadingSource, PoseSettings
 from fieldgrid.pose.smooth import Drive
 from fieldgrid.pose.verdict import jumps
 from fieldgrid.rig import Vehicle
+from fieldgrid.trajectory import ESTIMATED
 
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]
-
-ESTIMATED = 6
-"""GGA's quality of a position that no fix gave."""
 
 
 class Rows(NamedTuple):

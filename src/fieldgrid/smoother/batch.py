@@ -32,6 +32,9 @@ rows straighter, and hides steering where noise could."""
 GYRO_SHARE = 0.9
 """With a gyro over more of the drive than this, nothing needs to be expected of its steering."""
 
+LOST_M = 1e4
+"""No node is less sure of its place, so that also a long way without a fix can be solved."""
+
 BLIND_S = 0.75
 """Farther in time from every fix, steering is not seen, and any is expected."""
 
@@ -290,6 +293,8 @@ def _normal_equations(problem: _Problem, x: _Float64, weights: _Weights) -> tupl
     )
     still = np.where(seen.standing, 1.0 / model.STANDING_MPS**2, 0.0)
     model.add_values(system, x, model.V, np.zeros(len(x)), still)
+    for axis in (model.E, model.N):
+        model.add_values(system, x, axis, x[:, axis], np.full(len(x), 1.0 / LOST_M**2))
     off = _Off(
         model.add_fixes(system, x, seen.fix_m, seen.fix_bias_m, weights.fix, problem.lever_m),
         model.add_values(system, x, model.PHI, seen.nose_rad, weights.nose),

@@ -143,19 +143,17 @@ def add_motion(system, x, step_s, steering, bias_s, turned, seen, standing):  # 
         index[:4] = a + E, a + N, b + E, b + N
         index[4], index[5], index[6], index[7] = a + PHI, b + PHI, a + V, b + V
         slope[:4] = -sin, -cos, sin, cos
-        # Where a standing vehicle's positions wander to says nothing of its nose.
-        still = standing[k] and standing[k + 1]
-        slope[4] = slope[5] = 0.0 if still else across / 2.0
+        slope[4] = slope[5] = across / 2.0
         slope[6] = slope[7] = -h / 2.0
         add(system, index, slope, 8, along - way, 1.0 / (ALONG_NOISE**2 * h))
         # In a turn the tail slides outward: the way points outside of the nose.
         slide = -SLIP_ANGLE * curvature * speed * abs(speed)
         slope[:4] = -cos, sin, cos, -sin
-        slope[4] = slope[5] = 0.0 if still else -along / 2.0
+        slope[4] = slope[5] = -along / 2.0
         slope[6] = slope[7] = -h / 2.0 * slide
         add(system, index, slope, 8, across - way * slide, 1.0 / (ACROSS_NOISE**2 * h))
         turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
-        if still:
+        if standing[k] and standing[k + 1]:
             turn_noise = STANDING_TURN_NOISE
         index[0], index[1], index[2], index[3] = a + PHI, b + PHI, a + V, b + V
         index[4], index[5] = a + KAPPA, b + KAPPA
@@ -183,8 +181,8 @@ def add_start(system, x, k):  # type: ignore[no-untyped-def]
     """What is known of a node with nothing before it: little."""
     index, slope = np.zeros(1, np.int64), np.ones(1)
     for state, sigma in (
-        (E, 1e3),
-        (N, 1e3),
+        (E, 1e5),
+        (N, 1e5),
         (PHI, 10.0),
         (V, 10.0),
         (KAPPA, CURVATURE_SIGMA),

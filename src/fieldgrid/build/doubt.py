@@ -1,0 +1,95 @@
+"""Whether the images are what the calibration and the mounting say, seen from a whole drive.
+
+A camera that does not fit still gives grids, of noise. Two things tell it: frames in which no
+ground is found, and steps of the camera that its images do not tell. The mounting matters only
+to the first, so ground that is missing while steps are found speaks of height and tilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+
+from fieldgrid.build.poses import NO_GROUND
+from fieldgrid.build.report import SessionReport
+from fieldgrid.errors import CalibrationError
+from fieldgrid.odometry import features
+from fieldgrid.recording import Frame, Recording
+
+GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
+"""Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
+are no camera of this calibration. Two drives had ground and steps everywhere; with left and right
+swapped, ground in 12 % and 4 % of the frames and no step. Fog takes both in the same frames and
+leaves the steps of the others."""
+
+PROBES = 5
+SWAPPED_TIMES, SWAPPED_POINTS = 3.0, 30
+"""Disparities are negative when a pair, exchanged, shows so many times as many points with depth,
+and so many at all: swapped, it was 10 and more times as many, of a right pair it is a tenth. A
+principal point that is far off does the same, so both are named."""
+
+HINT_SHARE = 0.05
+"""Ground that is missing in more of the frames than this deserves a remark."""
+
+
+def check_cameras(recording: Recording, report: SessionReport, ground: int, every: int) -> None:
+    """Raise CalibrationError when a drive that was perceived is not of its calibration's cameras.
+
+    `ground` counts the frames in which the ground was found.
+    """
+    frames = len(range(0, recording.frame_count, every))
+    if 2 * ground < frames and _swapped(recording, frames, every):
+        raise CalibrationError(
+            f"The pairs of {recording.name} show depth only with left and right exchanged, so the "
+            "two are swapped, or the calibration is of other cameras; exchange the two folders or "
+            "the two columns of frames.csv, or give the calibration of these cameras."
+        )
+    tried = report.camera_steps + report.camera_refusals
+    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
+    if blind and ground < GROUND_SHARE * frames:
+        raise CalibrationError(
+            f"Only {ground} of {frames} frames of {recording.name} show the ground, and only "
+            f"{report.camera_steps} of {tried} steps of the camera can be told from them, so the "
+            "images do not fit the calibration; give that of these cameras, and look whether the "
+            "pairs are rectified, of one moment, and not swapped left and right."
+        )
+
+
+def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
+    """What to look at in calibration and mounting after a build that went through."""
+    tried = report.camera_steps + report.camera_refusals
+    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
+    missing, mount = report.reasons[NO_GROUND], recording.rig.mount
+    if missing > HINT_SHARE * report.frames:
+        fits = " The camera's own motion was told, so its calibration fits."
+        yield (
+            f"No ground was found in {missing} of {report.frames} frames."
+            f"{fits if report.camera_steps > report.camera_refusals else ''} Check the camera's "
+            f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
+        )
+    if blind:
+        yield (
+            f"Only {report.camera_steps} of {tried} steps of the camera could be told from its "
+            "images; unless they are metres apart or show little, check the calibration, and that "
+            "the pairs are rectified and of one moment."
+        )
+
+
+def _swapped(recording: Recording, frames: int, every: int) -> bool:
+    """Whether some frames of a drive, over all of it, show more with left and right exchanged."""
+    camera = recording.rig.camera
+    as_is, exchanged = [], []
+    for frame in _probes(recording, frames, every):
+        left, right = frame.images()
+        as_is.append(len(features(camera, left, right).blur_px))
+        exchanged.append(len(features(camera, right, left).blur_px))
+    points = float(np.median(exchanged))
+    return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
+
+
+def _probes(recording: Recording, frames: int, every: int) -> Iterator[Frame]:
+    taken = islice(recording.frames(), 0, None, every)
+    wanted = set(np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist())
+    return (frame for k, frame in enumerate(taken) if k in wanted)
