@@ -33,7 +33,7 @@ from fieldgrid.localgrid import (
     local_ground,
 )
 from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
+from fieldgrid.settings import resolve
 from fieldgrid.stereo import StereoSettings, make_matcher
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import MeanFold, footprint, universal_axes
@@ -64,7 +64,7 @@ def measure_chain() -> Iterator[Line]:
     with open_recording(EXAMPLE, "gnss_rtk.nmea") as recording:
         pairs = [frame.images() for frame in recording.frames()]
     matcher = make_matcher(StereoSettings(), FULL_DISPARITIES)
-    reports, bare_s = [], []
+    reports, without, bare_s = [], [], []
     _build()
     for _ in range(5):
         start = time.perf_counter()
@@ -72,6 +72,7 @@ def measure_chain() -> Iterator[Line]:
             matcher.compute(left, right)
         bare_s.append(time.perf_counter() - start)
         reports.append(_build())
+        without.append(_build(visual_odometry=False))
     bare = len(pairs) / float(np.median(bare_s))
     chain = float(np.median([report.frames / report.wall_s for report in reports]))
     report = sorted(reports, key=lambda one: one.wall_s)[len(reports) // 2]
@@ -80,11 +81,14 @@ def measure_chain() -> Iterator[Line]:
     )
     yield Line("build: decoded, matched, mapped, committed", f"{chain:.1f} frames/s")
     yield Line("  beside the bare matcher", f"{chain / bare:.2f} x", "asked >= 1.0")
+    plain = float(np.median([one.frames_per_s for one in without]))
+    yield Line("  the same without visual odometry", f"{plain / bare:.2f} x", "asked >= 1.0")
     stages = report.stages
-    work_s = stages.decode_s + stages.match_s + stages.grid_s + stages.map_s
+    work_s = stages.decode_s + stages.match_s + stages.odometry_s + stages.grid_s + stages.map_s
     for name, seconds in (
         ("decode", stages.decode_s),
         ("match", stages.match_s),
+        ("visual odometry", stages.odometry_s),
         ("disparity to grid", stages.grid_s),
         ("map, commit included", stages.map_s),
     ):
@@ -196,11 +200,10 @@ def measure_memory() -> Iterator[Line]:
         yield Line("  map file, rate", f"{size_mb:.1f} MB, {frames / seconds:.0f}/s")
 
 
-def _build() -> SessionReport:
+def _build(*, visual_odometry: bool = True) -> SessionReport:
+    settings = resolve(None, {"pose": {"visual_odometry": visual_odometry}})
     with tempfile.TemporaryDirectory() as folder:
-        reports = build_map(
-            [EXAMPLE], Path(folder) / "map.gpkg", BuildSettings(), gnss="gnss_rtk.nmea"
-        )
+        reports = build_map([EXAMPLE], Path(folder) / "map.gpkg", settings, gnss="gnss_rtk.nmea")
     return reports[0]
 
 

@@ -37,30 +37,31 @@ def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
     """
     width, n = lower.shape
     columns = lower.T.copy()  # an element's neighbours in its column lie side by side
-    inverse = np.zeros((n + width, width))
+    # Row j holds its elements from column j - width + 1 to j + width - 1, so that the sums run
+    # along rows.
+    inverse = np.zeros((n + width, 2 * width - 1))
+    middle = width - 1
     for j in range(n - 1, -1, -1):
         top = min(width, n - j)
         pivot = columns[j, 0]
-        for i in range(top - 1, 0, -1):
+        for i in range(1, top):
             total = 0.0
-            for k in range(1, i):
-                total += columns[j, k] * inverse[j + k, i - k]
-            for k in range(i, top):
-                total += columns[j, k] * inverse[j + i, k - i]
-            inverse[j, i] = -total / pivot
+            for k in range(1, top):
+                total += columns[j, k] * inverse[j + i, middle + k - i]
+            inverse[j, middle + i] = inverse[j + i, middle - i] = -total / pivot
         total = 0.0
         for k in range(1, top):
-            total += columns[j, k] * inverse[j, k]
-        inverse[j, 0] = (1.0 / pivot - total) / pivot
+            total += columns[j, k] * inverse[j, middle + k]
+        inverse[j, middle] = (1.0 / pivot - total) / pivot
     blocks = np.empty((n // size, size, size))
     for block in range(n // size):
         for a in range(size):
             for b in range(a + 1):
-                value = inverse[block * size + b, a - b]
+                value = inverse[block * size + b, middle + a - b]
                 blocks[block, a, b] = value
                 blocks[block, b, a] = value
     onward = np.zeros((n // size, size))
     for block in range(n // size - 1):
         for a in range(size):
-            onward[block, a] = inverse[block * size + a, size]
+            onward[block, a] = inverse[block * size + a, middle + size]
     return blocks, onward
