@@ -543,6 +543,39 @@ def test_rejected_fixes_get_the_estimate_of_their_time() -> None:
     assert off[row[[0, -1]]].max() < 0.1
     assert found.quality[row[0]] == 0
     assert (np.diff(found.time_ns) >= 0).all()
+    # Each is a row of its own beside the pose of its time, which it does not spoil.
+    for k in (30, 50):
+        own = np.flatnonzero(found.time_ns == fixes[k].time_ns)
+        assert len(own) == 2
+        (pose,) = own[own != row[k]]
+        assert found.status[pose] is Status.OK
+        assert (found.quality[pose], found.quality[row[k]]) == (6, fixes[k].quality)
+        assert found.east_m[pose] == found.east_m[row[k]]
+        assert found.heading_deg[pose] == found.heading_deg[row[k]]
+        assert found.at(fixes[k].time_ns).status is Status.OK
+
+
+def test_a_way_between_holes_on_which_every_fix_is_rejected_is_told_and_no_error() -> None:
+    """Half a minute of it, with nothing known of the ways before and after."""
+    simulated = simulate([Command(120.0, 1.5, 0.02)], 35.0, speed_mps=1.5)
+    fixes = []
+    for fix in fixes_of(simulated, 0.2, 0.01):
+        after_s = (fix.time_ns - START) / SECOND
+        if not 30.0 < after_s < 90.0:
+            fixes.append(fix)
+        elif 45.0 < after_s < 75.0:
+            fixes.append(fix._replace(hdop=9.0))
+    found, row, _ = estimate(simulated, fixes=fixes)
+    seconds = (found.time_ns - START) / SECOND
+    lost = (seconds > 40.0) & (seconds < 80.0)
+    assert lost.sum() >= 2 * 149  # the rejected fixes and the nodes of their times
+    assert not found.accepted[lost].any()
+    assert (found.position_sigma_m[lost] > 2.0).all()
+    assert all("HDOP 9" in found.reason[row[k]] for k, f in enumerate(fixes) if f.hdop == 9.0)
+    assert found.accepted[~lost].mean() > 0.95
+    truth = simulated.at(seconds)
+    off = np.hypot(found.east_m - truth.east_m, found.north_m - truth.north_m)
+    assert off[~lost].max() < 0.1
 
 
 def test_between_slow_fixes_there_are_rows_of_estimates() -> None:

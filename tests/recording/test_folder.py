@@ -16,7 +16,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording import Columns, Recording, open_recording
-from fieldgrid.rig import LeverArm, Mount, StereoCamera
+from fieldgrid.rig import LeverArm, Mount, StereoCamera, nose_heading_deg
 
 SharedData = Callable[[str], Path]
 
@@ -263,7 +263,12 @@ def test_a_mounting_declares_what_a_recorded_heading_means(drive: Path) -> None:
     (drive / "calibration" / "mounting.json").write_text(json.dumps(said))
     rig = open_recording(drive).rig
     assert (rig.heading_offset_deg, rig.heading_convention) == (90.0, "ccw_east")
-    assert rig.nose_heading_deg([0.0, -90.0]).tolist() == [0.0, 90.0]
+    assert nose_heading_deg(rig, [0.0, -90.0]).tolist() == [0.0, 90.0]
+    assert np.isnan(nose_heading_deg(rig, [np.nan])).all()
+    (drive / "calibration" / "mounting.json").write_text(json.dumps(MOUNTING))
+    silent = open_recording(drive).rig
+    assert (silent.heading_offset_deg, silent.heading_convention) == (None, "cw_north")
+    assert nose_heading_deg(silent, [0.0, -90.0, 270.0]).tolist() == [0.0, -90.0, -90.0]
 
 
 def test_a_recording_knows_its_own_motion(drive: Path) -> None:

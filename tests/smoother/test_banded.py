@@ -47,12 +47,32 @@ def test_the_blocks_are_those_of_the_dense_inverse(case: tuple[int, int, int, in
     blocks, size, reach, seed = case
     dense, band = random_system(blocks, size, size * reach, seed)
     inverse = np.linalg.inv(dense)
-    found = inverse_blocks(factor(band), size)
+    found, onward = inverse_blocks(factor(band), size)
     assert found.shape == (blocks, size, size)
+    assert onward.shape == (blocks, size)
+    close = {"rel": 1e-6, "abs": 1e-7 * np.abs(inverse).max()}
     for k in range(blocks):
         own = slice(k * size, (k + 1) * size)
-        expected = inverse[own, own]
-        assert found[k] == pytest.approx(expected, rel=1e-6, abs=1e-7 * np.abs(inverse).max())
+        assert found[k] == pytest.approx(inverse[own, own], **close)
+    assert np.array_equal(found, found.swapaxes(1, 2))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.tuples(st.integers(1, 9), st.integers(1, 4), st.integers(2, 4), st.integers(0, 10**6)))
+def test_the_onward_covariances_are_those_of_the_dense_inverse(
+    case: tuple[int, int, int, int],
+) -> None:
+    """Each unknown with its like in the next block, which the band must reach: 2 blocks wide."""
+    blocks, size, reach, seed = case
+    dense, band = random_system(blocks, size, size * reach, seed)
+    inverse = np.linalg.inv(dense)
+    found, onward = inverse_blocks(factor(band), size)
+    expected = np.append(np.diagonal(inverse, -size), np.zeros(size)).reshape(blocks, size)
+    assert onward == pytest.approx(expected, rel=1e-6, abs=1e-7 * np.abs(inverse).max())
+    # Never more than the two variances allow.
+    variance = np.diagonal(found, axis1=1, axis2=2)
+    bound = np.sqrt(variance[:-1] * variance[1:])
+    assert (np.abs(onward[:-1]) <= bound * (1.0 + 1e-9)).all()
 
 
 def test_what_is_not_positive_definite_is_no_system() -> None:

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.smoother import STATES, Sightings, Smoothed, smooth
+from fieldgrid.smoother import STATES, Sightings, Smoothed, batch, smooth
 from fieldgrid.smoother.model import GYRO
 from tests.simulated import CIRCLE, K_TURN, SLALOM, STOP, Command, Drive, simulate
 
@@ -91,34 +93,54 @@ def position_error_m(found: Smoothed, drive: Drive) -> _Float64:
     return np.hypot(found.state[:, 0] - drive.east_m, found.state[:, 1] - drive.north_m)
 
 
+ASIDE = (0.6, 1.8)
+BOTH = [(name, lever) for lever in ((0.0, 0.0), ASIDE) for name in DRIVES]
 REVERSE_LEVER = pytest.mark.xfail(
     strict=True,
-    reason="in reverse an antenna ahead of the axle tells the nose late, and the steering that "
-    "is learnt from the estimate itself calls it sure: 22 degrees off with a sigma of 5",
+    reason="at the cusp after a reverse nothing but the usual steering tells the nose from an "
+    "antenna ahead of the axle, and curvatures are taken to fade: 15 degrees off, sigma 5",
 )
+NEARLY_DEG = {("slalom", (0.0, 0.0)): 0.35, ("K-turn", (0.0, 0.0)): 0.4}
+"""Above the usual 0.3° where steering that changes all the time is smoothed over the noise that
+is stated (and is not there): half of what the sigma says."""
+
+
+@pytest.mark.parametrize(("name", "lever"), BOTH)
+def test_without_noise_the_sigma_says_where_the_nose_is_not_known(
+    name: str, lever: tuple[float, float]
+) -> None:
+    """While an antenna aside sets off, nothing tells the nose; nor at a cusp."""
+    drive = simulate(DRIVES[name], 110.0).every(0.2)
+    seen = sightings(drive, sigma_m=0.005, lever=lever)
+    found = smooth(seen, guess(drive, seen), lever)
+    error, sigma = heading_error_deg(found, drive), np.degrees(found.heading_sigma_rad)
+    assert (error < 3.0 * np.hypot(sigma, 0.3)).all()
+    # The antenna is fixed and the axle swings about it: all of the error is along one axis.
+    one_axis_m = np.sqrt(2.0) * found.position_sigma_m
+    assert (position_error_m(found, drive) < 3.0 * np.hypot(one_axis_m, 0.005)).all()
+    assert np.median(sigma) < 0.7
+    moving = np.abs(drive.speed_mps) > 0.5
+    assert (np.sign(found.state[moving, 3]) == drive.gear()[moving]).all()
 
 
 @pytest.mark.parametrize(
     ("name", "lever"),
     [
-        *((name, (0.0, 0.0)) for name in DRIVES),
-        *((name, (0.6, 1.8)) for name in DRIVES if name != "K-turn"),
-        pytest.param("K-turn", (0.6, 1.8), marks=REVERSE_LEVER),
+        pytest.param(*case, marks=REVERSE_LEVER if case == ("K-turn", ASIDE) else ())
+        for case in BOTH
     ],
 )
 def test_without_noise_the_heading_is_exact(name: str, lever: tuple[float, float]) -> None:
     drive = simulate(DRIVES[name], 110.0).every(0.2)
     seen = sightings(drive, sigma_m=0.005, lever=lever)
     found = smooth(seen, guess(drive, seen), lever)
-    error, sigma = heading_error_deg(found, drive), np.degrees(found.heading_sigma_rad)
-    # While an antenna aside sets off, nothing tells the nose: the sigma says so.
-    assert (error < 3.0 * np.hypot(sigma, 0.3)).all()
+    error = heading_error_deg(found, drive)
     moving = (np.abs(drive.speed_mps) > 0.5) & (drive.time_s > 10.0)
-    assert np.percentile(error[moving], 90) < (0.5 if name == "K-turn" else 0.3)
-    assert error[moving].max() < (1.5 if name == "K-turn" else 0.6)
-    assert position_error_m(found, drive)[moving].max() < 0.03
+    assert np.percentile(error[moving], 90) < NEARLY_DEG.get((name, lever), 0.3)
+    # At the end of a circle and at a cusp the next fixes are missing, or those of the other leg.
+    assert error[moving].max() < (1.2 if name == "K-turn" else 0.6)
+    assert position_error_m(found, drive)[moving].max() < 0.01
     assert found.state[moving, 3] == pytest.approx(drive.speed_mps[moving], abs=0.1)
-    assert (np.sign(found.state[moving, 3]) == drive.gear()[moving]).all()
 
 
 def test_a_forgotten_lever_is_seen_in_the_heading() -> None:
@@ -139,13 +161,12 @@ def test_sigmas_are_honest(name: str, noise_m: float) -> None:
         turned.append(heading_error_deg(found, drive) / np.degrees(found.heading_sigma_rad))
         moved.append(position_error_m(found, drive) / found.position_sigma_m)
         inside.append(np.degrees(np.median(found.heading_sigma_rad)))
-    # Where gears change, steering is sudden.
-    assert np.mean(np.array(turned) < 3.0) > (0.95 if name == "K-turn" else 0.97)
-    assert np.mean(np.array(moved) < 3.5) > 0.97  # two axes
+    assert np.mean(np.array(turned) < 3.0) > 0.99
+    assert np.mean(np.array(moved) < 3.5) > 0.99  # two axes
     # Not so large either that it says nothing.
-    assert np.median(turned) > 0.15
-    assert np.median(moved) > 0.5
-    assert np.median(inside) < 8.0
+    assert np.median(turned) > 0.3
+    assert 0.8 < np.median(moved) < 1.2  # of two axes: 1.18
+    assert np.median(inside) < (1.0 if noise_m == 0.02 else 3.0)
 
 
 @pytest.mark.parametrize("name", ["slalom", "K-turn"])
@@ -250,12 +271,31 @@ def test_a_hole_of_a_minute_drags_nothing() -> None:
     found = smooth(seen, guess(drive, seen))
     assert heading_error_deg(found, drive)[3:-3].max() < 3.0
     assert position_error_m(found, drive).max() < 0.1
-    # Each side is what it would be without the other.
-    for part in (slice(None, 100), slice(100, None)):
-        own = drive.at(times[part])
-        alone = seen.part(part.start or 0, part.stop or len(times))
+
+
+@pytest.mark.parametrize("learnt", [True, False])
+def test_each_side_of_a_hole_is_what_it_would_be_without_the_other(
+    learnt: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for how restless the vehicle is, which the whole drive tells better."""
+    if not learnt:
+        monkeypatch.setattr(batch, "RESTLESSNESSES", (batch.USUAL_RESTLESSNESS,))
+    whole = simulate([Command(20.0, 1.5), Command(60.0, 1.5, 0.05), Command(20.0, 1.5)], 20.0)
+    times = np.concatenate([np.arange(0.0, 20.0, 0.2), np.arange(80.0, 100.0, 0.2)])
+    drive = whole.at(times)
+    seen = sightings(drive, 0.02, sigma_m=0.02)
+    seen = seen._replace(seen=np.diff(times) < 10.0)
+    found = smooth(seen, guess(drive, seen))
+    for a, b in ((0, 100), (100, 200)):
+        own, alone = drive.at(times[a:b]), seen.part(a, b)
         apart = smooth(alone, guess(own, alone))
-        assert apart.state[:, :4] == pytest.approx(found.state[part, :4], abs=2e-3)
+        off = np.abs(apart.state[:, :4] - found.state[a:b, :4])
+        if learnt:
+            assert (off[:, 2] < 0.3 * found.heading_sigma_rad[a:b]).all()
+            assert off[:, :2].max() < 0.01
+        else:
+            # A round more or less: each ends when nothing moves by more than a few millimetres.
+            assert off.max() < 2e-3
 
 
 def test_standing_holds_the_heading_while_its_sigma_grows() -> None:
@@ -297,12 +337,235 @@ def test_recorded_headings_and_speeds_are_used() -> None:
     assert found.state[:, 3] == pytest.approx(drive.speed_mps, abs=0.03)
 
 
-def test_a_single_node_is_a_drive() -> None:
-    drive = simulate([Command(1.0, 1.0)]).at([0.5])
-    seen = sightings(drive, 0.02)
+@pytest.mark.parametrize("times", [[0.5], [0.5, 0.7], [0.5, 60.0]])
+@pytest.mark.parametrize("gyro", [True, False])
+def test_the_shortest_drives(times: list[float], gyro: bool) -> None:
+    drive = simulate([Command(61.0, 1.0)]).at(times)
+    seen = sightings(drive, 0.02, gyro_bias_dps=0.0 if gyro else None)
+    seen = seen._replace(seen=np.diff(drive.time_s) < 10.0)
     found = smooth(seen, guess(drive, seen, 0.0))
-    assert position_error_m(found, drive)[0] < 0.1
-    assert np.degrees(found.heading_sigma_rad[0]) > 90.0
+    assert position_error_m(found, drive).max() < 0.1
+    assert found.restlessness == batch.USUAL_RESTLESSNESS or len(times) > 1
+    assert all(np.isfinite(column).all() for column in found[:6])
+    if times != [0.5, 0.7]:
+        assert np.degrees(found.heading_sigma_rad).min() > 90.0
+
+
+# --- what is learnt of the steering
+
+
+def column_of(drive: Drive, **columns: Any) -> Sightings:
+    n = len(drive.time_s)
+    return sightings(drive, 0.02, **columns)._replace(nose_rad=np.arange(float(n)))
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 6))
+def test_a_part_is_what_was_seen_there(one: int, two: int, every: int) -> None:
+    drive = simulate(K_TURN[:1], 20.0).at(np.arange(30) * 0.2)
+    seen = column_of(drive, gyro_bias_dps=0.4, **steps_between(drive, every))
+    start, stop = min(one, two), max(one, two)
+    assume(start < stop)
+    part = seen.part(start, stop)
+    between = {"turned_rad", "seen"}
+    for name, column in part._asdict().items():
+        whole = getattr(seen, name)
+        assert column.dtype == whole.dtype
+        if not name.startswith("step"):
+            own = whole[start : stop - 1] if name in between else whole[start:stop]
+            assert np.array_equal(column, own, equal_nan=True)
+    # Steps with both ends inside, and they tell of the same instants as before.
+    ends = seen.step_nodes.tolist()
+    inside = [k for k, (a, b) in enumerate(ends) if start <= a and b < stop]
+    assert part.time_s[part.step_nodes].tolist() == drive.time_s[seen.step_nodes[inside]].tolist()
+    assert np.array_equal(part.step, seen.step[inside])
+    assert np.array_equal(part.step_sigma, seen.step_sigma[inside])
+
+
+def test_the_whole_is_a_part() -> None:
+    drive = simulate(K_TURN[:1], 20.0).every(0.2)
+    seen = column_of(drive, gyro_bias_dps=0.4, **steps_between(drive, 3))
+    for one, other in zip(seen, seen.part(0, len(seen.time_s)), strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.01, 2.0), max_size=30), st.data())
+def test_steps_far_from_every_fix_are_blind(gaps: list[float], data: st.DataObject) -> None:
+    time_s = np.cumsum([5.0, *gaps])
+    drive = simulate([Command(1.0, 1.0)]).at(time_s)
+    n = len(time_s)
+    has = np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    seen = sightings(drive, 0.02)
+    seen = seen._replace(fix_sigma_m=np.where(has, 0.02, np.nan))
+    fixes = time_s[has].tolist()
+    found = batch._blind(seen)
+    assert found.shape == (n - 1,)
+    for k, middle in enumerate(((time_s[1:] + time_s[:-1]) / 2.0).tolist()):
+        nearest = min((abs(middle - at) for at in fixes), default=np.inf)
+        assert found[k] == (nearest > batch.BLIND_S)
+
+
+STRAIGHT = [Command(60.0, 1.5)]
+WEAVING = [Command(5.0, 1.5)] + [Command(2.0, 1.5, 0.2 * (-1) ** k) for k in range(25)]
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.05])
+def test_a_straight_drive_is_calm_and_a_weaving_one_restless(noise_m: float) -> None:
+    """How much steering is expected follows the drive, not the noise of its fixes."""
+    for seed in range(4):
+        found = []
+        for commands in (STRAIGHT, WEAVING):
+            drive = simulate(commands, 30.0, speed_mps=1.5).every(0.2)
+            seen = sightings(drive, noise_m, seed=seed)
+            found.append((smooth(seen, guess(drive, seen)), drive))
+        (calm, straight), (restless, _) = found
+        assert calm.restlessness < batch.USUAL_RESTLESSNESS < restless.restlessness
+        # Where nothing is steered, noise turns the nose less; where much is, less is sure.
+        assert 2.0 * np.median(calm.heading_sigma_rad) < np.median(restless.heading_sigma_rad)
+        for smoothed, drive in found:
+            error = heading_error_deg(smoothed, drive)
+            assert np.mean(error < 3.0 * np.degrees(smoothed.heading_sigma_rad)) > 0.97
+        assert np.sqrt(np.mean(heading_error_deg(calm, straight) ** 2)) < 30.0 * noise_m
+
+
+def test_a_gyro_needs_no_expectation() -> None:
+    drive = simulate(WEAVING, 30.0, speed_mps=1.5).every(0.2)
+    seen = sightings(drive, 0.02, gyro_bias_dps=0.1)
+    assert smooth(seen, guess(drive, seen)).restlessness == batch.USUAL_RESTLESSNESS
+    # It has to be there for nearly all of the way.
+    turned = seen.turned_rad.copy()
+    turned[: len(turned) // 5] = np.nan
+    found = smooth(seen._replace(turned_rad=turned), guess(drive, seen))
+    assert found.restlessness > batch.USUAL_RESTLESSNESS
+
+
+def problem(drive: Drive, seen: Sightings) -> tuple[batch._Problem, batch._Solution]:
+    """What the sightings ask, and the estimate before anything is learnt."""
+    asked = batch._Problem(seen, np.zeros(2), 0.0)
+    return asked, batch._converged(asked, guess(drive, seen), batch._stated_weights(seen))
+
+
+@pytest.mark.parametrize("commands", [STRAIGHT, WEAVING, SLALOM, CIRCLE])
+def test_the_likelihood_is_climbed_to_its_top(commands: list[Command]) -> None:
+    """The restlessness is the likeliest of all, or more by what would not be clear."""
+    drive = simulate(commands, 30.0, speed_mps=1.5).every(0.2)
+    asked, first = problem(drive, sightings(drive, 0.03, seed=1))
+    likelihood = [batch._log_likelihood(asked, first.x, r) for r in batch.RESTLESSNESSES]
+    at = batch.RESTLESSNESSES.index(batch._restlessness(asked, first))
+    best = int(np.argmax(likelihood))
+    assert at >= best
+    assert likelihood[at] >= likelihood[best] - batch.CLEAR_NATS * (at - best)
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "expected", "asked"),
+    [
+        ([0.0, 1.0, 9.0, 1.0, 0.0], 2, {1, 2, 3}),
+        ([99.0, 60.0, 9.0, 1.0, 0.0], 0, {0, 1, 2}),
+        ([0.0, 1.0, 9.0, 60.0, 99.0], 4, {1, 2, 3, 4}),
+        ([0.0, 1.0, 9.0, 60.0, 50.0], 3, {1, 2, 3, 4}),
+        # A calmer one has to be clearly likelier, a more restless one need only not be less so.
+        ([0.0, 10.5, 9.0, 6.5, 0.0], 2, {1, 2, 3}),
+        ([0.0, 11.5, 9.0, 6.5, 0.0], 1, {0, 1, 2}),
+        ([0.0, 0.0, 9.0, 7.5, 6.0], 4, {1, 2, 3, 4}),
+        ([0.0, 0.0, 0.0, 0.0, 0.0], 4, {1, 2, 3, 4}),
+    ],
+)
+def test_the_search_asks_no_more_than_it_must(
+    likelihood: list[float], expected: int, asked: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    def told(_: batch._Problem, __: _Float64, restlessness: float) -> float:
+        tried.append(batch.RESTLESSNESSES.index(restlessness))
+        return likelihood[tried[-1]]
+
+    drive = simulate(STRAIGHT, 30.0).at([0.0, 0.2])
+    own, first = problem(drive, sightings(drive, 0.02))
+    monkeypatch.setattr(batch, "_log_likelihood", told)
+    assert batch._restlessness(own, first) == batch.RESTLESSNESSES[expected]
+    assert len(tried) == len(set(tried))
+    assert set(tried) == asked
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.1])
+def test_learning_makes_the_sightings_likelier(
+    noise_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up and up with each adaptation, when the restlessness is that of the drive. (The share
+    that is always expected may take back a little in the end.)"""
+    for commands in (STRAIGHT, SLALOM, CIRCLE):
+        drive = simulate(commands, 30.0, speed_mps=1.5).every(0.2)
+        asked, first = problem(drive, sightings(drive, noise_m, seed=2))
+        restlessness = batch._restlessness(asked, first)
+        found = []
+        with monkeypatch.context() as patch:
+            for count in range(batch.ADAPTATIONS + 1):
+                patch.setattr(batch, "ADAPTATIONS", count)
+                found.append(batch._log_likelihood(asked, first.x, restlessness))
+        gains = np.diff(found)
+        assert len(gains) == batch.ADAPTATIONS
+        assert (gains > -0.5).all()
+        assert gains[0] == gains.max()
+        assert gains.sum() > 4.0
+
+
+LONG = [Command(5.0, 1.5)] + [Command(4.0, 1.5, 0.15 * (-1) ** k) for k in range(220)]
+
+
+def test_a_long_drive_is_known_by_some_stretches() -> None:
+    """And estimated as a short one: the same restlessness, the same headings and sigmas."""
+    whole = simulate(LONG, 10.0, speed_mps=1.5).every(0.2)
+    n = len(whole.time_s)
+    assert n > batch.STRETCHES * batch.STRETCH_NODES
+    seen = sightings(whole, 0.02)
+    found = smooth(seen, guess(whole, seen))
+    asked = batch._Problem(seen, np.zeros(2), 0.0)
+    stretches = batch._stretches(asked, found.state)
+    assert len(stretches) == batch.STRETCHES
+    for part, x in stretches:
+        assert len(x) == len(part.seen.time_s) == batch.STRETCH_NODES
+        first = np.searchsorted(seen.time_s, part.seen.time_s[0])
+        assert np.array_equal(x, found.state[first : first + len(x)])
+    assert stretches[0][0].seen.time_s[0] == seen.time_s[0]
+    assert stretches[-1][0].seen.time_s[-1] == seen.time_s[-1]
+    short = seen.part(0, 1000)
+    own = smooth(short, guess(whole.at(short.time_s), short))
+    assert len(batch._stretches(asked._replace(seen=short), own.state)) == 1
+    assert own.restlessness == found.restlessness
+    inner = slice(0, 980)  # the rest knows what comes after
+    assert own.state[inner, :3] == pytest.approx(found.state[inner, :3], abs=2e-3)
+    ratio = own.heading_sigma_rad[inner] / found.heading_sigma_rad[inner]
+    assert ratio == pytest.approx(1.0, abs=0.05)
+    error = heading_error_deg(found, whole)
+    assert np.mean(error < 3.0 * np.degrees(found.heading_sigma_rad)) > 0.99
+    assert error.max() < 4.0
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_a_long_way_without_a_fix_can_be_solved(gyro: bool) -> None:
+    """Also when one of the stretches that stand for the drive has none."""
+    drive = simulate(LONG, 10.0, speed_mps=1.5).every(0.2)
+    n = len(drive.time_s)
+    seen = sightings(drive, 0.02, gyro_bias_dps=0.1 if gyro else None)
+    start = int(np.linspace(0, n - batch.STRETCH_NODES, batch.STRETCHES)[1])
+    lost = slice(start - 20, start + batch.STRETCH_NODES + 20)
+    sigma, first = seen.fix_sigma_m.copy(), guess(drive, seen)
+    sigma[lost] = np.nan
+    found = smooth(seen._replace(fix_sigma_m=sigma), first)
+    assert found.position_sigma_m[start + 500] > 2.0
+    known = np.r_[0 : start - 30, start + batch.STRETCH_NODES + 30 : n]
+    error = heading_error_deg(found, drive)[known]
+    assert np.mean(error < 3.0 * np.degrees(found.heading_sigma_rad[known])) > 0.99
+    assert position_error_m(found, drive)[known].max() < 0.15
+    # Nothing at all is known of such a drive, and it says so.
+    nothing = seen.part(0, 1000)
+    nothing = nothing._replace(fix_sigma_m=np.full(1000, np.nan))
+    assert (smooth(nothing, first[:1000]).position_sigma_m > 100.0).all()
+
+
+# --- symmetries
 
 
 def test_where_the_drive_lies_does_not_matter() -> None:

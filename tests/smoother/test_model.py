@@ -215,7 +215,8 @@ def test_the_laws_of_motion(seed: int, gyro: bool, standing: list[bool]) -> None
         system, x, step_s, steering, bias_s, turned, np.array(seen), np.array(standing)
     )
     residuals = vehicle_laws(step_s, steering, bias_s, turned, seen, standing)
-    across = [k for k, (_, w) in enumerate(residuals(x)) if w in _across_weights(step_s)]
+    own = _weights(model.ACROSS_NOISE, step_s)
+    across = [k for k, (_, weight) in enumerate(residuals(x)) if weight in own]
     assert len(across) == 3
 
     def approximate(jacobian: _Float64) -> _Float64:
@@ -232,8 +233,8 @@ def test_the_laws_of_motion(seed: int, gyro: bool, standing: list[bool]) -> None
     assert_normal_equations(system, residuals, x, approximate)
 
 
-def _across_weights(step_s: _Float64) -> list[float]:
-    return [1.0 / (model.ACROSS_NOISE**2 * h) for h in step_s.tolist()]
+def _weights(noise: float, step_s: _Float64) -> list[float]:
+    return [1.0 / (noise**2 * h) for h in step_s.tolist()]
 
 
 @pytest.mark.parametrize("gyro", [True, False])
@@ -277,22 +278,77 @@ def test_a_start_knows_little() -> None:
 # --- how it steers
 
 
+def steering(
+    curvature: _Float64,
+    time_s: _Float64,
+    restlessness: float,
+    variance: _Float64 | float = 0.0,
+    onward: _Float64 | float = 0.0,
+) -> _Float64:
+    """The local steering of curvatures that are known exactly, or as well as is said."""
+    zero = np.zeros(len(time_s))
+    return model.local_steering(curvature, zero + variance, zero + onward, time_s, restlessness)
+
+
 def test_steering_is_looked_for_nearby() -> None:
     """Straight for long, then a turn in: the curvature may change there, and not elsewhere."""
     n, h = 200, 0.2
-    time_s, x = np.arange(n) * h, np.zeros((n, STATES))
-    x[100:, KAPPA] = 0.25
-    found = model.local_steering(x, time_s, 0.02)
-    calm = 0.02**2 * h
-    assert found[:80] == pytest.approx(calm)
+    time_s, curvature = np.arange(n) * h, np.zeros(n)
+    curvature[100:] = 0.25
+    found = steering(curvature, time_s, 0.02)
+    calm = model.ALWAYS_SHARE * 0.02**2 * h
+    assert found[:90] == pytest.approx(calm)
     assert found[99] > 50.0 * calm
-    change = np.diff(x[:, KAPPA] * 1.0)
-    near = np.abs(time_s[:-1] - time_s[99]) <= model.STEERING_S / 2.0
-    assert (found[near] >= 0.02**2 * h + change[99] ** 2 * h / (model.STEERING_S + 2.0 * h)).all()
-    wild = x.copy()
-    wild[::2, KAPPA] = 50.0
-    most = (0.02**2 + model.MOST_STEERING) * h
-    assert model.local_steering(wild, time_s, 0.02) == pytest.approx(most)
+    middle_s = (time_s[1:] + time_s[:-1]) / 2.0
+    near = np.abs(middle_s - middle_s[99]) <= model.STEERING_S / 2.0 - h
+    least = (1.0 - model.ALWAYS_SHARE) * 0.25**2 / (model.STEERING_S + h) * h
+    assert (found[near] >= calm + least).all()
+    assert (found[np.abs(middle_s - middle_s[99]) <= model.STEERING_S] < model.MOST_STEERING).all()
+    wild = curvature.copy()
+    wild[::2] = 50.0
+    assert steering(wild, time_s, 0.02) == pytest.approx(model.MOST_STEERING * h)
+
+
+@settings(deadline=None, max_examples=40)
+@given(SEEDS, st.integers(2, 30), st.sampled_from([0.01, 0.05, 0.2]))
+def test_steering_is_what_is_expected_of_the_change(seed: int, n: int, restless: float) -> None:
+    """Beside the expected square of each change, drawn from the joint distribution, node by
+    node averaged over a second before and after."""
+    random = np.random.default_rng(seed)
+    time_s = np.cumsum(random.uniform(0.05, 0.7, n))
+    curvature, variance = random.normal(0.0, 0.1, n), random.uniform(0.0, 0.01, n)
+    onward = np.zeros(n)
+    onward[:-1] = random.uniform(-1.0, 1.0, n - 1) * np.sqrt(variance[1:] * variance[:-1])
+    step_s, middle_s = np.diff(time_s), (time_s[1:] + time_s[:-1]) / 2.0
+    expected = np.zeros(n - 1)
+    squared = np.zeros(n - 1)
+    for k in range(n - 1):
+        slope = np.array([-np.exp(-step_s[k] / model.CURVATURE_S), 1.0])
+        joint = np.array([[variance[k], onward[k]], [onward[k], variance[k + 1]]])
+        squared[k] = (slope @ curvature[k : k + 2]) ** 2 + slope @ joint @ slope
+    for k in range(n - 1):
+        near = np.abs(middle_s - middle_s[k]) <= model.STEERING_S / 2.0
+        rate = 0.5 * restless**2 + 0.5 * squared[near].sum() / step_s[near].sum()
+        expected[k] = min(rate, model.MOST_STEERING) * step_s[k]
+    found = steering(curvature, time_s, restless, variance, onward)
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert (found > 0.0).all()
+
+
+def test_what_noise_hides_counts_as_steering_and_what_both_nodes_share_does_not() -> None:
+    time_s = np.arange(100) * 0.2
+    straight = np.zeros(100)
+    known = steering(straight, time_s, 0.02)
+    hidden = steering(straight, time_s, 0.02, 0.03**2)
+    shared = steering(straight, time_s, 0.02, 0.03**2, 0.03**2)
+    assert (hidden > 5.0 * known).all()
+    assert (shared < 1.5 * known).all()
+    assert (shared > known).all()
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_shortest_drives_have_a_steering(n: int) -> None:
+    assert steering(np.zeros(n), np.arange(n) * 0.2, 0.05).shape == (n - 1,)
 
 
 def test_the_usual_steering_keeps_the_usual_curvatures() -> None:

@@ -87,8 +87,10 @@ def _fixes(arrays: Mapping[str, npt.NDArray[np.generic]]) -> list[Fix]:
     count = len(arrays["fix.time_ns"])
     columns = []
     for name in Fix._fields:
-        # A field that this version has and the writer's had not says nothing.
-        values = arrays[f"fix.{name}"].tolist() if f"fix.{name}" in arrays else [None] * count
+        key = f"fix.{name}"
+        # What this version may say of a fix and the writer's could not is not said.
+        unsaid = name in Fix._field_defaults and key not in arrays
+        values = [None] * count if unsaid else arrays[key].tolist()
         if name in _INTEGERS:
             values = [None if value == _NOT_SAID else value for value in values]
         elif name in Fix._field_defaults:
