@@ -27,8 +27,8 @@ from fieldgrid.pose import (
     estimate_poses,
     heading_source,
 )
+from fieldgrid.pose.moves import _turned_deg
 from fieldgrid.pose.nodes import nodes
-from fieldgrid.pose.smooth import _turned_deg
 from fieldgrid.rig import LeverArm, Rig
 from fieldgrid.trajectory import Status, Trajectory
 from tests.scenes import Leg, Path, drive, paper_rig

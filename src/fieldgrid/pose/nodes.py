@@ -32,6 +32,10 @@ class Nodes(NamedTuple):
     fix: _Int64
     turned_rad: _Float64
 
+    def has_gyro(self) -> bool:
+        """Whether a gyro saw any of the drive."""
+        return bool(np.isfinite(self.turned_rad).any())
+
 
 def nodes(accepted_ns: _Int64, all_ns: _Int64, motion: Motion) -> Nodes:
     """Nodes from the first accepted fix to the last one, and as far beyond as the camera saw
@@ -90,3 +94,8 @@ def _turned(times: _Int64, motion: Motion) -> _Float64:
     inside = (times >= at[0]) & (times <= at[-1])
     whole = (holes[after[1:]] == holes[before[:-1]]) & inside[1:] & inside[:-1]
     return np.where(whole, np.diff(angle), np.nan)
+
+
+def seconds(time_ns: _Int64) -> _Float64:
+    """Seconds since the first of the instants."""
+    return np.asarray((time_ns - time_ns[0]) / 1e9)
