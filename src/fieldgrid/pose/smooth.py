@@ -26,6 +26,9 @@ LEAST_HEADING_SIGMA_DEG = 0.3
 TURNING_RAD_S = np.radians(4.0)
 """A faster turn than a gyro's bias and a shaking engine make is one."""
 
+MISPLACED_S = 1.0
+"""A cusp lies between two fixes of a receiver of 1 Hz."""
+
 DRIVING_MPS = 0.2
 """Faster, a vehicle drives for certain, and its speed has a sign."""
 
@@ -118,6 +121,16 @@ def axle_forward_m(rig: Vehicle) -> float:
     return rig.antenna.forward_m if axle_m is None else axle_m
 
 
+def _lasting(against: npt.NDArray[np.bool_], time_s: _Float64) -> npt.NDArray[np.bool_]:
+    """Where the estimate goes against its gears for longer than a cusp may be misplaced: then
+    nobody knows which way the vehicle went."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], against, [False]]).astype(np.int8)))
+    found = np.zeros(len(against), dtype=np.bool_)
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        found[first:stop] = time_s[stop - 1] - time_s[first] > MISPLACED_S
+    return found
+
+
 def _near_recorded(seen: Sightings) -> npt.NDArray[np.bool_]:
     """Nodes whose heading is as good as recorded, so that it does not hang on the gear."""
     recorded = np.flatnonzero(np.isfinite(seen.nose_rad))
@@ -143,10 +156,9 @@ def _drive(
     fix_station = np.searchsorted(moves.station, _last_fix(at.fix), side="right") - 1
     doubt = moves.gears.doubt[np.maximum(fix_station, 0)]
     doubt = np.where(_near_recorded(seen), 0.0, doubt)
-    # The batch may say that the vehicle went the other way than its gears do: nobody knows.
     assigned = moves.gears.gear[np.maximum(fix_station, 0)]
-    backward = (np.sign(found.state[:, 3]) != assigned) & ~resting
-    doubt = np.where(backward & (np.abs(found.state[:, 3]) > DRIVING_MPS), 1.0, doubt)
+    against = (found.state[:, 3] * assigned < -DRIVING_MPS) & ~resting
+    doubt = np.where(_lasting(against, seen.time_s), 1.0, doubt)
     east, north, heading, speed, _, bias = found.state[:, :6].T
     gear = np.where(resting, 0, np.where(speed >= 0.0, 1, -1))
     sigma_deg = np.hypot(np.degrees(found.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
