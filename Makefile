@@ -32,6 +32,9 @@ check: .venv/installed ## Check style, types, and the code and commands in the d
 
 bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks
+	$(PY) -m benchmarks.parsing
+	$(PY) -m benchmarks.odometry
+	$(PY) -m benchmarks.track_hour
 
 crash: .venv/installed ## Kill writers and break their disk, hundreds of times (some minutes)
 	$(PY) -m tests.crash.kills 250

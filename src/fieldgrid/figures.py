@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
-from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MEANING, Change, ChangeView, FrameRecord, MapView
-from fieldgrid.mapfile.publish import Draft
+from fieldgrid.mapfile.publish import replacing
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 _Float64 = npt.NDArray[np.float64]
@@ -187,18 +187,8 @@ def save(figure: Figure, path: str | Path) -> None:
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
         ) from error
-    draft = Draft(path, overwrite=True)
-    try:
-        draft.file.write_bytes(written.getvalue())
-        draft.publish()
-    except OSError as error:
-        if isinstance(error, MapWriteError):
-            raise
-        raise MapWriteError(
-            f"{path} could not be written ({error.strerror}); check the space on the disk."
-        ) from error
-    finally:
-        draft.discard()
+    with replacing(path) as draft:
+        draft.write_bytes(written.getvalue())
 
 
 class _Drawn(NamedTuple):

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.errors import DatumError, MapExistsError, MapWriteError
+from fieldgrid.errors import DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
-from fieldgrid.mapfile.publish import Draft
+from fieldgrid.mapfile.publish import replacing
 from fieldgrid.pose import Estimate, PoseReport
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
@@ -49,21 +49,10 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
     path = Path(path)
     check_reach(estimate.trajectory)
     check_target(path)
-    draft = Draft(path, overwrite=True)
-    try:
-        with draft.file.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            writer.writerows(track_rows(estimate))
-        draft.publish()
-    except OSError as error:
-        if isinstance(error, MapWriteError):
-            raise
-        raise MapWriteError(
-            f"{path} could not be written ({error.strerror}); check the space on the disk."
-        ) from error
-    finally:
-        draft.discard()
+    with replacing(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(track_rows(estimate))
 
 
 def check_target(path: Path) -> None:

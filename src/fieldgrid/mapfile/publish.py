@@ -8,7 +8,8 @@ import glob
 import os
 import secrets
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapExistsError, MapWriteError
@@ -17,6 +18,24 @@ _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, err
 
 _YOUNG_S = 60.0
 """An empty draft may be of another program that is just about to hold it."""
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A file to write in the place of `path`: it takes that name when the block ends well, and is
+    gone when it does not. Raises MapWriteError where the disk does not take it."""
+    draft = Draft(path, overwrite=True)
+    try:
+        yield draft.file
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
 
 
 class Draft:
