@@ -16,13 +16,25 @@ PACKAGE = "fieldgrid"
 # A room is a module or a package directly under `fieldgrid`. A room may import rooms of
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
-    ("errors", "geodesy", "angles", "kernel"),
+    ("errors", "geodesy", "angles", "kernel", "publish"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
-    ("gnss", "course", "gear", "smoother", "stereo", "odometry", "ground", "transfer"),
+    (
+        "gnss",
+        "course",
+        "gear",
+        "smoother",
+        "stereo",
+        "odometry",
+        "ground",
+        "transfer",
+        "rectify",
+        "ros",
+    ),
     ("pose", "localgrid", "recording", "moments"),
     ("mapfile", "settings"),
     ("rows", "route", "export", "figures", "track", "evaluation", "view"),
     ("build", "live"),
+    ("inspection", "mounting", "convert"),
     ("cli",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}

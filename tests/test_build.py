@@ -53,7 +53,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.motion import Motion
-from fieldgrid.recording import Frame, Image, ImageSource, open_recording
+from fieldgrid.recording import Frame, Image, ImageSource, StereoFrame, Stream, open_recording
 from fieldgrid.settings import BuildSettings, resolve
 from fieldgrid.trajectory import Status
 from fieldgrid.transfer import Transfer
@@ -614,7 +614,7 @@ def no_image_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: Frame) -> NoReturn:
         raise AssertionError(f"the images of frame {self.frame_id} were read")
 
-    monkeypatch.setattr(Frame, "images", refuse)
+    monkeypatch.setattr(StereoFrame, "images", refuse)
 
 
 def rewrite(path: Path, change: Callable[[str], str]) -> None:
@@ -989,7 +989,7 @@ class LongDrive:
         self._pairs = list(self._of.frames())[5:8]
         self._start_ns = self._pairs[0].time_ns
         self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
-        self.gnss_source, self.notes = self._of.gnss_source, ()
+        self.gnss_source, self.notes, self.losses = self._of.gnss_source, (), ()
         self.frame_count = frame_count
         self.images = Alive()
         self.drawn = 0
@@ -1002,13 +1002,16 @@ class LongDrive:
             self.drawn += 1
             pair = self._pairs[k % len(self._pairs)]
             left, right = Watched(pair.left, self.images), Watched(pair.right, self.images)
-            yield Frame(f"{k:06d}", time_ns, left, right, pair.size_px)
+            yield StereoFrame(f"{k:06d}", time_ns, left, right, pair.size_px)
 
     def fixes(self) -> Sequence[Fix]:
         return self._of.fixes()
 
     def motion(self) -> Motion:
         return self._of.motion()
+
+    def streams(self) -> Sequence[Stream]:
+        return self._of.streams()
 
     def close(self) -> None:
         self._of.close()

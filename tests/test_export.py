@@ -13,10 +13,11 @@ import rasterio
 from rasterio.enums import ColorInterp
 from rasterio.warp import transform
 
+from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
 from fieldgrid.export import export_geotiff
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapView, open_map, publish
+from fieldgrid.mapfile import MapView, open_map
 from tests.mapfile.maps import CELL_M, DATUM, drive, one_cell, write_map
 from tests.mapfile.test_geopackage import CENTIMETRE, POINTS, geodetic, tool
 

@@ -61,7 +61,7 @@ def test_the_kernel_is_the_reference(
     rng = np.random.default_rng(seed)
     base = paper_rig(focal_px=120.0, size_px=(96, 80))
     camera = replace(base.camera, cx_right_px=base.camera.cx_px - offset_px)
-    rig = replace(base, camera=camera, mount=Mount(1.4, tilt_deg, roll_deg))
+    rig = replace(base, sensor=camera, mount=Mount(1.4, tilt_deg, roll_deg))
     disparity = rng.integers(-16, 16 * SUBPIXELS, (80 - row_start, 96)).astype(np.int16)
     n_x, n_y = round(6.0 / cell_m), round(9.0 / cell_m)
     ground = rng.normal(0.0, 0.15, (n_y, n_x)).astype(np.float32)

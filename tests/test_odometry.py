@@ -267,7 +267,7 @@ def test_corners_carry_the_depth_of_the_ground() -> None:
 def test_a_disparity_at_infinity_is_taken_off(offset_px: float) -> None:
     """A right camera whose principal point is elsewhere moves the disparities, not the points."""
     cx_right_px = LOOKING_DOWN.camera.cx_px - offset_px
-    shifted = replace(LOOKING_DOWN, camera=replace(LOOKING_DOWN.camera, cx_right_px=cx_right_px))
+    shifted = replace(LOOKING_DOWN, sensor=replace(LOOKING_DOWN.camera, cx_right_px=cx_right_px))
     found = features(shifted.camera, *photo(shifted, vehicle_pose(), cx_right_px=cx_right_px))
     assert len(found.blur_px) > 200
     height_m = shifted.mount.height_m + (found.points_m @ shifted.mount.rotation().T)[:, 2]

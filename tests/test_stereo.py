@@ -233,7 +233,7 @@ def test_the_nearest_range_is_searched_and_multiples_of_16(
     min_range_m: float, focal_px: float, offset_px: float
 ) -> None:
     camera = StereoCamera(1280, 480, focal_px, 640.0, 240.0, 0.2, 640.0 - offset_px)
-    rig = replace(paper_rig(), camera=camera)
+    rig = replace(paper_rig(), sensor=camera)
     region = search_region(rig, StereoSettings(min_range_m=min_range_m), 2.2, 15.0)
     nearest_px = focal_px * 0.2 / min_range_m + offset_px
     assert region.num_disparities % 16 == 0

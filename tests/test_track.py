@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fieldgrid import publish
 from fieldgrid.errors import DatumError, MapExistsError, MapWriteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix, condition
 from fieldgrid.gnss.summary import summarise
-from fieldgrid.mapfile import publish
 from fieldgrid.pose import Comparison, Estimate, PoseReport, estimate_poses
 from fieldgrid.track import COLUMNS, grouped_reasons, summarise_track, track_rows, write_track
 from fieldgrid.trajectory import Status, Trajectory

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.mapfile import LAYERS, MEANING, Change, ChangeView, MapView
-from fieldgrid.mapfile.publish import Draft
+from fieldgrid.publish import Draft
 
 _BLOCK_PX = 512
 

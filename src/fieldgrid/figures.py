@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MEANING, Change, ChangeView, FrameRecord, MapView
-from fieldgrid.mapfile.publish import replacing
+from fieldgrid.publish import replacing
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 _Float64 = npt.NDArray[np.float64]

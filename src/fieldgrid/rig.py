@@ -1,8 +1,9 @@
-"""The rig: a rectified stereo camera, how it is mounted, and where the antenna sits.
+"""The rig: what looks at the field, how it is mounted, and where the antenna sits.
 
 Vehicle frame: x right, y forward, z up, metres. Its origin is the *grid origin*: the point of
-the ground right below the middle of the stereo baseline, when the vehicle stands level.
-Camera frame (optical): x right, y down, z forward.
+the ground right below the sensor, when the vehicle stands level. Of a stereo camera that is
+the middle of its baseline, of a depth camera its optical centre, of a lidar the origin of its
+points. Sensor frame (optical, of a lidar too): x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -39,32 +40,13 @@ class StereoCamera:
     cx_right_px: float | None = None
 
     def __post_init__(self) -> None:
-        if not (16 <= self.width_px <= 20_000 and 16 <= self.height_px <= 20_000):
-            raise CalibrationError(
-                f"The calibration is for images of {self.width_px} x {self.height_px} px, which "
-                "no camera makes; check image_width and image_height."
-            )
-        if not (math.isfinite(self.focal_px) and 0.1 < self.focal_px / self.width_px < 100.0):
-            raise CalibrationError(
-                f"A focal length of {self.focal_px} px does not fit images {self.width_px} px "
-                "wide; give it in pixels of the rectified image."
-            )
-        if not (math.isfinite(self.baseline_m) and 0.005 <= self.baseline_m <= 10.0):
-            raise CalibrationError(
-                f"A stereo baseline of {self.baseline_m} m is outside 0.005..10 m; the right "
-                "camera's P[3] is -f·b, so a wrong sign or unit there shows here."
-            )
+        _check_size(self.width_px, self.height_px)
+        _check_focal(self.focal_px, self.width_px)
+        _check_baseline(self.baseline_m)
+        _check_principal("cx", self.cx_px, self.width_px)
         right_px = self.cx_px if self.cx_right_px is None else self.cx_right_px
-        for name, value, size in (
-            ("cx", self.cx_px, self.width_px),
-            ("cx of the right camera", right_px, self.width_px),
-            ("cy", self.cy_px, self.height_px),
-        ):
-            if not (math.isfinite(value) and -size < value < 2 * size):
-                raise CalibrationError(
-                    f"The principal point {name} = {value} px lies far outside the image of "
-                    f"{size} px; check the projection matrix."
-                )
+        _check_principal("cx of the right camera", right_px, self.width_px)
+        _check_principal("cy", self.cy_px, self.height_px)
 
     @property
     def disparity_offset_px(self) -> float:
@@ -82,6 +64,83 @@ class StereoCamera:
         """1-sigma error of a range in metres: R²·sigma_d / (f·b)."""
         r = np.asarray(range_m, dtype=np.float64)
         return r * r * disparity_sigma_px / self.focal_baseline_px_m
+
+
+@dataclass(frozen=True, slots=True)
+class DepthCamera:
+    """A camera that gives each pixel a depth along its optical axis, in metres.
+
+    `baseline_m` is that of the pair that the depths come from, None where they come from
+    something else or nobody says: then their error with range is not known. Pixel (0, 0) is
+    the centre of the upper left pixel.
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    baseline_m: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_size(self.width_px, self.height_px)
+        for focal_px in (self.fx_px, self.fy_px):
+            _check_focal(focal_px, self.width_px)
+        if self.baseline_m is not None:
+            _check_baseline(self.baseline_m)
+        _check_principal("cx", self.cx_px, self.width_px)
+        _check_principal("cy", self.cy_px, self.height_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Lidar:
+    """A sensor that gives points; `points_per_sr` of them in a steradian of what it looks at."""
+
+    points_per_sr: float
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.points_per_sr <= 1e9:
+            raise CalibrationError(
+                f"A lidar with {self.points_per_sr} points in a steradian is outside 1..1e9; "
+                "count the points of one sweep."
+            )
+
+
+Sensor = StereoCamera | DepthCamera | Lidar
+"""What looks at the field."""
+
+
+def _check_size(width_px: int, height_px: int) -> None:
+    if not (16 <= width_px <= 20_000 and 16 <= height_px <= 20_000):
+        raise CalibrationError(
+            f"The calibration is for images of {width_px} x {height_px} px, which "
+            "no camera makes; check image_width and image_height."
+        )
+
+
+def _check_focal(focal_px: float, width_px: int) -> None:
+    if not (math.isfinite(focal_px) and 0.1 < focal_px / width_px < 100.0):
+        raise CalibrationError(
+            f"A focal length of {focal_px} px does not fit images {width_px} px "
+            "wide; give it in pixels of the rectified image."
+        )
+
+
+def _check_baseline(baseline_m: float) -> None:
+    if not (math.isfinite(baseline_m) and 0.005 <= baseline_m <= 10.0):
+        raise CalibrationError(
+            f"A stereo baseline of {baseline_m} m is outside 0.005..10 m; the right "
+            "camera's P[3] is -f·b, so a wrong sign or unit there shows here."
+        )
+
+
+def _check_principal(name: str, value_px: float, size_px: int) -> None:
+    if not (math.isfinite(value_px) and -size_px < value_px < 2 * size_px):
+        raise CalibrationError(
+            f"The principal point {name} = {value_px} px lies far outside the image of "
+            f"{size_px} px; check the projection matrix."
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +264,7 @@ class Carrier:
             raise CalibrationError(
                 f"An antenna {self.ahead_m} m ahead of the axle is beyond 30 m; give metres."
             )
-        _check_offset(self.heading_offset_deg)
+        check_offset(self.heading_offset_deg)
 
     @property
     def antenna(self) -> LeverArm:
@@ -218,7 +277,8 @@ class Carrier:
         return -self.ahead_m
 
 
-def _check_offset(offset_deg: float | None) -> None:
+def check_offset(offset_deg: float | None) -> None:
+    """Raise CalibrationError for an offset of a recorded heading that cannot be."""
     if offset_deg is not None and not abs(offset_deg) <= 360.0:
         raise CalibrationError(
             f"A heading offset of {offset_deg}° is beyond 360°; give degrees clockwise from the "
@@ -230,16 +290,17 @@ def _check_offset(offset_deg: float | None) -> None:
 class Rig:
     """Everything about the vehicle that does not change during a drive.
 
-    `antenna` is the phase centre of the GNSS antenna. `rear_axle_forward_m` is the forward
-    coordinate of the axle that does not steer, where course and heading agree; None when it
-    is not known. `image_time_offset_ns` is added to image time stamps to give GNSS time.
+    `mount` is how the sensor sits, whatever it is. `antenna` is the phase centre of the GNSS
+    antenna. `rear_axle_forward_m` is the forward coordinate of the axle that does not steer, where
+    course and heading agree; None when it is not known. `image_time_offset_ns` is added to image
+    time stamps to give GNSS time.
 
     `heading_offset_deg` is what a recorded heading has more than the nose, clockwise: 90 for a
     baseline from left to right antenna; None when nothing is said about it.
     `heading_convention` is that of the recorded heading, before the offset.
     """
 
-    camera: StereoCamera
+    sensor: Sensor
     mount: Mount
     antenna: LeverArm
     rear_axle_forward_m: float | None = None
@@ -248,4 +309,14 @@ class Rig:
     heading_convention: HeadingConvention = "cw_north"
 
     def __post_init__(self) -> None:
-        _check_offset(self.heading_offset_deg)
+        check_offset(self.heading_offset_deg)
+
+    @property
+    def camera(self) -> StereoCamera:
+        """The stereo camera; CalibrationError for a rig that has another sensor."""
+        if not isinstance(self.sensor, StereoCamera):
+            raise CalibrationError(
+                f"This needs a stereo pair, and the rig has a {type(self.sensor).__name__}; "
+                "leave it out for this drive."
+            )
+        return self.sensor

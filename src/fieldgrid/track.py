@@ -16,8 +16,8 @@ import numpy.typing as npt
 from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
-from fieldgrid.mapfile.publish import replacing
 from fieldgrid.pose import Estimate, PoseReport
+from fieldgrid.publish import replacing
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 _Float64 = npt.NDArray[np.float64]

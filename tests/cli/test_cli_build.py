@@ -303,7 +303,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no mounting": (
         lambda drive: (drive / MOUNTING).unlink(),
-        r"mounting\.json cannot be read: No such file",
+        r"run `fieldgrid mount .* --write`",
     ),
     "no overlap in time": (
         lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),

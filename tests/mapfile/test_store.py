@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldgrid import publish
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError, MapWriteError
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import MapFile, create_map, database, open_map, publish, read_datum
+from fieldgrid.mapfile import MapFile, create_map, database, open_map, read_datum
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.transfer import Transfer
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.errors import CalibrationError, RecordingError
-from fieldgrid.recording import Frame, Image, ImageFile
+from fieldgrid.recording import Image, ImageFile, StereoFrame
 
 RAMP: Image = np.add.outer(np.arange(48), np.arange(64)).astype(np.uint8) * 2
 
@@ -153,8 +153,8 @@ def test_damage_is_never_more_than_a_recording_error(
     assert image.ndim == 2
 
 
-def frame(left: Image, right: Image, size_px: tuple[int, int] = (64, 48)) -> Frame:
-    return Frame("7", 0, Given("left/7.png", left), Given("right/7.png", right), size_px)
+def frame(left: Image, right: Image, size_px: tuple[int, int] = (64, 48)) -> StereoFrame:
+    return StereoFrame("7", 0, Given("left/7.png", left), Given("right/7.png", right), size_px)
 
 
 def test_a_frame_gives_both_images() -> None:

@@ -17,6 +17,7 @@ from fieldgrid.build.report import SessionReport
 from fieldgrid.errors import CalibrationError
 from fieldgrid.odometry import features
 from fieldgrid.recording import Frame, Recording
+from fieldgrid.recording.protocol import pair_of
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
 """Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
@@ -82,7 +83,7 @@ def _swapped(recording: Recording, frames: int, every: int) -> bool:
     camera = recording.rig.camera
     as_is, exchanged = [], []
     for frame in _probes(recording, frames, every):
-        left, right = frame.images()
+        left, right = pair_of(frame).images()
         as_is.append(len(features(camera, left, right).blur_px))
         exchanged.append(len(features(camera, right, left).blur_px))
     points = float(np.median(exchanged))

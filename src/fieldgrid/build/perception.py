@@ -18,6 +18,7 @@ from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
 from fieldgrid.recording import Frame, Recording
+from fieldgrid.recording.protocol import pair_of
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 
@@ -34,7 +35,7 @@ class Perceived(NamedTuple):
     grid: LocalGrid
     ground: FrameGround
     features: Features | None
-    images_sha256: tuple[str, str]
+    sources_sha256: tuple[str, ...]
     decode_s: float
     match_s: float
     grid_s: float
@@ -88,7 +89,7 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     camera, offset_ns = recording.rig.camera, recording.rig.image_time_offset_ns
 
     def look(frame: Frame) -> tuple[int, Features]:
-        return frame.time_ns, features(camera, *frame.images())
+        return frame.time_ns, features(camera, *pair_of(frame).images())
 
     for time_ns, seen in _side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
         motion.add(time_ns + offset_ns, seen)
@@ -116,8 +117,8 @@ def _side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: in
 
 def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Perceived:
     start = time.thread_time()
-    left, right = frame.images()
-    hashes = frame.left.sha256(), frame.right.sha256()
+    left, right = pair_of(frame).images()
+    hashes = tuple(source.sha256() for source in frame.sources)
     decoded = time.thread_time()
     disparity = gridder.matcher.disparity(left, right)
     matched = time.thread_time()
@@ -145,5 +146,5 @@ def _gridder(rig: Rig, settings: BuildSettings) -> LocalGridder:
 
 def local_grid(frame: Frame, rig: Rig, settings: BuildSettings | None = None) -> LocalGrid:
     """The vehicle-fixed local grid of one frame: read, decoded, matched and gridded here."""
-    grid, _ = _gridder(rig, settings or BuildSettings())(*frame.images())
+    grid, _ = _gridder(rig, settings or BuildSettings())(*pair_of(frame).images())
     return grid

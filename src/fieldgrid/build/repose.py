@@ -14,10 +14,11 @@ from pydantic import ValidationError
 from fieldgrid.angles import wrap_deg
 from fieldgrid.build.inputs import Inputs, from_arrays
 from fieldgrid.build.poses import NO_GROUND, cell_budget
-from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.build.rig_config import rig_from_config
+from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapFile, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
 
@@ -69,7 +70,7 @@ def _repose(
     universal: MapFile, session: SessionInfo, pose_settings: Mapping[str, Any]
 ) -> ReposeReport:
     settings = _settings(session, pose_settings)
-    rig = _rig(session)
+    rig = rig_from_config(session.config.get("rig", {}), session.name)
     inputs = from_arrays(universal.session_inputs(session.name))
     estimate = _estimate(universal, inputs, rig, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
@@ -90,22 +91,6 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
         raise ConfigError(
             f"Session {session.name!r} was built with settings that this version does not take: "
             f"{'.'.join(str(part) for part in first['loc'])} = {first['input']!r}."
-        ) from error
-
-
-def _rig(session: SessionInfo) -> Rig:
-    try:
-        rig = dict(session.config["rig"])
-        return Rig(
-            StereoCamera(**rig.pop("camera")),
-            Mount(**rig.pop("mount")),
-            LeverArm(**rig.pop("antenna")),
-            **rig,
-        )
-    except (KeyError, TypeError) as error:
-        raise MapError(
-            f"Session {session.name!r} does not say what rig it was driven with ({error}); build "
-            "it again from its recording."
         ) from error
 
 

@@ -14,7 +14,7 @@ import time
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ from fieldgrid.build.poses import (
     none_usable,
 )
 from fieldgrid.build.report import Progress, SessionReport
+from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.spool import Spool
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
@@ -120,9 +121,9 @@ class _Perceiving(NamedTuple):
             start = time.thread_time()
             frame = seen.frame
             time_ns = frame.time_ns + recording.rig.image_time_offset_ns
-            names = (frame.left.name, frame.right.name)
+            names = tuple(source.name for source in frame.sources)
             spool.put(
-                frame.frame_id, time_ns, names, seen.images_sha256, seen.ground.refined, seen.grid
+                frame.frame_id, time_ns, names, seen.sources_sha256, seen.ground.refined, seen.grid
             )
             spooled = time.thread_time()
             if motion is not None and seen.features is not None:
@@ -215,7 +216,7 @@ def session_config(
     """The resolved settings and the rig, as they are kept with the session."""
     return {
         "settings": settings.model_dump(mode="json"),
-        "rig": asdict(rig),
+        "rig": rig_to_config(rig),
         "max_range_m": gridder.max_range_m,
         "search": gridder.region._asdict(),
         "every": every,

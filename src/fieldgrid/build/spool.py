@@ -27,8 +27,8 @@ class Waiting(NamedTuple):
 
     frame_id: str
     time_ns: int
-    images: tuple[str, str]
-    images_sha256: tuple[str, str]
+    images: tuple[str, ...]
+    images_sha256: tuple[str, ...]
     ground_refined: bool
     grid: LocalGrid
 
@@ -36,8 +36,8 @@ class Waiting(NamedTuple):
 class _Entry(NamedTuple):
     frame_id: str
     time_ns: int
-    images: tuple[str, str]
-    images_sha256: tuple[str, str]
+    images: tuple[str, ...]
+    images_sha256: tuple[str, ...]
     ground_refined: bool
     sizes: tuple[int, int]
 
@@ -62,8 +62,8 @@ class Spool:
         self,
         frame_id: str,
         time_ns: int,
-        images: tuple[str, str],
-        images_sha256: tuple[str, str],
+        images: tuple[str, ...],
+        images_sha256: tuple[str, ...],
         ground_refined: bool,
         grid: LocalGrid,
     ) -> None:

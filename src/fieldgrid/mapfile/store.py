@@ -29,7 +29,6 @@ from fieldgrid.mapfile.database import (
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.provenance import Provenance, trace
-from fieldgrid.mapfile.publish import Draft
 from fieldgrid.mapfile.reading import (
     Request,
     extent_of,
@@ -42,6 +41,7 @@ from fieldgrid.mapfile.session import About, Session, about_session, name_is_tak
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.mapfile.verification import Verdict, repair, verify
 from fieldgrid.mapfile.view import MapView
+from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
 

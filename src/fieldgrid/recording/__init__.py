@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,16 +12,40 @@ from fieldgrid.recording.columns import Columns, columns_from_text
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.images import ImageFile
 from fieldgrid.recording.logs import read_fix_log
-from fieldgrid.recording.protocol import Frame, Image, ImageSource, Recording
+from fieldgrid.recording.mounting import Mounting
+from fieldgrid.recording.options import ROLES, Options
+from fieldgrid.recording.protocol import (
+    CloudFrame,
+    CloudSource,
+    DepthFrame,
+    DepthSource,
+    Frame,
+    Image,
+    ImageSource,
+    Recording,
+    Source,
+    StereoFrame,
+    Stream,
+)
 
 __all__ = [
+    "ROLES",
+    "CloudFrame",
+    "CloudSource",
     "Columns",
+    "DepthFrame",
+    "DepthSource",
     "FixLog",
     "Frame",
     "Image",
     "ImageFile",
     "ImageSource",
+    "Mounting",
+    "Options",
     "Recording",
+    "Source",
+    "StereoFrame",
+    "Stream",
     "columns_from_text",
     "is_recording",
     "open_log",
@@ -32,7 +56,7 @@ __all__ = [
 class _Backend(NamedTuple):
     looks_for: str
     recognises: Callable[[Path], bool]
-    open: Callable[[Path, str | Path | None, Columns | None], Recording]
+    open: Callable[[Path, Options], Recording]
 
 
 _BACKENDS = {
@@ -61,22 +85,29 @@ def open_log(path: str | Path, columns: Columns | None = None) -> FixLog:
 
 
 def open_recording(
-    path: str | Path, gnss: str | Path | None = None, columns: Columns | None = None
+    path: str | Path,
+    gnss: str | Path | None = None,
+    columns: Columns | None = None,
+    *,
+    topics: Mapping[str, str] | None = None,
+    mounting: str | Path | Mounting | None = None,
+    image_time_offset_ns: int | None = None,
 ) -> Recording:
     """The recording at a path, of whichever kind it is; use it as a context manager.
 
-    `gnss` picks one of several GNSS logs by file name, or gives the path of another; `columns`
-    says what the columns of a table of fixes are. What is wrong with a recording is a
+    The rest is what :class:`Options` says. What is wrong with a recording is a
     :class:`RecordingError` or a :class:`GnssError` that says so.
     """
     path = Path(path)
+    own = mounting if isinstance(mounting, Mounting | None) else Path(mounting)
+    options = Options(gnss, columns, topics or {}, own, image_time_offset_ns)
     try:
         if not path.is_dir():
             what = "is a file" if path.exists() else "does not exist"
             raise RecordingError(f"{path} {what}; give the folder of a recording.")
         for backend in _BACKENDS.values():
             if backend.recognises(path):
-                return backend.open(path, gnss, columns)
+                return backend.open(path, options)
     except OSError as problem:
         raise _unreadable(problem, path) from problem
     kinds = "; ".join(f"{backend.looks_for} ({kind})" for kind, backend in _BACKENDS.items())

@@ -11,7 +11,7 @@ from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.logs import find_log, passed_over, read_fix_log
 from fieldgrid.recording.motion_files import AXES, read_motion
-from fieldgrid.recording.mounting import Mounting, read_mounting
+from fieldgrid.recording.mounting import MOUNTING, Mounting, read_mounting
 from fieldgrid.rig import Rig
 
 LOOKS_FOR = "gnss/"
@@ -39,7 +39,7 @@ def open_bare(
     log_path = find_log(path, gnss)
     mounting = _mounting(path / "calibration")
     moved = read_motion(path, AXES if mounting is None else mounting.imu_axes)
-    rig = None if mounting is None else mounting.rig
+    rig = None if mounting is None else mounting.rig(read_calibration(path / "calibration").camera)
     if log_path is None:
         return BareDrive((), moved.motion, rig, "", (passed_over(path), *moved.notes))
     log = read_fix_log(log_path, columns)
@@ -52,4 +52,4 @@ def open_bare(
 def _mounting(folder: Path) -> Mounting | None:
     if not folder.is_dir():
         return None
-    return read_mounting(folder / "mounting.json", read_calibration(folder).camera)
+    return read_mounting(folder / MOUNTING)

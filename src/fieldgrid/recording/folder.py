@@ -17,7 +17,8 @@ from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.frame_table import TABLE, read_frames
 from fieldgrid.recording.logs import find_log, passed_over, read_fix_log
 from fieldgrid.recording.motion_files import read_motion
-from fieldgrid.recording.mounting import read_mounting
+from fieldgrid.recording.mounting import MOUNTING
+from fieldgrid.recording.options import MAX_OFFSET_S, Options
 from fieldgrid.recording.stored import StoredRecording
 
 LOOKS_FOR = f"{TABLE}, or left/ and right/"
@@ -25,7 +26,6 @@ LOOKS_FOR = f"{TABLE}, or left/ and right/"
 _SETTINGS = "recording.toml"
 _SESSION = "session.json"
 _MAX_BYTES = 1 << 20
-_MAX_OFFSET_S = 3600
 
 
 def recognises(path: Path) -> bool:
@@ -33,31 +33,24 @@ def recognises(path: Path) -> bool:
     return (path / TABLE).is_file() or all((path / side).is_dir() for side in ("left", "right"))
 
 
-def open_folder(
-    path: Path, gnss: str | Path | None = None, columns: Columns | None = None
-) -> StoredRecording:
-    """The recording in a plain folder; `gnss` picks one of several logs.
-
-    `columns` of a log outrank those of the settings file.
-    """
+def open_folder(path: Path, options: Options) -> StoredRecording:
+    """The recording in a plain folder. What the options say outranks the settings file."""
+    options.refuse_topics(path)
     settings = _read_settings(path / _SETTINGS)
     calibration = read_calibration(path / "calibration")
-    mounting = read_mounting(
-        path / "calibration" / "mounting.json",
-        calibration.camera,
-        settings.image_time_offset_ns,
-    )
+    mounting = options.find_mounting(path / "calibration" / MOUNTING, path)
+    offset_ns = options.offset_or(settings.image_time_offset_ns)
     pairs, frame_notes = read_frames(path)
-    log_path = find_log(path, gnss)
+    log_path = find_log(path, options.gnss)
     log = (
         FixLog((), (passed_over(path),))
         if log_path is None
-        else read_fix_log(log_path, columns or settings.columns)
+        else read_fix_log(log_path, options.columns or settings.columns)
     )
     moved = read_motion(path, mounting.imu_axes)
     return StoredRecording(
         name=settings.name or path.resolve().name,
-        rig=mounting.rig,
+        rig=mounting.rig(calibration.camera, offset_ns),
         folder=path,
         pairs=pairs,
         fix_log=log.fixes,
@@ -93,7 +86,7 @@ def _read_settings(path: Path) -> _Settings:
     if not isinstance(name, str):
         raise RecordingError(f"{path}: name is {name!r}; give a text in quotes.")
     offset_s = _number(document.get("image_time_offset_s", 0), "image_time_offset_s", path)
-    if abs(offset_s) > _MAX_OFFSET_S:
+    if abs(offset_s) > MAX_OFFSET_S:
         raise RecordingError(
             f"{path}: image_time_offset_s = {offset_s} is beyond an hour; give the seconds that "
             "an image time must be moved by to be GNSS time."

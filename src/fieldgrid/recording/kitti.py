@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,15 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, RecordingError
-from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
     read_kitti_calibration,
 )
+from fieldgrid.recording.mounting import MOUNTING
+from fieldgrid.recording.options import Options
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recording.stored import Pair, StoredRecording, checked_pairs
+from fieldgrid.rig import Rig
 
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]
@@ -33,27 +36,26 @@ def recognises(path: Path) -> bool:
     return bool(_drives(path))
 
 
-def open_kitti(
-    path: Path, gnss: str | Path | None = None, columns: Columns | None = None
-) -> StoredRecording:
+def open_kitti(path: Path, options: Options) -> StoredRecording:
     """The drive at or below a path. Its fixes are always those of oxts."""
     drives = _drives(path)
     if len(drives) != 1:
         names = ", ".join(drive.name for drive in drives)
         raise RecordingError(f"{path} holds {len(drives)} KITTI drives: {names}; give one of them.")
-    if gnss is not None and str(gnss) != "oxts":
+    options.refuse_topics(path)
+    if options.gnss is not None and str(options.gnss) != "oxts":
         raise RecordingError(
-            f"A KITTI drive has its fixes in oxts, so {str(gnss)!r} cannot be used; "
+            f"A KITTI drive has its fixes in oxts, so {str(options.gnss)!r} cannot be used; "
             "leave --gnss out."
         )
-    if columns is not None:
+    if options.columns is not None:
         raise ConfigError("Columns: the fixes of a KITTI drive are no table; leave them out.")
     drive = drives[0]
     times_ns, rows = _oxts(drive)
     left, right = _cameras(drive)
     return StoredRecording(
         name=drive.resolve().name,
-        rig=read_kitti_calibration(drive, left, right).rig(),
+        rig=_rig(drive, left, right, options),
         folder=drive,
         pairs=checked_pairs(_pairs(drive, left, right), drive),
         fix_log=tuple(oxts_fixes(times_ns, rows)),
@@ -65,6 +67,14 @@ def open_kitti(
         ),
         own_motion=oxts_motion(times_ns, rows),
     )
+
+
+def _rig(drive: Path, left: str, right: str, options: Options) -> Rig:
+    """KITTI's own rig, unless another mounting is given."""
+    rig, offset_ns = read_kitti_calibration(drive, left, right).rig(), options.offset_or(0)
+    if options.mounting is None:
+        return replace(rig, image_time_offset_ns=offset_ns)
+    return options.find_mounting(drive / MOUNTING, drive).rig(rig.sensor, offset_ns)
 
 
 def _drives(path: Path) -> list[Path]:

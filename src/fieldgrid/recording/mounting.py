@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.motion_files import AXES, check_axes
-from fieldgrid.rig import HeadingConvention, LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.rig import (
+    HeadingConvention,
+    LeverArm,
+    Mount,
+    Rig,
+    Sensor,
+    StereoCamera,
+    check_offset,
+)
+
+MOUNTING = "mounting.json"
 
 _HEIGHT = "camera_height_above_ground_m"
 _TILT = "camera_tilt_down_deg"
@@ -30,15 +41,53 @@ _REMARKS = (
 _MAX_BYTES = 1 << 20
 
 
-class Mounting(NamedTuple):
-    """The rig, and where the axes of the IMU point (three of f b l r u d)."""
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Everything of a rig but its sensor, and where the axes of the IMU point (three of f b l r
+    u d). `baseline_m` is what the mounting says of the stereo pair, None when nothing;
+    `source` is what errors call it."""
 
-    rig: Rig
+    mount: Mount
+    antenna: LeverArm
+    rear_axle_forward_m: float | None = None
+    heading_offset_deg: float | None = None
+    heading_convention: HeadingConvention = "cw_north"
     imu_axes: str = AXES
+    baseline_m: float | None = None
+    source: str = "the mounting"
+
+    def rig(self, sensor: Sensor, image_time_offset_ns: int = 0) -> Rig:
+        """The rig with this sensor; CalibrationError when the two disagree in the baseline."""
+        said_m = self.baseline_m
+        if isinstance(sensor, StereoCamera) and said_m is not None:
+            baseline_m = sensor.baseline_m
+            if abs(said_m - baseline_m) > 0.01 * baseline_m:
+                raise CalibrationError(
+                    f"{self.source}: {_BASELINE} is {said_m}, but the calibration says "
+                    f"{baseline_m:g} m; correct the one that is wrong."
+                )
+        return Rig(
+            sensor,
+            self.mount,
+            self.antenna,
+            self.rear_axle_forward_m,
+            image_time_offset_ns,
+            self.heading_offset_deg,
+            self.heading_convention,
+        )
 
 
-def read_mounting(path: Path, camera: StereoCamera, image_time_offset_ns: int = 0) -> Mounting:
-    """The rig with this camera, and the IMU's axes.
+def missing_mounting(path: Path, recording: Path) -> CalibrationError:
+    """The error of a recording that has no mounting where `path` would be."""
+    return CalibrationError(
+        f"{recording} does not say how its sensor is mounted: there is no {path.name}, and without "
+        f"height and tilt nothing can be placed; run `fieldgrid mount {recording} --write` to "
+        f"estimate them, or write {path}."
+    )
+
+
+def read_mounting(path: Path) -> Mounting:
+    """The mounting in a file.
 
     Points are [forward, left, up] in metres from the middle of the stereo baseline (FLU). Roll
     and yaw are 0 when absent; height, tilt and antenna have no usual value and must be there.
@@ -46,12 +95,6 @@ def read_mounting(path: Path, camera: StereoCamera, image_time_offset_ns: int = 
     """
     document = _load(path)
     _refuse_unknown(document, path)
-    baseline_m = _number(document, _BASELINE, path, camera.baseline_m)
-    if abs(baseline_m - camera.baseline_m) > 0.01 * camera.baseline_m:
-        raise CalibrationError(
-            f"{path}: stereo_baseline_m is {baseline_m}, but the calibration says "
-            f"{camera.baseline_m:g} m; correct the one that is wrong."
-        )
     height_m, tilt_deg = _number(document, _HEIGHT, path), _number(document, _TILT, path)
     roll_deg = _number(document, _ROLL, path, 0.0)
     yaw_deg = _number(document, _YAW, path, 0.0)
@@ -60,19 +103,22 @@ def read_mounting(path: Path, camera: StereoCamera, image_time_offset_ns: int = 
     axle_forward_m = -_point(document, _AXLE, path)[0] if _AXLE in document else None
     convention = _convention(document, path)
     offset_deg = _number(document, _OFFSET, path) if _OFFSET in document else None
+    baseline_m = _number(document, _BASELINE, path) if _BASELINE in document else None
+    imu_axes = _imu_axes(document, path)
     try:
-        rig = Rig(
-            camera,
+        check_offset(offset_deg)
+        return Mounting(
             Mount(height_m, tilt_deg, roll_deg, yaw_deg),
             LeverArm(right_m=-left, forward_m=forward, up_m=height_m + up),
             axle_forward_m,
-            image_time_offset_ns,
             heading_offset_deg=offset_deg,
             heading_convention=convention,
+            imu_axes=imu_axes,
+            baseline_m=baseline_m,
+            source=str(path),
         )
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
-    return Mounting(rig, _imu_axes(document, path))
 
 
 def _refuse_unknown(document: dict[str, Any], path: Path) -> None:

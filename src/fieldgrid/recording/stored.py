@@ -18,7 +18,7 @@ from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording.files import check_regular
 from fieldgrid.recording.images import ImageFile
-from fieldgrid.recording.protocol import Frame
+from fieldgrid.recording.protocol import Frame, PairRectifier, StereoFrame, Stream
 from fieldgrid.rig import Rig
 
 
@@ -47,6 +47,8 @@ class StoredRecording:
     datum_hint: Datum | None = None
     notes: tuple[str, ...] = ()
     own_motion: Motion = field(default_factory=Motion)
+    losses: tuple[str, ...] = ()
+    rectifier: PairRectifier | None = None
 
     @property
     def frame_count(self) -> int:
@@ -62,7 +64,7 @@ class StoredRecording:
         size_px = (self.rig.camera.width_px, self.rig.camera.height_px)
         for pair in self.pairs:
             left, right = (ImageFile(self.folder / name) for name in (pair.left, pair.right))
-            yield Frame(pair.frame_id, pair.time_ns, left, right, size_px)
+            yield StereoFrame(pair.frame_id, pair.time_ns, left, right, size_px, self.rectifier)
 
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log."""
@@ -71,6 +73,22 @@ class StoredRecording:
     def motion(self) -> Motion:
         """What the drive knows of its own motion."""
         return self.own_motion
+
+    def streams(self) -> Sequence[Stream]:
+        """Images, fixes and motion, each with its times."""
+        frames_ns = self.frame_times_ns()
+        fixes_ns = np.array([fix.time_ns for fix in self.fix_log], dtype=np.int64)
+        found = [
+            Stream(side, "image", side, len(frames_ns), frames_ns) for side in ("left", "right")
+        ]
+        if self.gnss_source:
+            found.append(Stream(self.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns))
+        gyro, wheels, _ = self.own_motion
+        if gyro is not None:
+            found.append(Stream("gyro", "gyro", "gyro", len(gyro.time_ns), gyro.time_ns))
+        if wheels is not None:
+            found.append(Stream("wheels", "speed", "wheels", len(wheels.time_ns), wheels.time_ns))
+        return found
 
     def close(self) -> None:
         """Nothing to release."""

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import fcntl
 import glob
 import os
 import secrets
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -120,6 +121,64 @@ class Draft:
                     f"{stray} lies beside {self.target}: an older map of that name is in use, or "
                     "its writer was interrupted. Open that map once, or delete the journal."
                 )
+
+
+class DraftFolder:
+    """A folder in the making beside `target`, which is untouched until `publish`.
+
+    For what is several files: a shapefile, a Zarr store, a ROS 2 bag, task data. What a folder
+    that is overwritten held is gone when it is published, so only a folder that `ours` recognises
+    is overwritten.
+    """
+
+    def __init__(
+        self, target: Path, *, overwrite: bool, ours: Callable[[Path], bool], what: str
+    ) -> None:
+        self.target = target
+        if target.exists() and not target.is_dir():
+            raise MapExistsError(f"{target} is a file; give the name of a folder.")
+        if os.path.lexists(target) and not overwrite:
+            raise MapExistsError(
+                f"{target} exists already; give another name, or --overwrite to replace it."
+            )
+        if target.is_dir() and any(target.iterdir()) and not ours(target):
+            raise MapExistsError(
+                f"{target} holds other things than {what}, so it is not overwritten; give another "
+                "name."
+            )
+        place = target.resolve()
+        self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        try:
+            self.folder.mkdir()
+        except OSError as error:
+            raise _unwritable(target, error) from error
+
+    def publish(self) -> None:
+        """Bring the folder to its final name; what it replaces is removed only then."""
+        place = self.target.resolve()
+        old = self.folder.with_name(self.folder.name + ".old")
+        try:
+            for file in sorted(self.folder.rglob("*")):
+                _sync(file)
+            _sync(self.folder)
+            if place.exists():
+                place.rename(old)
+            try:
+                self.folder.rename(place)
+            except OSError:
+                if old.exists():
+                    old.rename(place)
+                raise
+            _sync(place.parent)
+        except OSError as error:
+            raise _unwritable(self.target, error) from error
+        finally:
+            shutil.rmtree(old, ignore_errors=True)
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what was made so far; nothing happens when it is published or gone."""
+        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _remove_orphans(place: Path) -> None:
