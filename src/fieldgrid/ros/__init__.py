@@ -1,0 +1,23 @@
+"""Containers of ROS messages, of ROS 1 and ROS 2: read tolerantly and as a stream, and written.
+
+`open_bag` opens a `.bag`, an `.mcap`, a `.db3` or a folder of these as one `Bag`, whatever state
+its end is in. `McapWriter` and `BagFolderWriter` write. What the messages mean is for others.
+"""
+
+from __future__ import annotations
+
+from fieldgrid.ros.bag import Bag, is_bag, open_bag
+from fieldgrid.ros.definitions import types
+from fieldgrid.ros.model import Message, Topic
+from fieldgrid.ros.writers import BagFolderWriter, McapWriter
+
+__all__ = [
+    "Bag",
+    "BagFolderWriter",
+    "McapWriter",
+    "Message",
+    "Topic",
+    "is_bag",
+    "open_bag",
+    "types",
+]

@@ -1,0 +1,202 @@
+"""What the bytes of a message mean: its definition, from the bag or from ROS 2 Humble."""
+
+from __future__ import annotations
+
+import re
+from functools import cache, lru_cache
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.ros.model import Connection, Definition
+
+_HEADER = "std_msgs/msg/Header"
+_HEADER_FIELDS = {"cdr": ["stamp", "frame_id"], "ros1": ["seq", "stamp", "frame_id"]}
+
+_NMEA = "std_msgs/Header header\nstring sentence\n"
+_GRID_MAP = """std_msgs/Header header
+grid_map_msgs/GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+"""
+_GRID_MAP_INFO = """float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+"""
+
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){2,}", re.ASCII)
+_FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_MAX_UNROLLED = 10_000
+_MAX_ARRAY = 1 << 26
+_MAX_DEPTH = 50
+_MAX_TYPES = 1000
+_IDL_LINE = "=" * 80 + "\n"
+
+# What rosbags raises for definitions that are none, on purpose and not.
+_BAD_DEFINITION = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    NameError,
+    RecursionError,
+    SyntaxError,
+    TypeError,
+    TypesysError,
+    ValueError,
+)
+_BAD_MESSAGE = (*_BAD_DEFINITION, SerdeError, MemoryError)
+
+Fields = dict[str, Any]  # as rosbags parses them: type -> (constants, [(name, description)])
+
+
+@cache
+def types() -> Typestore:
+    """The types of ROS 2 Humble, `nmea_msgs/msg/Sentence` and `grid_map_msgs/msg/GridMap`."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for text, name in (
+        (_NMEA, "nmea_msgs/msg/Sentence"),
+        (_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
+        (_GRID_MAP, "grid_map_msgs/msg/GridMap"),
+    ):
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def has_header(connection: Connection) -> bool:
+    """Whether the messages begin with a standard header; False where that is unknown."""
+    if connection.encoding not in _HEADER_FIELDS:
+        return False
+    try:
+        fields = _fields_of(connection)
+        first = fields[connection.type][1][0][1]
+        names = [name for name, _ in fields[_HEADER][1]]
+    except _BAD_DEFINITION:
+        return False
+    return bool(first == (Nodetype.NAME, _HEADER) and names == _HEADER_FIELDS[connection.encoding])
+
+
+def decode(connection: Connection, data: bytes) -> Any:
+    """The message as a dataclass. Raises RecordingError for what does not fit its definition."""
+    name = connection.type
+    if connection.encoding not in _HEADER_FIELDS:
+        raise RecordingError(
+            f"Messages of {connection.topic} are encoded as {connection.encoding!r}, which is not "
+            "read; record them as ROS messages."
+        )
+    try:
+        store = _store_of(connection)
+    except _BAD_DEFINITION as error:
+        raise RecordingError(
+            f"The type {name} of {connection.topic} has no definition that can be read; convert "
+            "the bag with a ROS that knows the type."
+        ) from error
+    try:
+        if connection.encoding == "ros1":
+            return store.deserialize_ros1(data, name)
+        return store.deserialize_cdr(data, name)
+    except _BAD_MESSAGE as error:
+        raise RecordingError(
+            f"A message of {connection.topic} ({len(data)} bytes) does not fit its type {name}; "
+            "leave it out."
+        ) from error
+
+
+def _fields_of(connection: Connection) -> Fields:
+    if connection.definition is None:
+        return dict(_standard(connection.encoding).fielddefs)
+    return _parsed(connection.type, connection.definition, connection.encoding)
+
+
+def _store_of(connection: Connection) -> Typestore:
+    if connection.definition is not None:
+        return _own_store(connection.type, connection.definition, connection.encoding)
+    store = _standard(connection.encoding)
+    if connection.type not in store.fielddefs:
+        raise TypesysError(connection.type)
+    return store
+
+
+@cache
+def _standard(encoding: str) -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC) if encoding == "ros1" else types()
+
+
+@lru_cache(maxsize=256)
+def _own_store(name: str, definition: Definition, encoding: str) -> Typestore:
+    """A store of one definition alone, so that none is in conflict with another."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(_parsed(name, definition, encoding))
+    store.get_msgdef(name)
+    return store
+
+
+@lru_cache(maxsize=256)
+def _parsed(name: str, definition: Definition, encoding: str) -> Fields:
+    """The types that a definition needs, those that it leaves out taken from the standard ones.
+
+    The constants are left out. rosbags makes code of these types and runs it, so the names, the
+    sizes and the nesting are checked to be what they should.
+    """
+    found: Fields = {}
+    for part in _parse(name, definition):
+        found.update({key: ([], fields) for key, (_, fields) in part.items()})
+    needed: Fields = {}
+    _collect(name, {**_standard(encoding).fielddefs, **found}, needed, set(), _MAX_DEPTH)
+    return needed
+
+
+def _parse(name: str, definition: Definition) -> list[Any]:
+    if definition.syntax == "msg":
+        return [get_types_from_msg(definition.text.replace("\r\n", "\n"), name)]
+    if "<<" in definition.text:
+        raise TypesysError("a shift in a definition")  # of as many bits as it likes
+    pieces = definition.text.split(_IDL_LINE)
+    idls = [piece.partition("\n")[2] if piece.startswith("IDL: ") else piece for piece in pieces]
+    return [get_types_from_idl(idl) for idl in idls if idl.strip()]
+
+
+def _collect(name: str, known: Fields, needed: Fields, without_bytes: set[str], depth: int) -> None:
+    """Gather the type and the types of its fields in `needed`."""
+    if name in needed:
+        return
+    if depth == 0 or len(needed) > _MAX_TYPES:
+        raise TypesysError(f"{name} is nested too deep")
+    if not _TYPE_NAME.fullmatch(name):
+        raise TypesysError(f"{name!r} is no type")
+    fields = known[name][1]
+    has_bytes = False
+    for field, (kind, inner) in fields:
+        if not _FIELD_NAME.fullmatch(field):
+            raise TypesysError(f"{field!r} is no field")
+        element, named = (kind, inner)
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (element, named), count = inner
+            # rosbags writes a line of code for each element that is not a number.
+            unrolled = element == Nodetype.NAME or named[0] == "string"
+            if kind == Nodetype.ARRAY and not 1 <= count <= (
+                _MAX_UNROLLED if unrolled else _MAX_ARRAY
+            ):
+                raise TypesysError(f"{field} of {count} elements")
+        if element == Nodetype.NAME:
+            _collect(named, known, needed, without_bytes, depth - 1)
+            if kind != Nodetype.NAME and named in without_bytes:
+                raise TypesysError(f"{field} of nothing")  # as many as the bytes claim
+        has_bytes = has_bytes or element != Nodetype.NAME or named not in without_bytes
+    if not has_bytes:
+        without_bytes.add(name)
+    needed[name] = ([], fields)

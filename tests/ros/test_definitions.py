@@ -1,0 +1,124 @@
+"""What messages mean, by the definition in the bag or by that of ROS 2 Humble."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import Writer as McapLibraryWriter
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.ros import Message, open_bag, types
+from fieldgrid.ros.definitions import has_header
+from fieldgrid.ros.model import Connection, Definition
+from tests.ros.samples import FIX, ROS1, ROS2, TYPES, expected, samples, write_old_db3
+
+SEPARATOR = "=" * 80 + "\n"
+IDL = f"""{SEPARATOR}IDL: my_msgs/msg/Depth
+module my_msgs {{ module msg {{
+  struct Depth {{ std_msgs::msg::Header header; my_msgs::msg::Part part; }};
+}}; }};
+{SEPARATOR}IDL: my_msgs/msg/Part
+module my_msgs {{ module msg {{ struct Part {{ double metres; }}; }}; }};
+"""
+DEPTH = "std_msgs/Header header\nmy_msgs/Part part\n" + SEPARATOR + "MSG: my_msgs/Part\nfloat64 m\n"
+
+
+def bag_of(path: Path, *channels: tuple[str, str, str, bytes]) -> Path:
+    """An MCAP of one message a channel: type, encoding of the schema, schema, message."""
+    with path.open("wb") as file:
+        writer = McapLibraryWriter(file)
+        writer.start()
+        for name, encoding, text, data in channels:
+            schema = writer.register_schema(name, encoding, text.encode())
+            writer.add_message(writer.register_channel("/a", "cdr", schema), 5, data, 5)
+        writer.finish()
+    return path
+
+
+def cdr_of_depth(metres: float) -> bytes:
+    store = types()
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=3, nanosec=4)
+    header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="abc")
+    # A pose stamped begins alike: a header and then doubles.
+    point = store.types["geometry_msgs/msg/Point"](x=metres, y=0.0, z=0.0)
+    message = store.types["geometry_msgs/msg/PointStamped"](header=header, point=point)
+    return bytes(store.serialize_cdr(message, "geometry_msgs/msg/PointStamped"))[:-16]
+
+
+@pytest.mark.parametrize(("encoding", "text"), [("ros2idl", IDL), ("ros2msg", DEPTH)])
+def test_own_types(encoding: str, text: str, tmp_path: Path) -> None:
+    """The definitions leave out std_msgs/msg/Header, which everybody knows."""
+    path = bag_of(tmp_path / "a.mcap", ("my_msgs/msg/Depth", encoding, text, cdr_of_depth(2.5)))
+    with open_bag(path) as bag:
+        (message,) = bag.messages()
+        decoded = bag.decode(message)
+        assert decoded.header.frame_id == "abc"
+        assert (decoded.part.metres if encoding == "ros2idl" else decoded.part.m) == 2.5
+        assert bag.stamps("/a")[0].tolist() == [3_000_000_004]
+
+
+def test_each_of_two_definitions_of_a_type_is_used(tmp_path: Path) -> None:
+    path = bag_of(
+        tmp_path / "a.mcap",
+        ("a/msg/B", "ros2msg", "uint8 old\n", b"\0\1\0\0\x07"),
+        ("a/msg/B", "ros2msg", "uint64 new\n", b"\0\1\0\0" + (9).to_bytes(8, "little")),
+    )
+    with open_bag(path) as bag:
+        assert bag.topics["/a"].count == 2
+        first, second = (bag.decode(message) for message in bag.messages())
+        assert (first.old, second.new) == (7, 9)
+        with pytest.raises(RecordingError, match=r"\(2 bytes\) does not fit its type a/msg/B"):
+            bag.decode(Message("/a", 5, b"ab"))
+
+
+def test_definitions_that_differ_from_the_standard_win(tmp_path: Path) -> None:
+    text = "uint8 latitude\n"
+    path = bag_of(tmp_path / "a.mcap", (TYPES[FIX], "ros2msg", text, b"\0\1\0\0\x07"))
+    with open_bag(path) as bag:
+        assert bag.decode(next(bag.messages())).latitude == 7
+        assert bag.stamps("/a")[0].tolist() == [0]
+
+
+def test_a_type_that_nobody_defines(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    database = write_old_db3(path, samples(ROS2))
+    database.execute("UPDATE topics SET type = 'my_msgs/msg/Own' WHERE id = 1")
+    database.close()
+    with open_bag(path) as bag:
+        with pytest.raises(RecordingError, match=r"my_msgs/msg/Own of /gps/fix has no definition"):
+            bag.decode(next(bag.messages([FIX])))
+        assert bag.stamps(FIX)[0].tolist() == [0] * bag.topics[FIX].count
+
+
+def test_every_cut_of_a_message_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    write_old_db3(path, samples(ROS2)).close()
+    fix = next(message for message in expected(samples(ROS2), ROS2) if message.topic == FIX)
+    with open_bag(path) as bag:
+        assert bag.decode(fix).status.status == 2
+        for length in range(len(fix.data) - 3):
+            with pytest.raises(RecordingError, match="does not fit its type"):
+                bag.decode(fix._replace(data=fix.data[:length]))
+        with pytest.raises(RecordingError, match="has no topic '/none'; it has /gps/fix, /left"):
+            bag.decode(Message("/none", 5, b""))
+        with pytest.raises(RecordingError, match="has no topic '/none'"):
+            bag.stamps("/none")
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_every_standard_type_with_a_header_is_known(encoding: str) -> None:
+    store: Any = ROS1 if encoding == "ros1" else types()
+    version = 1 if encoding == "ros1" else 2
+    checked = 0
+    for name, (_, fields) in store.fielddefs.items():
+        if "/msg/" not in name or not name.startswith(("sensor_msgs", "nav_msgs", "nmea_msgs")):
+            continue
+        text, _ = store.generate_msgdef(name, ros_version=version)
+        connection = Connection("/a", name, encoding, Definition("msg", text))
+        wanted = fields[0][1][1] == "std_msgs/msg/Header"
+        assert has_header(connection) == wanted, name
+        assert has_header(connection._replace(encoding="json")) is False
+        checked += wanted
+    assert checked > 20
