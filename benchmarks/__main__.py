@@ -22,14 +22,14 @@ from benchmarks import EXAMPLE
 from benchmarks.lasting import Line, measure_map
 from benchmarks.long_drive import write_long_drive
 from benchmarks.timing import paired_ms
-from fieldgrid import ground
+from fieldgrid import depth
+from fieldgrid.binning import bin_pixels, bin_pixels_reference
 from fieldgrid.build import SessionReport, build_map
 from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.ground import estimate_ground
 from fieldgrid.lattice import Lattice
 from fieldgrid.localgrid import (
     LocalGridder,
-    bin_pixels,
-    bin_pixels_reference,
     local_ground,
 )
 from fieldgrid.recording import open_recording
@@ -126,16 +126,13 @@ def measure_kernels() -> Iterator[Line]:
 
 def _fused_kernel(gridder: LocalGridder, values: np.ndarray, row_start: int) -> Iterator[Line]:
     spec, rig = gridder.spec, gridder.rig
-    depth_m = ground.depth_table(rig, gridder.region.num_disparities, 16)
-    plane, patches = ground.estimate_ground(
-        values, row_start, depth_m, rig, spec.width_m / 2, spec.length_m
-    )
+    depth_m = depth.depth_table(rig, gridder.region.num_disparities, 16)
+    coded = depth.CodedDepth(values, row_start, depth_m)
+    plane, patches = estimate_ground(coded, rig, spec.width_m / 2, spec.length_m)
     arguments = (
-        values,
-        row_start,
-        depth_m,
-        *ground.rays(rig, plane.R_level_camera, plane.height_m),
-        local_ground(patches, spec.n_x, spec.n_y, spec.cell_m, gridder.max_range_m),
+        *coded,
+        *depth.rays(rig, plane.R_level_camera, plane.height_m),
+        local_ground(patches, spec.n_x, spec.n_y, spec.cell_m, 0.0, gridder.max_range_m),
         spec.cell_m,
         np.float32(0.2),
         np.float32(2.2),

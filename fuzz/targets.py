@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from fuzz import nmea, targets_formats
+from fuzz import nmea, targets_bags, targets_formats, targets_ros
 from fuzz.target import Target
 
 TARGETS: list[Target] = [
     nmea.TARGET,
     *targets_formats.TARGETS,
+    *targets_ros.TARGETS,
+    *targets_bags.TARGETS,
 ]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig, StereoCamera
 
 _Float64 = npt.NDArray[np.float64]
 
@@ -69,21 +69,77 @@ def render(
     R = mount.rotation()
     left = R @ np.array([-camera.baseline_m / 2.0, 0.0, 0.0])
     left = left + np.array([0.0, 0.0, mount.height_m])
-    v, u = np.mgrid[row_start : camera.height_px, 0 : camera.width_px].astype(np.float64)
-    in_camera = np.stack(
-        [
-            (u - camera.cx_px) / camera.focal_px,
-            (v - camera.cy_px) / camera.focal_px,
-            np.ones_like(u),
-        ]
-    )
-    ray = np.tensordot(R, in_camera, axes=1)  # advances one metre along the optical axis
+    rows, focal_px = range(row_start, camera.height_px), (camera.focal_px, camera.focal_px)
+    in_camera = _pixels(rows, camera.width_px, focal_px, (camera.cx_px, camera.cy_px))
+    depth_m = _nearest(left, np.tensordot(R, in_camera, axes=1), things)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths = [_hit(left, ray, thing) for thing in things]
-        depth_m = np.minimum.reduce(depths)
         disparity = camera.focal_px * camera.baseline_m / depth_m + camera.disparity_offset_px
     found = np.isfinite(depth_m) & (disparity > 0.0) & (disparity <= num_disparities - 1)
     return np.where(found, np.rint(disparity * 16.0), -16.0).astype(np.int16)
+
+
+def depth_rig(
+    focal_px: tuple[float, float] = (780.0, 780.0),
+    size_px: tuple[int, int] = (640, 480),
+    mount: Mount | None = None,
+    baseline_m: float | None = None,
+) -> Rig:
+    """The paper's rig with a depth camera instead of the pair."""
+    width_px, height_px = size_px
+    camera = DepthCamera(
+        width_px, height_px, *focal_px, width_px / 2.0, height_px / 2.0, baseline_m
+    )
+    return Rig(camera, mount or Mount(2.8, 15.0), LeverArm(0.0, 0.0, 3.0))
+
+
+def lidar_rig(points_per_sr: float, mount: Mount | None = None) -> Rig:
+    """The paper's rig with a lidar instead of the pair."""
+    return Rig(Lidar(points_per_sr), mount or Mount(2.0, 0.0), LeverArm(0.0, 0.0, 3.0))
+
+
+def depths(
+    rig: Rig, things: Sequence[Ground | Box], mount: Mount | None = None
+) -> npt.NDArray[np.float32]:
+    """What a depth camera sees: metres along the optical axis, NaN where nothing is."""
+    camera, mount = rig.sensor, mount or rig.mount
+    assert isinstance(camera, DepthCamera)
+    focal_px, centre_px = (camera.fx_px, camera.fy_px), (camera.cx_px, camera.cy_px)
+    in_camera = _pixels(range(camera.height_px), camera.width_px, focal_px, centre_px)
+    ray = np.tensordot(mount.rotation(), in_camera, axes=1)
+    depth_m = _nearest(np.array([0.0, 0.0, mount.height_m]), ray, things)
+    return np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float32)
+
+
+def sweep(
+    mount: Mount,
+    things: Sequence[Ground | Box],
+    step_deg: float = 0.2,
+    elevations_deg: tuple[float, float] = (-40.0, 15.0),
+    azimuths_deg: tuple[float, float] = (-90.0, 90.0),
+) -> npt.NDArray[np.float32]:
+    """The points [n, 3] of a lidar with as many beams across as up, in its own frame."""
+    up = np.radians(np.arange(*elevations_deg, step_deg))
+    right = np.radians(np.arange(*azimuths_deg, step_deg))
+    up, right = (angles.ravel() for angles in np.meshgrid(up, right))
+    beams = np.stack([np.cos(up) * np.sin(right), -np.sin(up), np.cos(up) * np.cos(right)])
+    range_m = _nearest(np.array([0.0, 0.0, mount.height_m]), mount.rotation() @ beams, things)
+    hit = np.isfinite(range_m) & (range_m < 100.0)
+    return np.ascontiguousarray((beams[:, hit] * range_m[hit]).T, dtype=np.float32)
+
+
+def _pixels(
+    rows: range, width_px: int, focal_px: tuple[float, float], centre_px: tuple[float, float]
+) -> _Float64:
+    """Directions [3, row, column] of pixels in the camera's frame, a metre along its axis."""
+    v, u = np.mgrid[rows.start : rows.stop, 0:width_px].astype(np.float64)
+    (fx, fy), (cx, cy) = focal_px, centre_px
+    return np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)])
+
+
+def _nearest(origin: _Float64, ray: _Float64, things: Sequence[Ground | Box]) -> _Float64:
+    """How many rays it is to the first thing on the way, infinite where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.minimum.reduce([_hit(origin, ray, thing) for thing in things])
 
 
 def _hit(left: _Float64, ray: _Float64, thing: Ground | Box) -> _Float64:

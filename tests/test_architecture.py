@@ -18,6 +18,7 @@ PACKAGE = "fieldgrid"
 LAYERS = (
     ("errors", "geodesy", "angles", "kernel", "publish"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
+    ("cloud", "depth"),
     (
         "gnss",
         "course",
@@ -26,6 +27,7 @@ LAYERS = (
         "stereo",
         "odometry",
         "ground",
+        "binning",
         "transfer",
         "rectify",
         "ros",

@@ -632,7 +632,8 @@ def a_day_later(table: str) -> str:
             lambda drive: rewrite(drive / "frames.csv", a_day_later),
             GnssError,
             r"Images \(2011-06-16T10:30:19\.840Z to .*\) and fixes \(2011-06-15T.*Z to .*Z\) do "
-            r"not overlap in time; .* --gnss, or set image_time_offset_s",
+            r"not overlap in time; .* \(1 day: one of the two has a wrong date\): .* --time-offset "
+            r"-86400 or image_time_offset_s = -86400, else choose .* --gnss",
         ),
         (
             lambda drive: (drive / "gnss" / "gnss_rtk.nmea").write_text(""),

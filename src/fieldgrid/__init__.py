@@ -19,13 +19,16 @@ if TYPE_CHECKING:
         local_grid,
         visual_odometry,
     )
+    from fieldgrid.convert import convert_recording
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import export_geotiff
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
+    from fieldgrid.inspection import inspect_recording
     from fieldgrid.lattice import Bounds
     from fieldgrid.mapfile import merge_maps, open_map
+    from fieldgrid.mounting import estimate_mount
     from fieldgrid.recording import open_recording
     from fieldgrid.settings import BuildSettings
     from fieldgrid.trajectory import Pose, Trajectory
@@ -43,11 +46,14 @@ _HOMES = {
     "Trajectory": "trajectory",
     "Transfer": "transfer",
     "add_recording": "build",
+    "convert_recording": "convert",
     "estimate_drive": "build",
+    "estimate_mount": "mounting",
     "estimate_trajectory": "build",
     "evaluate": "evaluation",
     "export_geotiff": "export",
     "figures": "",
+    "inspect_recording": "inspection",
     "local_grid": "build",
     "merge_maps": "mapfile",
     "open_map": "mapfile",
@@ -68,11 +74,14 @@ __all__ = [
     "Trajectory",
     "Transfer",
     "add_recording",
+    "convert_recording",
     "estimate_drive",
+    "estimate_mount",
     "estimate_trajectory",
     "evaluate",
     "export_geotiff",
     "figures",
+    "inspect_recording",
     "local_grid",
     "merge_maps",
     "open_map",

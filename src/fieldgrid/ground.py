@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.cloud import Cloud, level_points
+from fieldgrid.depth import CodedDepth, rays
 from fieldgrid.kernel import kernel
 from fieldgrid.rig import Rig
 
@@ -21,7 +23,8 @@ PATCH_M = 0.5
 """Side of the square patches on which the ground is estimated."""
 
 SAMPLE_STEP_PX = 4
-"""Every fourth pixel of every fourth row is enough for the ground."""
+"""Every fourth pixel of every fourth row is enough for the ground; of a cloud, which is sparse
+where it is far, every point is taken."""
 
 BIN_M, BINS = 0.025, 80
 """Heights are collected in 80 bins of 2.5 cm, from 1 m below to 1 m above the reference."""
@@ -40,28 +43,14 @@ STEP_UP_M, STEP_DOWN_M = 0.20, 0.35
 """Ground may rise or fall this much from one patch to the next: kerbs and banks pass, rocks,
 canopies and cars do not."""
 
-_Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
-
-
-class CameraRays(NamedTuple):
-    """How a pixel becomes a point: P = z·(origin_ray + u·du + v·dv) + offset.
-
-    Each a vector (x right, y forward, z up) in a level frame below the camera; `offset_m` is
-    the left camera's optical centre.
-    """
-
-    origin_ray: _Float32
-    du: _Float32
-    dv: _Float32
-    offset_m: _Float32
 
 
 class GroundPlane(NamedTuple):
     """The ground plane of one frame and what it corrects.
 
-    `R_level_camera` turns camera axes into the frame that is level with the ground;
-    `height_m` is the camera's height above it. `refined` is False where the mount was kept.
+    `R_level_camera` turns the sensor's axes into the frame that is level with the
+    ground; `height_m` is the sensor's height above it. `refined` is False where the mount was kept.
     """
 
     R_level_camera: _Float64
@@ -71,54 +60,32 @@ class GroundPlane(NamedTuple):
     refined: bool
 
 
-def rays(rig: Rig, R_level_camera: _Float64, height_m: float) -> CameraRays:
-    """The rays of the left camera for an attitude and a height above ground."""
-    camera = rig.camera
-    per_px = 1.0 / camera.focal_px
-    left_of_middle = np.array([-camera.baseline_m / 2.0, 0.0, 0.0])
-    vectors = (
-        R_level_camera @ np.array([-camera.cx_px * per_px, -camera.cy_px * per_px, 1.0]),
-        R_level_camera[:, 0] * per_px,
-        R_level_camera[:, 1] * per_px,
-        R_level_camera @ left_of_middle + np.array([0.0, 0.0, height_m]),
-    )
-    return CameraRays(*(vector.astype(np.float32) for vector in vectors))
-
-
-def depth_table(rig: Rig, num_disparities: int, subpixels: int) -> _Float32:
-    """Depth in metres by disparity in subpixels; infinite at 0, which also stands for no match."""
-    disparity = np.arange((num_disparities + 1) * subpixels, dtype=np.float64) / subpixels
-    effective = disparity - rig.camera.disparity_offset_px
-    with np.errstate(divide="ignore"):
-        depth = rig.camera.focal_baseline_px_m / effective
-    depth[effective <= 0.0] = np.inf
-    depth[0] = np.inf
-    return depth.astype(np.float32)
-
-
 def estimate_ground(
-    disparity: npt.NDArray[np.int16],
-    row_start: int,
-    depth_m: _Float32,
-    rig: Rig,
-    half_width_m: float,
-    length_m: float,
+    seen: CodedDepth | Cloud, rig: Rig, half_width_m: float, length_m: float
 ) -> tuple[GroundPlane, npt.NDArray[np.float64]]:
     """The plane of a frame, and the ground's height above it on patches [ny, nx], metres.
 
-    Patch (0, 0) starts at x = -half_width_m, y = 0. `disparity` is int16 in sixteenths, rows
-    from `row_start`; `depth_m` its depth table.
+    Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
+    points in the sensor's frame.
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
-    R_mount = rig.mount.rotation()
-    mount_rays = rays(rig, R_mount, rig.mount.height_m)
-    counts = collect_heights(disparity, row_start, depth_m, *mount_rays, half_width_m, nx, ny)
-    c, patches = fit_plane(low_heights(counts), half_width_m, np.array(MOUNT_SIGMA))
-    plane = _levelled(R_mount, rig.mount.height_m, c, patches >= MIN_PATCHES)
 
-    level_rays = rays(rig, plane.R_level_camera, plane.height_m)
-    counts = collect_heights(disparity, row_start, depth_m, *level_rays, half_width_m, nx, ny)
-    return plane, follow_ground(low_heights(counts))
+    def heights(R_level_sensor: _Float64, height_m: float) -> npt.NDArray[np.int32]:
+        found: npt.NDArray[np.int32]
+        if isinstance(seen, CodedDepth):
+            found = collect_heights(
+                *seen, *rays(rig, R_level_sensor, height_m), half_width_m, nx, ny
+            )
+        else:
+            level_m = level_points(seen, R_level_sensor, height_m)
+            found = collect_point_heights(level_m, half_width_m, nx, ny)
+        return found
+
+    R_mount, mounted_m = rig.mount.rotation(), rig.mount.height_m
+    low = low_heights(heights(R_mount, mounted_m))
+    c, patches = fit_plane(low, half_width_m, np.array(MOUNT_SIGMA))
+    plane = _levelled(R_mount, mounted_m, c, patches >= MIN_PATCHES)
+    return plane, follow_ground(low_heights(heights(plane.R_level_camera, plane.height_m)))
 
 
 def _levelled(R_mount: _Float64, height_m: float, c: _Float64, trusted: bool) -> GroundPlane:
@@ -158,6 +125,20 @@ def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_w
                 z = (depth * (rz + uf * du[2]) + offset_m[2]) * per_bin + middle
                 if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
                     counts[int(y), int(x), int(z)] += 1
+    return counts
+
+
+@kernel
+def collect_point_heights(level_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
+    """The same of points of the level frame, float32 [n, 3]."""
+    counts = np.zeros((ny, nx, BINS), dtype=np.int32)
+    per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
+    x0, middle = np.float32(half_width_m), np.float32(BINS / 2)
+    for k in range(level_m.shape[0]):
+        x, y = (level_m[k, 0] + x0) * per_patch, level_m[k, 1] * per_patch
+        z = level_m[k, 2] * per_bin + middle
+        if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
+            counts[int(y), int(x), int(z)] += 1
     return counts
 
 

@@ -1,8 +1,8 @@
-"""A rectified pair becomes a vehicle-fixed local grid of 3D density.
+"""What a sensor saw becomes a vehicle-fixed local grid of 3D density.
 
 The core step, in the paper's order: match, find the ground, carry each matched pixel into the
-ground frame, keep the slice, count by cell, compensate for range, scale to 0-255. One compiled
-kernel does the last five; `bin_pixels_reference` is what it is held to.
+ground frame, keep the slice, count by cell, compensate for range, scale to 0-255. Depth images
+enter after the matching, and clouds with their points.
 """
 
 from __future__ import annotations
@@ -14,19 +14,34 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.ground import (
-    PATCH_M,
-    GroundPlane,
+from fieldgrid.binning import bin_pixels, bin_points
+from fieldgrid.cloud import Cloud, level_points
+from fieldgrid.depth import (
+    CodedDepth,
     depth_table,
-    estimate_ground,
+    encode_depth,
+    metric_table,
+    points_per_rad,
     rays,
 )
+from fieldgrid.errors import CalibrationError
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.kernel import kernel
-from fieldgrid.rig import Rig
-from fieldgrid.stereo import SUBPIXELS, Disparity, StereoMatcher, StereoSettings, search_region
+from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
+from fieldgrid.stereo import (
+    SUBPIXELS,
+    Disparity,
+    SearchRegion,
+    StereoMatcher,
+    StereoSettings,
+    search_region,
+)
 
-_Float32 = npt.NDArray[np.float32]
+SPARSE_SHARE, SPARSE_POINTS = 0.1, 2
+"""A cell of a lidar needs no more points than a tenth of those that a wall through it, or bare
+ground in it, would give, and no more than two: a lidar makes no false matches, and two points in
+one cell are no rain drop."""
 
 
 class DensitySettings(BaseModel):
@@ -35,13 +50,19 @@ class DensitySettings(BaseModel):
     3D density is the number of points in a cell's column of the slice per m³, compensated for
     range: d_c = d·(R/R0)^p. Times (R0/f)², the area that one pixel sees at R0, it is the
     facing surface in m² per m³, which does not depend on the camera; 255 stands for
-    `saturation_m2_per_m3` of it, in every frame.
+    `saturation_m2_per_m3` of it, in every frame. A point of a lidar stands for the area that
+    is its share of a steradian, so densities of all sensors compare.
+
+    `min_points` guard against false matches. A lidar makes none, and takes few points where it is
+    far, so one or two do (:func:`points_needed`). Depths and points nearer than `min_range_m` are
+    those of the vehicle itself; what is nearest in a pair is for the stereo settings to say.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     slice_bottom_m: float = Field(default=0.2, ge=0.02, le=5.0)
     slice_top_m: float = Field(default=2.2, gt=0.05, le=20.0)
+    min_range_m: float = Field(default=1.0, ge=0.0, le=50.0)
     max_range_m: float = Field(default=15.0, gt=1.0, le=200.0)
     max_range_sigma_m: float = Field(default=0.2, gt=0.01, le=10.0)
     range_exponent: float = Field(default=2.0, ge=0.0, le=4.0)
@@ -75,7 +96,11 @@ class FrameGround(NamedTuple):
 
 
 class LocalGridder:
-    """Makes local grids for one rig and one set of settings; safe to call from threads."""
+    """Makes local grids for one rig and one set of settings; safe to call from threads.
+
+    From pairs, depth images or clouds, whichever the rig's sensor gives; CalibrationError for
+    what it does not.
+    """
 
     def __init__(
         self,
@@ -89,10 +114,31 @@ class LocalGridder:
         self.stereo = stereo or StereoSettings()
         self.settings = density or DensitySettings()
         self.max_range_m = reliable_range_m(rig, self.spec, self.stereo, self.settings)
-        self.region = search_region(rig, self.stereo, self.settings.slice_top_m, self.max_range_m)
-        self.matcher = StereoMatcher(rig.camera, self.stereo, self.region)
-        self._depth_m = depth_table(rig, self.region.num_disparities, SUBPIXELS)
+        self._matcher: StereoMatcher | None = None
+        if isinstance(rig.sensor, StereoCamera):
+            region = search_region(rig, self.stereo, self.settings.slice_top_m, self.max_range_m)
+            self._matcher = StereoMatcher(rig.sensor, self.stereo, region)
+            self._depth_m = depth_table(rig, region.num_disparities, SUBPIXELS)
+            self._nearest_m = 0.0
+        else:
+            # The camera may look down: its depths reach beyond the range on the ground.
+            highest_m = max(rig.mount.height_m, self.settings.slice_top_m)
+            self._depth_m = metric_table(math.hypot(self.max_range_m, 2.0 * highest_m))
+            self._nearest_m = self.settings.min_range_m
         self._gain = density_gain(rig, self.spec, self.settings)
+        self._needed = points_needed(rig, self.spec, self.settings)
+
+    @property
+    def matcher(self) -> StereoMatcher:
+        """What matches the pairs; CalibrationError for a rig without a stereo camera."""
+        if self._matcher is None:
+            raise CalibrationError(_gives_no(self.rig, "pairs"))
+        return self._matcher
+
+    @property
+    def region(self) -> SearchRegion:
+        """The rows and disparities that are searched; CalibrationError as for `matcher`."""
+        return self.matcher.region
 
     def __call__(
         self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]
@@ -101,31 +147,73 @@ class LocalGridder:
         return self.from_disparity(self.matcher.disparity(left, right))
 
     def from_disparity(self, disparity: Disparity) -> tuple[LocalGrid, FrameGround]:
-        """The local grid of a disparity image."""
-        spec, settings = self.spec, self.settings
-        values, row_start = disparity
-        plane, patches = estimate_ground(
-            values, row_start, self._depth_m, self.rig, spec.width_m / 2.0, spec.length_m
-        )
+        """The local grid of a disparity image of the rig's own matcher."""
+        if self._matcher is None:
+            raise CalibrationError(_gives_no(self.rig, "disparities"))
+        return self._from_seen(CodedDepth(*disparity, self._depth_m))
+
+    def from_depth(self, depth_m: npt.NDArray[np.float32]) -> tuple[LocalGrid, FrameGround]:
+        """The local grid of an image of depths along the optical axis [height, width], metres,
+        NaN where there is none."""
+        camera = self.rig.sensor
+        if not isinstance(camera, DepthCamera):
+            raise CalibrationError(_gives_no(self.rig, "depth images"))
+        if depth_m.shape != (camera.height_px, camera.width_px):
+            shape = " x ".join(str(size) for size in reversed(depth_m.shape))
+            raise CalibrationError(
+                f"The depth image is {shape} px, the calibration is for {camera.width_px} x "
+                f"{camera.height_px}; use the calibration of these images."
+            )
+        depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
+        return self._from_seen(encode_depth(depth_m, self._depth_m))
+
+    def from_cloud(self, points: Cloud) -> tuple[LocalGrid, FrameGround]:
+        """The local grid of points [n, 3] in the lidar's frame, metres: x right, y down, z
+        forward. What is not finite is left out."""
+        if not isinstance(self.rig.sensor, Lidar):
+            raise CalibrationError(_gives_no(self.rig, "clouds"))
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise CalibrationError(
+                f"The cloud is an array of shape {points.shape}; give its points as [n, 3]."
+            )
+        return self._from_seen(np.ascontiguousarray(points, dtype=np.float32))
+
+    def _from_seen(self, seen: CodedDepth | Cloud) -> tuple[LocalGrid, FrameGround]:
+        spec = self.spec
+        plane, patches = estimate_ground(seen, self.rig, spec.width_m / 2.0, spec.length_m)
         if not plane.refined:
             # Heights above a ground that was not found are not known, so nothing is claimed.
             unseen = np.zeros(spec.shape, dtype=np.uint8)
             return LocalGrid(spec, unseen, unseen.astype(np.bool_)), _summary(plane)
-        ground_m = local_ground(patches, spec.n_x, spec.n_y, spec.cell_m, self.max_range_m)
-        counts = bin_pixels(
-            values,
-            row_start,
-            self._depth_m,
-            *rays(self.rig, plane.R_level_camera, plane.height_m),
-            ground_m,
-            spec.cell_m,
-            np.float32(settings.slice_bottom_m),
-            np.float32(settings.slice_top_m),
+        ground_m = local_ground(
+            patches, spec.n_x, spec.n_y, spec.cell_m, self._nearest_m, self.max_range_m
         )
-        density, observed = scale_density(
-            counts, self._gain, settings.min_points, settings.min_ground_points
-        )
+        counts = self._count(seen, plane, ground_m)
+        density, observed = scale_density(counts, self._gain, self._needed)
         return LocalGrid(spec, density, observed), _summary(plane)
+
+    def _count(
+        self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.int32]:
+        """Points on the ground and in the slice of each cell, [n_y, n_x, 2]."""
+        bottom_m = np.float32(self.settings.slice_bottom_m)
+        top_m = np.float32(self.settings.slice_top_m)
+        above = (ground_m, self.spec.cell_m, bottom_m, top_m)
+        counts: npt.NDArray[np.int32]
+        if isinstance(seen, CodedDepth):
+            counts = bin_pixels(
+                *seen, *rays(self.rig, plane.R_level_camera, plane.height_m), *above
+            )
+        else:
+            counts = bin_points(level_points(seen, plane.R_level_camera, plane.height_m), *above)
+        return counts
+
+
+def _gives_no(rig: Rig, what: str) -> str:
+    return (
+        f"The rig's sensor is a {type(rig.sensor).__name__}, which gives no {what}; give what it "
+        "does, or the calibration of another sensor."
+    )
 
 
 def _summary(plane: GroundPlane) -> FrameGround:
@@ -137,31 +225,71 @@ def reliable_range_m(
 ) -> float:
     """The range up to which points enter: by setting, by grid, and where sigma_R allows.
 
-    sigma_R = R²·sigma_d/(f·b) reaches `max_range_sigma_m` at R = sqrt(sigma·f·b/sigma_d).
+    sigma_R = R²·sigma_d/(f·b) of a pair reaches `max_range_sigma_m` at
+    R = sqrt(sigma·f·b/sigma_d). A lidar's does not grow so, and that of a depth camera whose
+    baseline nobody says is not known.
     """
-    by_sigma_m = math.sqrt(
-        settings.max_range_sigma_m * rig.camera.focal_baseline_px_m / stereo.disparity_sigma_px
-    )
-    return min(settings.max_range_m, spec.reach_m, by_sigma_m)
+    within_m = min(settings.max_range_m, spec.reach_m)
+    product_px_m = _focal_baseline_px_m(rig)
+    if product_px_m is None:
+        return within_m
+    by_sigma_m = math.sqrt(settings.max_range_sigma_m * product_px_m / stereo.disparity_sigma_px)
+    return min(within_m, by_sigma_m)
+
+
+def _focal_baseline_px_m(rig: Rig) -> float | None:
+    """f·b of the pair that the rig's depths come from, None without one."""
+    sensor = rig.sensor
+    if isinstance(sensor, StereoCamera):
+        return sensor.focal_baseline_px_m
+    if isinstance(sensor, DepthCamera) and sensor.baseline_m is not None:
+        return sensor.fx_px * sensor.baseline_m
+    return None
 
 
 def density_gain(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.NDArray[np.float32]:
     """What one point is worth in a cell, of 255, float32 [n_y, n_x]: all scaling in one table."""
-    x, y = spec.centres_m()
-    range_m = np.hypot(x[None, :], y[:, None])
+    range_m = _ranges_m(spec)
     compensation = (range_m / settings.reference_range_m) ** settings.range_exponent
     compensation = np.minimum(compensation, settings.max_gain)
     column_m3 = spec.cell_m**2 * settings.slice_m
-    pixel_m2 = (settings.reference_range_m / rig.camera.focal_px) ** 2
-    worth = 255.0 * compensation * pixel_m2 / column_m3 / settings.saturation_m2_per_m3
+    point_m2 = (settings.reference_range_m / points_per_rad(rig)) ** 2
+    worth = 255.0 * compensation * point_m2 / column_m3 / settings.saturation_m2_per_m3
     return worth.astype(np.float32)
 
 
+def points_needed(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.NDArray[np.int32]:
+    """How many points make a claim in a cell, int32 [n_y, n_x, 2]: of free ground, of an obstacle.
+
+    `min_ground_points` and `min_points`; of a lidar no more than two, and one where a wall through
+    the cell as high as the slice, or the bare ground of the cell, would give up to ten. It sees
+    ΔZ·cell/R² sr of the one and cell²·(h/R)/R² of the other.
+    """
+    needed = np.empty((*spec.shape, 2), dtype=np.int32)
+    needed[...] = (settings.min_ground_points, settings.min_points)
+    if isinstance(rig.sensor, Lidar):
+        range_m = _ranges_m(spec)
+        points_per_m2 = rig.sensor.points_per_sr / range_m**2
+        wall = spec.cell_m * settings.slice_m * points_per_m2
+        bare = spec.cell_m**2 * rig.mount.height_m / range_m * points_per_m2
+        enough = np.ceil(SPARSE_SHARE * np.stack([bare, wall], axis=-1))
+        needed = np.minimum(needed, np.clip(enough, 1, SPARSE_POINTS)).astype(np.int32)
+    return needed
+
+
+def _ranges_m(spec: GridSpec) -> npt.NDArray[np.float64]:
+    """Range of each cell's centre from the grid origin, [n_y, n_x]."""
+    x, y = spec.centres_m()
+    ranges_m: npt.NDArray[np.float64] = np.hypot(x[None, :], y[:, None])
+    return ranges_m
+
+
 @kernel
-def local_ground(patches, n_x, n_y, cell_m, max_range_m):  # type: ignore[no-untyped-def]
+def local_ground(patches, n_x, n_y, cell_m, min_range_m, max_range_m):  # type: ignore[no-untyped-def]
     """Ground heights of patches [ny, nx], metres, bilinear to cells, float32 [n_y, n_x].
 
-    NaN beyond `max_range_m`: no height compares with NaN, so no point enters there.
+    NaN nearer than `min_range_m` and beyond `max_range_m`: no height compares with NaN, so no
+    point enters there.
     """
     ny, nx = patches.shape
     out = np.full((n_y, n_x), np.float32(np.nan), dtype=np.float32)
@@ -187,114 +315,40 @@ def local_ground(patches, n_x, n_y, cell_m, max_range_m):  # type: ignore[no-unt
         last = min(math.floor(middle + half_chord), n_x - 1)
         for c in range(first, last + 1):
             out[r, c] = line[left[c]] + share[c] * (line[left[c] + 1] - line[left[c]])
+        if y < min_range_m:
+            half_chord = math.sqrt(min_range_m * min_range_m - y * y) / cell_m
+            first = max(math.ceil(middle - half_chord), 0)
+            out[r, first : math.floor(middle + half_chord) + 1] = np.float32(np.nan)
     return out
 
 
 @kernel
-def bin_pixels(  # type: ignore[no-untyped-def]
-    disparity, row_start, depth_m, ray, du, dv, offset_m, ground_m, cell_m, bottom_m, top_m
-):
-    """From disparity to counts, fused: points on the ground and in the slice of each cell.
-
-    Returns int32 [n_y, n_x, 2]: [..., 1] counts the points from `bottom_m` to `top_m` above
-    the cell's ground, [..., 0] those from 0.5 m below it up to `bottom_m`. Three short loops
-    a row, because the middle one then runs in vector registers. Single precision: 2^-24 of
-    15 m is a micrometre.
-    """
-    n_y, n_x = ground_m.shape
-    width = disparity.shape[1]
-    counts = np.zeros((n_y, n_x, 2), dtype=np.int32)
-    flat_counts, flat_ground = counts.reshape(-1), ground_m.reshape(-1)
-    per_cell = np.float32(1.0 / cell_m)
-    dx, dy, dz = du[0] * per_cell, du[1] * per_cell, du[2]
-    x0, y0, z0 = offset_m[0] * per_cell + np.float32(0.5 * n_x), offset_m[1] * per_cell, offset_m[2]
-    depth, height = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
-    cell = np.empty(width, dtype=np.int32)
-    lowest_m = np.float32(-0.5)
-    for row in range(disparity.shape[0]):
-        v = np.float32(row + row_start)
-        rx, ry = (ray[0] + v * dv[0]) * per_cell, (ray[1] + v * dv[1]) * per_cell
-        rz = ray[2] + v * dv[2]
-        for u in range(width):
-            depth[u] = depth_m[max(disparity[row, u], 0)]
-        for u in range(width):
-            z, uf = depth[u], np.float32(u)
-            x, y = z * (rx + uf * dx) + x0, z * (ry + uf * dy) + y0
-            inside = (x >= 0.0) & (y >= 0.0) & (x < n_x) & (y < n_y)
-            cell[u] = np.int32(y) * n_x + np.int32(x) if inside else -1
-            height[u] = z * (rz + uf * dz) + z0
-        for u in range(width):
-            k = cell[u]
-            if k >= 0:
-                above = height[u] - flat_ground[k]
-                if above > lowest_m and above < top_m:
-                    flat_counts[2 * k + (1 if above > bottom_m else 0)] += 1
-    return counts
-
-
-def bin_pixels_reference(
-    disparity: npt.NDArray[np.int16],
-    row_start: int,
-    depth_m: _Float32,
-    ray: _Float32,
-    du: _Float32,
-    dv: _Float32,
-    offset_m: _Float32,
-    ground_m: _Float32,
-    cell_m: float,
-    bottom_m: np.float32,
-    top_m: np.float32,
-) -> npt.NDArray[np.int32]:
-    """The same as `bin_pixels`, in NumPy, with histogram2d doing the counting."""
-    row, u = np.nonzero(disparity > 0)
-    depth = depth_m[disparity[row, u]]
-    v, u = (row + row_start).astype(np.float32), u.astype(np.float32)
-    per_cell = np.float32(1.0 / cell_m)
-    n_y, n_x = ground_m.shape
-    middle = np.float32(0.5 * n_x)
-    x = depth * ((ray[0] + v * dv[0]) * per_cell + u * (du[0] * per_cell))
-    x = x + (offset_m[0] * per_cell + middle)
-    y = depth * ((ray[1] + v * dv[1]) * per_cell + u * (du[1] * per_cell))
-    y = y + offset_m[1] * per_cell
-    z = depth * (ray[2] + v * dv[2] + u * du[2]) + offset_m[2]
-    inside = (x >= 0) & (y >= 0) & (x < n_x) & (y < n_y)
-    c, r = x[inside].astype(np.intp), y[inside].astype(np.intp)
-    above = z[inside] - ground_m[r, c]
-
-    def count(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-        edges = (np.arange(n_y + 1), np.arange(n_x + 1))
-        counted: npt.NDArray[np.int32]
-        counted = np.histogram2d(r[mask], c[mask], bins=edges)[0].astype(np.int32)
-        return counted
-
-    ground = count((above > np.float32(-0.5)) & (above <= bottom_m) & (above < top_m))
-    return np.stack([ground, count((above > bottom_m) & (above < top_m))], axis=-1)
-
-
-@kernel
-def scale_density(counts, gain, min_points, min_ground_points):  # type: ignore[no-untyped-def]
+def scale_density(counts, gain, needed):  # type: ignore[no-untyped-def]
     """Counts to 3D density, uint8, and the observed mask, both [n_y, n_x].
 
-    A cell with enough points in the slice has a density. Without one a cell is seen, and empty,
+    `needed` [n_y, n_x, 2] says how many points of the ground and of the slice make a claim. A
+    cell with enough points in the slice has a density. Without one a cell is seen, and empty,
     only where the ground shows, nothing of the slice does, and no neighbour is an obstacle: the
     edge of an obstacle is in doubt, and doubt is not free.
     """
     n_y, n_x = counts.shape[0], counts.shape[1]
     density = np.zeros((n_y, n_x), dtype=np.uint8)
     observed = np.zeros((n_y, n_x), dtype=np.bool_)
+    obstacle = np.zeros((n_y, n_x), dtype=np.bool_)
     for r in range(n_y):
         for c in range(n_x):
             in_slice = counts[r, c, 1]
-            if in_slice >= min_points:
+            if in_slice >= needed[r, c, 1]:
+                obstacle[r, c] = True
                 value = np.float32(in_slice) * gain[r, c] + np.float32(0.5)
                 density[r, c] = np.uint8(min(value, np.float32(255.0)))
                 observed[r, c] = True
-            elif in_slice == 0 and counts[r, c, 0] >= min_ground_points:
+            elif in_slice == 0 and counts[r, c, 0] >= needed[r, c, 0]:
                 observed[r, c] = True
     for r in range(n_y):
         for c in range(n_x):
-            if counts[r, c, 1] >= min_points:
+            if obstacle[r, c]:
                 for rr in range(max(r - 1, 0), min(r + 2, n_y)):
                     for cc in range(max(c - 1, 0), min(c + 2, n_x)):
-                        observed[rr, cc] &= counts[rr, cc, 1] >= min_points
+                        observed[rr, cc] &= obstacle[rr, cc]
     return density, observed

@@ -468,7 +468,7 @@ def test_a_link_to_a_map_stays_a_link(
     ("path", "message"),
     [
         ("nowhere", r"nowhere does not exist; give the folder of a recording"),
-        ("frames.csv", r"frames\.csv is a file; give the folder of a recording"),
+        ("frames.csv", r"frames\.csv is a file, and no bag; give the folder of a recording"),
         ("gnss", r"gnss is no recording; looked for one KITTI drive .*frames\.csv, or left/ and"),
     ],
 )

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
+from fieldgrid.gnss import condition
 from fieldgrid.motion import Motion
-from fieldgrid.pose import ClockOffset, PoseReport, estimate_poses
+from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, estimate_poses
+from fieldgrid.pose.placed import place
 from fieldgrid.rig import LeverArm
 from tests.scenes import paper_rig
-from tests.simulated import DATUM, SLALOM, Command, Drive, fixes_of, simulate, steps_of
+from tests.simulated import (
+    DATUM,
+    SLALOM,
+    Command,
+    Drive,
+    fixes_of,
+    gyro_of,
+    simulate,
+    steps_of,
+)
 
 WEAVING = [*SLALOM, Command(4.0, 0.5), *SLALOM[1:]]
 
@@ -35,9 +48,11 @@ def test_late_images_are_found(late_s: float) -> None:
 def test_the_note_names_the_setting() -> None:
     drive = simulate(WEAVING, 20.0, speed_mps=1.5)
     (note,) = (n for n in report(drive, 0.5).notes if "image_time_offset_s" in n)
-    assert "stamped +0.5" in note
-    assert "add -0.5" in note
-    assert "image_time_offset_s in recording.toml" in note
+    told = re.search(r"stamped \+(0\.\d{3}) s ± 0\.0\d\d s .* add -(0\.\d{3}) to image_time", note)
+    assert told is not None
+    assert told[1] == told[2]
+    assert float(told[1]) == pytest.approx(0.5, abs=0.05)
+    assert "image_time_offset_s in recording.toml, or to --time-offset" in note
     assert not any("image_time_offset_s" in n for n in report(drive, 0.0).notes)
 
 
@@ -46,6 +61,39 @@ def test_the_note_names_the_setting() -> None:
 )
 def test_an_even_or_short_drive_tells_no_offset(commands: list[Command]) -> None:
     assert report(simulate(commands, 20.0, speed_mps=1.5), 0.3).clock is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_on_an_even_drive_tells_no_offset(seed: int) -> None:
+    even = simulate([Command(40.0, 1.5)], 20.0, speed_mps=1.5)
+    assert report(even, 0.0, seed=seed, noise_m=0.02).clock is None
+
+
+def test_with_a_gyro_thirty_milliseconds_are_told() -> None:
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    fixes = fixes_of(drive, 0.2, 0.02, seed=3)
+    steps = steps_of(drive, 0.4, noise=1.0, late_s=0.03, seed=4)
+    motion = Motion(gyro_of(drive), steps=steps)
+    found = estimate_poses(fixes, None, DATUM, motion=motion).report.clock
+    assert found is not None
+    assert found.sigma_s < 0.01
+    assert found.is_certain
+    assert found.offset_s == pytest.approx(-0.03, abs=3.0 * found.sigma_s)
+
+
+def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    fixes = fixes_of(drive, 0.2, 0.02)
+    steps = steps_of(drive, 0.4, noise=1.0, late_s=18.0)
+    verdicts = condition(fixes)
+    search = ClockSearch(place(fixes, verdicts, DATUM), Motion(steps=steps), None)
+    scan = np.arange(-30.0, 30.0, 0.5)
+    lowest = float(scan[int(np.argmin([search.misfit(offset) for offset in scan]))])
+    found = search.best(lowest)
+    assert found is not None
+    assert found.offset_s == pytest.approx(-18.0, abs=3.0 * found.sigma_s)
+    assert search.misfit(-18.0) < 0.5 * search.misfit(0.0)
+    assert search.misfit(3600.0) == np.inf
 
 
 def test_without_steps_there_is_none() -> None:

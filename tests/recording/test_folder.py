@@ -316,7 +316,10 @@ def test_a_calibration_that_says_how_to_rectify_is_noted(drive: Path) -> None:
     path = drive / "calibration" / "stereo_opencv.yaml"
     path.write_text(opencv_yaml({**OPENCV, "D1": [-0.1, 0, 0, 0, 0]}))
     (drive / "gnss" / "log.csv").unlink()
-    taken = "describes how to rectify; the images are taken as rectified already."
+    taken = (
+        "describes how to rectify; the images are taken as rectified already; if they are raw, "
+        "say so in recording.toml: [images] rectified = false."
+    )
     assert open_recording(drive).notes[0] == f"stereo_opencv.yaml {taken}"
     notes = calibrate(drive, ros_yaml(P1, d=0.1), ros_yaml(P2)).notes
     assert notes[0] == f"stereo_left_camera_info.yaml {taken}"
@@ -328,9 +331,7 @@ TURNED = [1, 0, 0, 0, 0.9998, -0.02, 0, 0.02, 0.9998]
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"P1": None, "P2": None, "D1": [-0.1, 0, 0, 0, 0]}, "rectified images are required"),
-        ({"P1": None, "P2": None, "R1": TURNED}, "rectified images are required"),
-        ({"P1": None, "P2": None, "R": TURNED}, "rectified images are required"),
+        ({"P1": None, "P2": None, "R1": TURNED}, "lacks P1 as a matrix of 3 x 4"),
         ({"P1": None, "P2": None, "T": None}, "lacks T as a matrix of 3 x 1"),
         ({"P2": None}, "lacks P2 as a matrix of 3 x 4"),
         ({"P1": [1, 2, 3]}, "lacks P1 as a matrix of 3 x 4"),
@@ -546,7 +547,10 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
     ("text", "message"),
     [
         ("name = ", "is not TOML"),
-        ("speed = 3", "'speed' is not a setting; known are name, image_time_offset_s, datum, gnss"),
+        (
+            "speed = 3",
+            "'speed' is not a setting; known are name, image_time_offset_s, frames, calib",
+        ),
         ("name = 3", "name is 3; give a text"),
         ("gnss = 3", "the columns are 3; give a table"),
         ("[gnss]\ncolumns = 3", "the columns are 3; give a table"),
@@ -556,7 +560,7 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
         ("image_time_offset_s = '1'", "image_time_offset_s holds '1'; give a number"),
         ("image_time_offset_s = nan", "image_time_offset_s holds .*; give a number"),
         ("image_time_offset_s = true", "image_time_offset_s holds True; give a number"),
-        ("image_time_offset_s = 4000", "image_time_offset_s = 4000 is beyond an hour"),
+        ("image_time_offset_s = 90000", "image_time_offset_s = 90000 is beyond a day"),
         ("datum = 3", r"\[datum\] needs lat_deg, lon_deg, height_m"),
         ("[datum]\nlat_deg = 1\nlon_deg = 2", r"\[datum\] needs"),
         ("[datum]\nlat_deg=1\nlon_deg=2\nheight_m=3\nh=1", "'h' is not a setting"),
@@ -597,7 +601,7 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "left").mkdir()
     fails(tmp_path, "is no recording")
     (tmp_path / "a.mp4").write_text("")
-    fails(tmp_path / "a.mp4", "is a file; give the folder")
+    fails(tmp_path / "a.mp4", "is a file, and no bag; give the folder of a recording")
 
 
 # --- real data

@@ -12,12 +12,14 @@ from itertools import islice
 
 import numpy as np
 
-from fieldgrid.build.poses import NO_GROUND
+from fieldgrid.build.poses import no_ground
 from fieldgrid.build.report import SessionReport
 from fieldgrid.errors import CalibrationError
 from fieldgrid.odometry import features
 from fieldgrid.recording import Frame, Recording
 from fieldgrid.recording.protocol import pair_of
+from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
+from fieldgrid.settings import BuildSettings
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
 """Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
@@ -41,7 +43,8 @@ def check_cameras(recording: Recording, report: SessionReport, ground: int, ever
     `ground` counts the frames in which the ground was found.
     """
     frames = len(range(0, recording.frame_count, every))
-    if 2 * ground < frames and _swapped(recording, frames, every):
+    is_pair = isinstance(recording.rig.sensor, StereoCamera)
+    if is_pair and 2 * ground < frames and swapped(recording, frames, every):
         raise CalibrationError(
             f"The pairs of {recording.name} show depth only with left and right exchanged, so the "
             "two are swapped, or the calibration is of other cameras; exchange the two folders or "
@@ -62,12 +65,14 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
     """What to look at in calibration and mounting after a build that went through."""
     tried = report.camera_steps + report.camera_refusals
     blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
-    missing, mount = report.reasons[NO_GROUND], recording.rig.mount
+    rig, mount = recording.rig, recording.rig.mount
+    missing = report.reasons[no_ground(rig)]
     if missing > HINT_SHARE * report.frames:
+        what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
         fits = " The camera's own motion was told, so its calibration fits."
         yield (
             f"No ground was found in {missing} of {report.frames} frames."
-            f"{fits if report.camera_steps > report.camera_refusals else ''} Check the camera's "
+            f"{fits if report.camera_steps > report.camera_refusals else ''} Check the {what}'s "
             f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
         )
     if blind:
@@ -78,7 +83,21 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
         )
 
 
-def _swapped(recording: Recording, frames: int, every: int) -> bool:
+def sensor_notes(
+    recording: Recording, settings: BuildSettings, max_range_m: float
+) -> Iterator[str]:
+    """What a build does without for want of a pair, or of what is known of its depths."""
+    sensor = recording.rig.sensor
+    if settings.pose.uses_camera and not isinstance(sensor, StereoCamera):
+        yield "There are no stereo pairs, so the camera's own motion is not told from the frames."
+    if isinstance(sensor, DepthCamera) and sensor.baseline_m is None:
+        yield (
+            "Nothing says how the error of the depths grows with range, so they count up to "
+            f"{max_range_m:g} m; add the baseline to their calibration, or give --max-range."
+        )
+
+
+def swapped(recording: Recording, frames: int, every: int) -> bool:
     """Whether some frames of a drive, over all of it, show more with left and right exchanged."""
     camera = recording.rig.camera
     as_is, exchanged = [], []

@@ -12,14 +12,17 @@ from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import cv2
+import numpy as np
+import numpy.typing as npt
 
+from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
-from fieldgrid.recording import Frame, Recording
+from fieldgrid.recording import CloudFrame, DepthFrame, Frame, Recording, StereoFrame
 from fieldgrid.recording.protocol import pair_of
-from fieldgrid.rig import Rig
+from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
 _T = TypeVar("_T")
@@ -28,7 +31,8 @@ _T = TypeVar("_T")
 class Perceived(NamedTuple):
     """One frame after perception, before it meets its pose; seconds by stage.
 
-    `features` are those of visual odometry, None when it was not asked for.
+    `features` are those of visual odometry, None when it was not asked for. Only pairs are
+    matched: of other frames `match_s` is 0.
     """
 
     frame: Frame
@@ -46,7 +50,12 @@ def perceive(
     frames: Iterable[Frame], gridder: LocalGridder, jobs: int, *, odometry: bool = False
 ) -> Iterator[Perceived]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory."""
-    return _side_by_side(lambda frame: _perceive_one(frame, gridder, odometry), frames, jobs)
+    return side_by_side(lambda frame: _perceive_one(frame, gridder, odometry), frames, jobs)
+
+
+def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
+    """Whether the steps of the camera are worked out: if they are wanted, and it is a pair."""
+    return settings.pose.uses_camera and isinstance(rig.sensor, StereoCamera)
 
 
 class CameraMotion:
@@ -91,12 +100,12 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     def look(frame: Frame) -> tuple[int, Features]:
         return frame.time_ns, features(camera, *pair_of(frame).images())
 
-    for time_ns, seen in _side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
+    for time_ns, seen in side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
         motion.add(time_ns + offset_ns, seen)
     return motion.steps()
 
 
-def _side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: int) -> Iterator[_T]:
+def side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: int) -> Iterator[_T]:
     """The work on frames, in their order, `jobs` at a time."""
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
@@ -116,8 +125,24 @@ def _side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: in
 
 
 def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Perceived:
+    if isinstance(frame, StereoFrame):
+        return _perceive_pair(frame, gridder, odometry)
     start = time.thread_time()
-    left, right = pair_of(frame).images()
+    to_grid: Callable[[npt.NDArray[np.float32]], tuple[LocalGrid, FrameGround]]
+    if isinstance(frame, DepthFrame):
+        seen, to_grid = _depths(frame), gridder.from_depth
+    else:
+        seen, to_grid = frame.cloud.read(), gridder.from_cloud
+    hashes = tuple(source.sha256() for source in frame.sources)
+    decoded = time.thread_time()
+    grid, ground = to_grid(seen)
+    done = time.thread_time()
+    return Perceived(frame, grid, ground, None, hashes, decoded - start, 0.0, done - decoded, 0.0)
+
+
+def _perceive_pair(frame: StereoFrame, gridder: LocalGridder, odometry: bool) -> Perceived:
+    start = time.thread_time()
+    left, right = frame.images()
     hashes = tuple(source.sha256() for source in frame.sources)
     decoded = time.thread_time()
     disparity = gridder.matcher.disparity(left, right)
@@ -139,12 +164,31 @@ def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Percei
     )
 
 
+def _depths(frame: DepthFrame) -> npt.NDArray[np.float32]:
+    """The depths of a frame, once it is sure that they are of the calibrated size."""
+    depth_m = frame.depth.read()
+    width, height = frame.size_px
+    if depth_m.shape != (height, width):
+        raise CalibrationError(
+            f"{frame.depth.name} has {depth_m.shape[1]} x {depth_m.shape[0]} px, but the "
+            f"calibration is for {width} x {height} px; give the calibration of these images."
+        )
+    return depth_m
+
+
 @lru_cache(maxsize=8)
 def _gridder(rig: Rig, settings: BuildSettings) -> LocalGridder:
     return LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
 
 
 def local_grid(frame: Frame, rig: Rig, settings: BuildSettings | None = None) -> LocalGrid:
-    """The vehicle-fixed local grid of one frame: read, decoded, matched and gridded here."""
-    grid, _ = _gridder(rig, settings or BuildSettings())(*pair_of(frame).images())
+    """The vehicle-fixed local grid of one frame, a pair, a depth image or a cloud: read, decoded,
+    matched and gridded here."""
+    gridder = _gridder(rig, settings or BuildSettings())
+    if isinstance(frame, DepthFrame):
+        grid, _ = gridder.from_depth(_depths(frame))
+    elif isinstance(frame, CloudFrame):
+        grid, _ = gridder.from_cloud(frame.cloud.read())
+    else:
+        grid, _ = gridder(*frame.images())
     return grid

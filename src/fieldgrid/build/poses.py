@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import numpy.typing as npt
 
+from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import Budget, Estimate, estimate_poses
+from fieldgrid.pose.clock import WIDEST_S
 from fieldgrid.recording import Recording
-from fieldgrid.rig import Rig
+from fieldgrid.rig import Lidar, Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status, Trajectory
 
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
 
-NO_GROUND = "no ground was found in the image, so heights above it are not known"
-"""Why a frame is rejected whose ground plane could not be refined."""
+_NO_GROUND = "no ground was found in the {}, so heights above it are not known"
 
 
 def estimate_drive(
@@ -64,19 +66,56 @@ def cell_budget(rig: Rig, settings: BuildSettings) -> Budget:
     return Budget(asked or max(settings.universal_cell_m, USUAL_BUDGET_M), reach_m)
 
 
+def no_ground(rig: Rig) -> str:
+    """Why a frame is rejected whose ground plane could not be refined."""
+    return _NO_GROUND.format("cloud" if isinstance(rig.sensor, Lidar) else "image")
+
+
 def check_images(recording: Recording, trajectory: Trajectory) -> None:
     """Raise GnssError when images and fixes have nothing in common, before one is read."""
     if recording.frame_count == 0:
         raise ConfigError(f"Recording {recording.name} holds no frame; record images with it.")
-    offset_ns = recording.rig.image_time_offset_ns
-    images = recording.frame_times_ns() + offset_ns
+    images = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     fixes = trajectory.time_ns
     if images[-1] < fixes[0] or images[0] > fixes[-1]:
         raise GnssError(
             f"Images ({_clock(images[0])} to {_clock(images[-1])}) and fixes "
-            f"({_clock(fixes[0])} to {_clock(fixes[-1])}) do not overlap in time; choose the log "
-            "of this drive with --gnss, or set image_time_offset_s in recording.toml."
+            f"({_clock(fixes[0])} to {_clock(fixes[-1])}) do not overlap in time; "
+            f"{_advice(recording, images, fixes)}."
         )
+
+
+def _advice(
+    recording: Recording, images: npt.NDArray[np.int64], fixes: npt.NDArray[np.int64]
+) -> str:
+    """What to do about images and fixes that are apart."""
+    choose = "choose the log of this drive with --gnss"
+    shift_s = shift_to_overlap(
+        Span(int(images[0]), int(images[-1])), Span(int(fixes[0]), int(fixes[-1]))
+    )
+    if shift_s is None:
+        return f"{choose}, or set image_time_offset_s in recording.toml"
+    whole_s = recording.rig.image_time_offset_ns / 1e9 + shift_s
+    return (
+        f"they would if images were {abs(shift_s):g} s {'later' if shift_s > 0 else 'earlier'} "
+        f"({explanation(shift_s, int(fixes[0]))}): if that is so, give --time-offset {whole_s:g} "
+        f"or image_time_offset_s = {whole_s:g}, else {choose}"
+    )
+
+
+def check_clock(recording: Recording, estimate: Estimate) -> None:
+    """Raise GnssError when the images are certainly not of the times that they are stamped."""
+    clock = estimate.report.clock
+    if clock is None or not clock.is_certain or abs(clock.offset_s) <= WIDEST_S:
+        return
+    whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
+    why = explanation(clock.offset_s, int(estimate.trajectory.time_ns[0]))
+    raise GnssError(
+        f"The images of {recording.name} are stamped {-clock.offset_s:+.2f} s ± "
+        f"{clock.sigma_s:.2f} s against the fixes, as {clock.steps} steps of the camera show"
+        f"{f' ({why})' if why else ''}; give --time-offset {whole_s:.3f}, or image_time_offset_s "
+        "in recording.toml."
+    )
 
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:
@@ -94,17 +133,17 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
         if pose.status is Status.OK:
             return
         reasons[pose.reason] += 1
-    raise none_usable(recording.name, reasons)
+    raise none_usable(recording.name, reasons, recording.rig)
 
 
-def none_usable(name: str, reasons: Counter[str]) -> GnssError:
+def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
     """The error of a drive none of whose frames can be used."""
     reason = reasons.most_common(1)[0][0]
-    advice = (
-        "check the camera's height and tilt in the mounting"
-        if reason == NO_GROUND
-        else "choose another log with --gnss or another --heading"
-    )
+    advice = "choose another log with --gnss or another --heading"
+    if reason == no_ground(rig):
+        advice = "check the camera's height and tilt in the mounting"
+        if isinstance(rig.sensor, Lidar):
+            advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
     return GnssError(
         f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
         f"{reason}; {advice}."

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.build.inputs import Inputs, from_arrays
-from fieldgrid.build.poses import NO_GROUND, cell_budget
+from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapFile, SessionInfo, open_map
@@ -75,7 +75,7 @@ def _repose(
     estimate = _estimate(universal, inputs, rig, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
     before = {frame.frame_id: frame.pose for frame in universal.frames(session.name)}
-    after = {key: _pose(estimate, pose.time_ns, found) for key, pose in before.items()}
+    after = {key: _pose(estimate, pose.time_ns, found, rig) for key, pose in before.items()}
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     universal.repose(session.name, after, estimate.trajectory, config)
     return _report(session.name, before, after, estimate)
@@ -103,10 +103,10 @@ def _estimate(universal: MapFile, inputs: Inputs, rig: Rig, settings: BuildSetti
     )
 
 
-def _pose(estimate: Estimate, time_ns: int, ground_found: Mapping[int, bool]) -> Pose:
+def _pose(estimate: Estimate, time_ns: int, ground_found: Mapping[int, bool], rig: Rig) -> Pose:
     pose = estimate.trajectory.at(time_ns)
     if pose.status is Status.OK and not ground_found.get(time_ns, True):
-        return replace(pose, status=Status.REJECTED, reason=NO_GROUND)
+        return replace(pose, status=Status.REJECTED, reason=no_ground(rig))
     return pose
 
 

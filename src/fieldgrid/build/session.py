@@ -12,7 +12,7 @@ import hashlib
 import os
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -20,15 +20,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.build.doubt import camera_notes, check_cameras
+from fieldgrid.build.doubt import camera_notes, check_cameras, sensor_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
-from fieldgrid.build.perception import CameraMotion, perceive
+from fieldgrid.build.perception import CameraMotion, follows_camera, perceive
 from fieldgrid.build.poses import (
-    NO_GROUND,
+    check_clock,
     check_images,
     check_poses,
     estimate_drive,
     estimate_trajectory,
+    no_ground,
     none_usable,
 )
 from fieldgrid.build.report import Progress, SessionReport
@@ -40,8 +41,9 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, create_map, open_map
 from fieldgrid.motion import Steps
 from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording.bag import BagRecording
 from fieldgrid.recording.stored import StoredRecording
-from fieldgrid.rig import Rig
+from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import check_cell_sizes
@@ -71,13 +73,17 @@ def add_recording(
     report = SessionReport(
         session=recording.name if name is None else name,
         max_range_m=gridder.max_range_m,
-        notes=tuple(recording.notes),
+        notes=(
+            *recording.losses,
+            *recording.notes,
+            *sensor_notes(recording, settings, gridder.max_range_m),
+        ),
     )
     # Before the first image is read: the map itself would ask after the last one.
     check_cell_sizes(universal.cell_m, gridder.spec.cell_m)
     check_names([report.session], [info.name for info in universal.sessions()])
     with Spool(gridder.spec, universal.path) as spool:
-        look = trajectory is None and settings.pose.uses_camera
+        look = trajectory is None and follows_camera(recording.rig, settings)
         perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
         steps = perceiving(spool, report, odometry=look)
         check_cameras(recording, report, int(spool.frames()[1].sum()), every)
@@ -94,7 +100,7 @@ def add_recording(
             source_sha256=_log_sha256(recording),
             inputs=to_arrays(_inputs(recording, steps, spool)),
         ) as session:
-            _place(spool, session, trajectory, report)
+            _place(spool, session, trajectory, recording.rig, report)
             report.notes += tuple(camera_notes(recording, report))
             closing = time.perf_counter()
     report.stages.map_s += time.perf_counter() - closing
@@ -159,6 +165,7 @@ def _estimated(
     report.notes += estimate.report.notes
     report.fixes = len(estimate.fix_row)
     report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
+    check_clock(recording, estimate)
     check_poses(recording, estimate.trajectory)
     return estimate.trajectory
 
@@ -171,7 +178,9 @@ def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
     return len(times_ns), int(np.isin(accepted_ns, times_ns).sum())
 
 
-def _place(spool: Spool, session: Session, trajectory: Trajectory, report: SessionReport) -> None:
+def _place(
+    spool: Spool, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+) -> None:
     """The second half: every grid meets its pose."""
     placed: Pose | None = None
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
@@ -179,7 +188,7 @@ def _place(spool: Spool, session: Session, trajectory: Trajectory, report: Sessi
     for waiting in spool:
         pose = trajectory.at(waiting.time_ns)
         if pose.status is Status.OK and not waiting.ground_refined:
-            pose = replace(pose, status=Status.REJECTED, reason=NO_GROUND)
+            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
         session.add(
             waiting.grid,
             pose,
@@ -199,7 +208,7 @@ def _place(spool: Spool, session: Session, trajectory: Trajectory, report: Sessi
         position_sigma_m.append(pose.position_sigma_m)
         placed = pose
     if report.used == 0:
-        raise none_usable(report.session, report.reasons)
+        raise none_usable(report.session, report.reasons, rig)
     report.heading_sigma_deg = _median(heading_sigma_deg)
     report.position_sigma_m = _median(position_sigma_m)
     report.stages.map_s += time.thread_time() - start
@@ -214,17 +223,20 @@ def session_config(
     settings: BuildSettings, rig: Rig, gridder: LocalGridder, every: int
 ) -> dict[str, Any]:
     """The resolved settings and the rig, as they are kept with the session."""
+    searched = isinstance(rig.sensor, StereoCamera)
     return {
         "settings": settings.model_dump(mode="json"),
         "rig": rig_to_config(rig),
         "max_range_m": gridder.max_range_m,
-        "search": gridder.region._asdict(),
+        **({"search": gridder.region._asdict()} if searched else {}),
         "every": every,
     }
 
 
 def _log_sha256(recording: Recording) -> str:
-    """The hash of the log of fixes where that is a file, else nothing."""
+    """The hash of the log of fixes where that is a file or in a bag, else nothing."""
+    if isinstance(recording, BagRecording):
+        return recording.gnss_sha256
     if not (isinstance(recording, StoredRecording) and recording.gnss_source):
         return ""
     log = recording.folder / recording.gnss_source
@@ -267,6 +279,9 @@ def build_map(
     settings: BuildSettings,
     *,
     gnss: str | None = None,
+    topics: Mapping[str, str] | None = None,
+    mounting: Path | None = None,
+    image_time_offset_ns: int | None = None,
     datum: Datum | None = None,
     append: bool = False,
     overwrite: bool = False,
@@ -277,12 +292,25 @@ def build_map(
 ) -> list[SessionReport]:
     """Make the map `out` from recordings, a session each, or append them to it.
 
+    `gnss`, `topics`, `mounting` and `image_time_offset_ns` are for each of them what
+    `open_recording` takes.
     What can be checked is checked before the first image is read. On any error a new map does
     not come to be and an existing one stays as it was, but for the sessions already appended.
     """
     check_output(out, append=append, overwrite=overwrite)
     with ExitStack() as open_things:
-        recordings = [open_things.enter_context(open_recording(path, gnss)) for path in paths]
+        recordings = [
+            open_things.enter_context(
+                open_recording(
+                    path,
+                    gnss,
+                    topics=topics,
+                    mounting=mounting,
+                    image_time_offset_ns=image_time_offset_ns,
+                )
+            )
+            for path in paths
+        ]
         if append:
             with open_map(out) as existing:
                 datum = datum or existing.datum
@@ -327,7 +355,7 @@ def _checked(
         trajectory = estimate_trajectory(recording, settings, datum)
         datum = datum or trajectory.datum
         check_images(recording, trajectory)
-        if not settings.pose.uses_camera:
+        if not follows_camera(recording.rig, settings):
             check_poses(recording, trajectory)
     assert datum is not None  # there is at least one recording
     return datum

@@ -15,10 +15,13 @@ import typer
 
 from fieldgrid.cli import (
     build,
+    convert,
     diff,
     evaluate,
     export,
+    inspect,
     merge,
+    mount,
     query,
     repair,
     sessions,
@@ -37,8 +40,11 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.command("inspect")(inspect.command)
 app.command("track")(track.command)
 app.command("build")(build.command)
+app.command("mount")(mount.command)
+app.command("convert")(convert.command)
 app.command("sessions")(sessions.command)
 app.command("show")(show.command)
 app.command("export")(export.command)

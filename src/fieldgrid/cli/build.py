@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import output, parse
+from fieldgrid.cli import output, parse, recording_options
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress, SessionReport
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def command(
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="RECORDING...", help="Folders of recordings.")
+        list[Path] | None, typer.Argument(metavar="RECORDING...", help="Recordings.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="MAP.gpkg", help="The map file.")
@@ -33,16 +33,11 @@ def command(
             help="Instead: estimate the poses of this map's drives again, without images.",
         ),
     ] = None,
-    gnss: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Which GNSS log of the recording.")
-    ] = None,
-    heading: Annotated[
-        str | None,
-        typer.Option(
-            metavar="smooth|course|recorded|constant:DEG",
-            help="Where headings come from [smooth: all that the drive carries, at once].",
-        ),
-    ] = None,
+    gnss: recording_options.Gnss = None,
+    topic: recording_options.Topic = None,
+    mounting: recording_options.MountingFile = None,
+    time_offset: recording_options.TimeOffset = None,
+    heading: recording_options.Heading = None,
     visual_odometry: Annotated[
         bool | None,
         typer.Option(help="Whether the camera's own motion helps to find the poses."),
@@ -61,13 +56,7 @@ def command(
     name: Annotated[
         str | None, typer.Option(help="The session's name, for a single recording.")
     ] = None,
-    datum: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON,HEIGHT",
-            help="Origin of a new map [recording's own, else its first accepted fix].",
-        ),
-    ] = None,
+    datum: recording_options.DatumText = None,
     datum_from: Annotated[
         Path | None,
         typer.Option(metavar="MAP.gpkg", help="Take the origin of another map, to merge with it."),
@@ -97,11 +86,9 @@ def command(
         typer.Option(metavar="centre|area", help="Local to universal cells [centre]."),
     ] = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Take every N-th frame.")] = 1,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Settings; flags override them.")
-    ] = None,
+    config: recording_options.Config = None,
     jobs: Annotated[int | None, typer.Option(min=1, max=256, help="Threads [one a core].")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: recording_options.AsJson = False,
 ) -> None:
     """Make a map from recordings (stereo pairs and GNSS), or append them to one.
 
@@ -146,6 +133,7 @@ def command(
             recordings,
             out,
             gnss,
+            recording_options.given(topic, mounting, time_offset),
             settings,
             _datum(datum, datum_from),
             append,
@@ -256,6 +244,7 @@ def _run(
     paths: list[Path],
     out: Path,
     gnss: str | None,
+    given: recording_options.Given,
     settings: BuildSettings,
     datum: Any,
     append: bool,
@@ -272,6 +261,9 @@ def _run(
             out,
             settings,
             gnss=gnss,
+            topics=given.topics,
+            mounting=given.mounting,
+            image_time_offset_ns=given.image_time_offset_ns,
             datum=datum,
             append=append,
             overwrite=overwrite,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import output, parse
+from fieldgrid.cli import output, parse, recording_options
 
 if TYPE_CHECKING:
     from fieldgrid.build.tracking import TrackedDrive
@@ -21,19 +21,14 @@ _MOST_REASONS = 6
 
 def command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording's folder, or a GNSS log.")
+        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="track.csv", help="The table.")],
-    gnss: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Which GNSS log of the recording.")
-    ] = None,
-    heading: Annotated[
-        str | None,
-        typer.Option(
-            metavar="smooth|course|recorded|constant:DEG",
-            help="Where headings come from [smooth].",
-        ),
-    ] = None,
+    gnss: recording_options.Gnss = None,
+    topic: recording_options.Topic = None,
+    mounting: recording_options.MountingFile = None,
+    time_offset: recording_options.TimeOffset = None,
+    heading: recording_options.Heading = None,
     columns: Annotated[
         str | None,
         typer.Option(metavar="KEY=COLUMN,...", help="What the columns of a table are."),
@@ -52,20 +47,12 @@ def command(
             help="Of a log alone: what a recorded heading has more than the nose, clockwise.",
         ),
     ] = None,
-    datum: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON,HEIGHT",
-            help="Origin of east and north [recording's own, else its first accepted fix].",
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Settings; flags override them.")
-    ] = None,
+    datum: recording_options.DatumText = None,
+    config: recording_options.Config = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: recording_options.AsJson = False,
 ) -> None:
     """Write where the vehicle was, where it pointed and how sure that is, a row a GNSS fix.
 
@@ -86,6 +73,7 @@ def command(
     from fieldgrid.track import check_target, summarise_track, write_track
 
     origin = parse.datum(datum)
+    given = recording_options.given(topic, mounting, time_offset)
     mapping = None if columns is None else columns_from_text(columns)
     settings = resolve(config, {"pose": {"heading": heading}})
     carrier = None
@@ -93,7 +81,15 @@ def command(
         carrier = Carrier(antenna_ahead or 0.0, heading_offset)
     check_target(out)
     drive = track_drive(
-        recording, settings, gnss=gnss, columns=mapping, datum=origin, carrier=carrier
+        recording,
+        settings,
+        gnss=gnss,
+        columns=mapping,
+        datum=origin,
+        carrier=carrier,
+        topics=given.topics,
+        mounting=given.mounting,
+        image_time_offset_ns=given.image_time_offset_ns,
     )
     write_track(drive.estimate, out)
     if figure is not None:

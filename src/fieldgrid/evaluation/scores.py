@@ -236,17 +236,17 @@ def _spec_of(info: SessionInfo) -> GridSpec:
 def _view_points(
     spec: GridSpec, config: Mapping[str, Any], step_m: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Points of the local grid that the left camera sees the ground of, within range."""
+    """Points of the local grid that the camera sees the ground of, of a pair the left one, within
+    range. A lidar looks to all sides."""
     try:
-        camera, mount = config["rig"]["camera"], config["rig"]["mount"]
-        max_range_m = float(config["max_range_m"])
-        right = (camera["width_px"] - 1 - camera["cx_px"]) / camera["focal_px"]
-        left = camera["cx_px"] / camera["focal_px"]
-        lowest_deg = mount["tilt_deg"] + math.degrees(
-            math.atan((camera["height_px"] - 1 - camera["cy_px"]) / camera["focal_px"])
-        )
-        nearest_m = mount["height_m"] / math.tan(math.radians(max(lowest_deg, 0.1)))
-        offset_m = -camera["baseline_m"] / 2.0
+        rig, max_range_m = config["rig"], float(config["max_range_m"])
+        if "lidar" in rig:
+            left = right = math.inf
+            nearest_m, offset_m = step_m, 0.0
+        else:
+            left, right, lowest, offset_m = _field_of_view(rig)
+            lowest_deg = rig["mount"]["tilt_deg"] + math.degrees(math.atan(lowest))
+            nearest_m = rig["mount"]["height_m"] / math.tan(math.radians(max(lowest_deg, 0.1)))
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise TruthError(
             f"The map's session does not say what its camera saw ({error!r} in its settings), so "
@@ -260,6 +260,20 @@ def _view_points(
         (np.hypot(x, y) <= max_range_m) & (x - offset_m >= -left * y) & (x - offset_m <= right * y)
     )
     return x[seen], y[seen]
+
+
+def _field_of_view(rig: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    """Tangents from the axis of the camera to its left, right and lower edge, and how far right
+    of the grid origin it is."""
+    camera = rig["camera"] if "camera" in rig else rig["depth_camera"]
+    is_pair = "camera" in rig
+    fx_px, fy_px = (camera[key] for key in (("focal_px",) * 2 if is_pair else ("fx_px", "fy_px")))
+    return (
+        camera["cx_px"] / fx_px,
+        (camera["width_px"] - 1 - camera["cx_px"]) / fx_px,
+        (camera["height_px"] - 1 - camera["cy_px"]) / fy_px,
+        -camera["baseline_m"] / 2.0 if is_pair else 0.0,
+    )
 
 
 def _cell_centres(view: MapView) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -2,6 +2,7 @@
 
 from fieldgrid.gnss.conditioning import condition
 from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
+from fieldgrid.gnss.gps_time import leap_seconds
 from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
 from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
@@ -21,6 +22,7 @@ __all__ = [
     "UbxParser",
     "Verdict",
     "condition",
+    "leap_seconds",
     "parse_nmea",
     "parse_ubx",
     "position_sigma_m",

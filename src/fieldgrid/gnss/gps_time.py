@@ -32,3 +32,9 @@ def unix_ns(week: int, of_week_ns: int) -> int:
     gps_s += week * _WEEK_S
     leaps = bisect_right(_LEAPS_GPS_S, gps_s)
     return (GPS_EPOCH_UNIX_S + gps_s - leaps) * 1_000_000_000 + fraction_ns
+
+
+def leap_seconds(time_ns: int) -> int:
+    """How many seconds GPS time is ahead of UTC at a time in UTC, nanoseconds since 1970."""
+    gps_s = time_ns // 1_000_000_000 - GPS_EPOCH_UNIX_S
+    return sum(gps_s >= leap_s - count for count, leap_s in enumerate(_LEAPS_GPS_S, start=1))

@@ -90,6 +90,19 @@ def step(start: Features, stop: Features, rig: Rig, guess: Guess | None = None) 
     A `guess` narrows the search to three of its sigmas, which helps where the images overlap
     little; nothing else of it enters the step.
     """
+    found = _found(start, stop, rig, guess)
+    return found if isinstance(found, Refusal) else _in_vehicle_frame(found, rig)
+
+
+def camera_motion(start: Features, stop: Features, rig: Rig) -> Motion3 | Refusal:
+    """How the left camera moved between two frames, in all six degrees of freedom, or why that
+    cannot be told. Of the mount it needs no more than roughly where up is."""
+    found = _found(start, stop, rig, None)
+    return found if isinstance(found, Refusal) else found.motion
+
+
+def _found(start: Features, stop: Features, rig: Rig, guess: Guess | None) -> Refined | Refusal:
+    """The motion of the camera, or why it is not to be believed."""
     fewest = min(len(start.blur_px), len(stop.blur_px))
     if fewest < MIN_FEATURES:
         return Refusal(f"only {fewest} points with depth in a frame, {MIN_FEATURES} are needed")
@@ -103,7 +116,7 @@ def step(start: Features, stop: Features, rig: Rig, guess: Guess | None = None) 
     if found is None:
         return Refusal("the matched points do not determine a motion")
     doubt = _doubt(found, start, stop, rig) or _rival(found, matches, start, stop, lens)
-    return doubt or _in_vehicle_frame(found, rig)
+    return doubt or found
 
 
 def lens_of(rig: Rig) -> Lens:

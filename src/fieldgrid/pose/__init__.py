@@ -1,6 +1,6 @@
 """Poses: where the grid origin was, where the nose pointed, how sure that is, and in which gear."""
 
-from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.clock import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, PoseReport, carry_lever, estimate_poses
 from fieldgrid.pose.paper import default_baseline_m
@@ -11,6 +11,7 @@ from fieldgrid.pose.verdict import Budget
 __all__ = [
     "Budget",
     "ClockOffset",
+    "ClockSearch",
     "Comparison",
     "Estimate",
     "HeadingSource",

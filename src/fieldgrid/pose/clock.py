@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,78 +17,202 @@ from fieldgrid.rig import Vehicle
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]
 
-WIDEST_S, FINEST_S = 2.5, 0.05
-"""Offsets are tried up to the widest, this far apart."""
+WIDEST_S, COARSE_S = 2.5, 0.05
+"""Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
+
+FINE_S, FINE_REACH_S = 0.01, 0.3
+"""About the best of them offsets are tried so far apart, up to so far away."""
 
 WAY_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
-"""How far the drive and a camera's step differ with the best of clocks."""
+"""How far the drive and a camera's step differ with the best of clocks, before that is known."""
+
+LEAST_TURN_DEG = 0.05
+"""With a gyro the turns agree much better than without one, but not better than this."""
+
+PARTS = 8
+"""Neighbouring steps share the errors of the drive, so the scatter of the offset is taken from
+what it would be without each of so many stretches."""
 
 OUTLIER_FREEDOM = 4.0
 """Of Student's distribution, which a step is taken to differ by."""
+
+FARTHEST_S, SCAN_S = 60.0, 0.25
+"""Where nothing near fits, offsets are tried up to the farthest: GPS time is 18 s off UTC."""
+
+POOR_MISFIT, BETTER_SHARE = 4.0, 0.5
+"""A drive and its camera fit badly when steps are off by more than two usual sigmas; another
+offset must be better by so much to be believed."""
 
 FEWEST_STEPS = 10
 
 MOST_SIGMA_S = 0.1
 """A drive that does not tell the offset better than this does not tell it."""
 
+CLEAR_LEAD = 16.0
+"""By so much the sum of squares must be larger at every other offset: four sigmas. On an even
+drive, noise alone makes a lowest place."""
+
+LEAST_SIGMA_S = 0.003
+"""What no drive tells: exposure, and the time between two lines of a sensor."""
+
+LEAST_OFFSET_S = 0.02
+"""At walking pace, a smaller offset is 4 cm."""
+
 
 class ClockOffset(NamedTuple):
     """`offset_s` ± `sigma_s` is to be added to image time stamps, beyond what the rig declares
-    already, to give the receiver's time; from `steps` motions of the camera."""
+    already, to give the receiver's time; from `steps` motions of the camera. `misfit` is the
+    mean squared distance of a step from the drive, in sigmas that are usual."""
 
     offset_s: float
     sigma_s: float
     steps: int
+    misfit: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether there is an offset, and large enough to matter."""
+        return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
+
+
+class ClockSearch:
+    """A drive without its camera, beside which the camera's motion can be laid."""
+
+    def __init__(self, placed: Placed, motion: Motion, rig: Vehicle | None) -> None:
+        """`motion` holds at least one step."""
+        assert motion.steps is not None
+        self._steps = motion.steps
+        self._drive = smooth_drive(placed, motion._replace(steps=None), rig)
+        self._ahead_m = 0.0 if rig is None else -axle_forward_m(rig)
+
+    def misfit(self, offset_s: float) -> float:
+        """The mean squared distance of the steps from the drive with this offset; infinite
+        when most of them would lie outside of it."""
+        steps = self._inside(offset_s, 0.0)
+        if len(steps.start_ns) < max(FEWEST_STEPS, len(self._steps.start_ns) // 2):
+            return float("inf")
+        return float(self._squared(steps, offset_s).mean())
+
+    def best(self, near_s: float = 0.0, reach_s: float = WIDEST_S) -> ClockOffset | None:
+        """The offset within `reach_s` of `near_s` at which the camera's motion fits the drive;
+        None when the drive is too even to tell."""
+        steps = self._inside(near_s, reach_s)
+        count = len(steps.start_ns)
+        if count < FEWEST_STEPS:
+            return None
+        offsets_s = near_s + np.arange(-reach_s, reach_s + COARSE_S / 2.0, COARSE_S)
+        coarse = np.array([self._squared(steps, offset).sum() for offset in offsets_s])
+        at = int(np.argmin(coarse))
+        if at in (0, len(coarse) - 1):
+            return None
+        sigmas = self._sigmas(steps, float(offsets_s[at]))
+        fine_s = offsets_s[at] + np.arange(-FINE_REACH_S, FINE_REACH_S + FINE_S / 2.0, FINE_S)
+        fine = np.array([self._squared(steps, offset, *sigmas) for offset in fine_s])
+        lowest = _lowest(fine_s, fine.sum(axis=1))
+        if lowest is None:
+            return None
+        offset_s, bend, least = lowest
+        # A misfit of one a step is as it should be; a larger one tells of larger errors.
+        told_s = math.sqrt(2.0 / bend * max(1.0, least / count))
+        sigma_s = math.hypot(told_s, _by_parts(fine_s, fine), LEAST_SIGMA_S)
+        elsewhere = np.abs(offsets_s - offset_s) > max(2.0 * COARSE_S, 5.0 * sigma_s)
+        lead = coarse[elsewhere].min(initial=np.inf) - coarse[at]
+        if sigma_s > MOST_SIGMA_S or lead < CLEAR_LEAD:
+            return None
+        return ClockOffset(offset_s, sigma_s, count, float(coarse[at]) / count)
+
+    def far(self) -> ClockOffset | None:
+        """The best offset within a minute, near or far; None when there is no clear one."""
+        scan_s = np.arange(-FARTHEST_S, FARTHEST_S + SCAN_S / 2.0, SCAN_S)
+        misfits = [self.misfit(offset) for offset in scan_s]
+        at = int(np.argmin(misfits))
+        return self.best(float(scan_s[at])) if np.isfinite(misfits[at]) else None
+
+    def _inside(self, near_s: float, margin_s: float) -> Steps:
+        drive, steps = self._drive, self._steps
+        shift_ns, margin_ns = round(near_s * 1e9), int(margin_s * 1e9)
+        first, last = drive.time_ns[0] + margin_ns, drive.time_ns[-1] - margin_ns
+        keep = (steps.start_ns + shift_ns >= first) & (steps.stop_ns + shift_ns <= last)
+        return Steps(*(column[keep] for column in steps))
+
+    def _sigmas(self, steps: Steps, offset_s: float) -> tuple[float, float]:
+        """How far these steps and the drive differ along an axis and in the turn, by medians."""
+        along, aside, turn = self._differences(steps, offset_s)
+        way_m = 1.4826 * float(np.median(np.abs(np.concatenate([along, aside]))))
+        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
+        # Larger ones than usual are no reason to believe the drive more in other respects.
+        return max(way_m, WAY_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
+
+    def _squared(
+        self,
+        steps: Steps,
+        offset_s: float,
+        way_sigma_m: float = WAY_SIGMA_M,
+        turn_sigma_deg: float = TURN_SIGMA_DEG,
+    ) -> _Float64:
+        """The squared distance of each step from the drive, in sigmas; outliers count the less
+        the farther they lie (a bound would kink the sum, and shift its lowest place)."""
+        along, aside, turn = self._differences(steps, offset_s)
+        squared = (np.hypot(along, aside) / np.hypot(steps.sigma_m, way_sigma_m)) ** 2
+        squared += (turn / np.hypot(steps.sigma_deg, turn_sigma_deg)) ** 2
+        robust: _Float64 = OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)
+        return robust
+
+    def _differences(self, steps: Steps, offset_s: float) -> tuple[_Float64, _Float64, _Float64]:
+        """What the drive has more than each step: metres forward and right, degrees of turn."""
+        shift = round(offset_s * 1e9)
+        e0, n0, phi0 = _pose_at(self._drive, steps.start_ns + shift, self._ahead_m)
+        e1, n1, phi1 = _pose_at(self._drive, steps.stop_ns + shift, self._ahead_m)
+        sin, cos = np.sin(np.radians(phi0)), np.cos(np.radians(phi0))
+        forward = (e1 - e0) * sin + (n1 - n0) * cos
+        right = (e1 - e0) * cos - (n1 - n0) * sin
+        turn = np.asarray(wrap_deg(phi1 - phi0 - steps.turn_deg))
+        return forward - steps.forward_m, right - steps.right_m, turn
 
 
 def clock_offset(placed: Placed, motion: Motion, rig: Vehicle | None) -> ClockOffset | None:
     """The offset at which the camera's motion fits the drive without it; None when the drive
-    is too even to tell."""
+    is too even to tell. Looked for farther away only where it fits badly near by."""
     if motion.steps is None or len(motion.steps.start_ns) < FEWEST_STEPS:
         return None
-    drive = smooth_drive(placed, motion._replace(steps=None), rig)
-    ahead_m = 0.0 if rig is None else -axle_forward_m(rig)
-    offsets_s = np.arange(-WIDEST_S, WIDEST_S + FINEST_S / 2.0, FINEST_S)
-    steps = _inside(motion.steps, drive, WIDEST_S)
-    if len(steps.start_ns) < FEWEST_STEPS:
+    search = ClockSearch(placed, motion, rig)
+    near = search.best()
+    usual = near.misfit if near is not None else search.misfit(0.0)
+    if usual < POOR_MISFIT:
+        return near
+    # A gyro that goes with the images, and not with the fixes, would spoil the drive.
+    alone = motion if motion.gyro is None else motion._replace(gyro=None)
+    for one in (search, search if alone is motion else ClockSearch(placed, alone, rig)):
+        far = one.far()
+        if far is not None and far.misfit < BETTER_SHARE * usual:
+            return far
+    return near
+
+
+def _lowest(offsets_s: _Float64, sums: _Float64) -> tuple[float, float, float] | None:
+    """Where a sum is lowest, by a parabola over its surroundings: the offset, the second
+    derivative, the least value; None where it has no lowest place inside."""
+    at = int(np.argmin(sums))
+    around = slice(max(at - 5, 0), at + 6)
+    if at in (0, len(sums) - 1):
         return None
-    misfit = np.array([_misfit(steps, drive, ahead_m, offset) for offset in offsets_s])
-    best = int(np.argmin(misfit))
-    if best in (0, len(misfit) - 1):
-        return None
-    below, here, above = misfit[best - 1 : best + 2]
-    bend = (below - 2.0 * here + above) / FINEST_S**2
+    middle_s = float(offsets_s[at])
+    bend, slope, _ = np.polyfit(offsets_s[around] - middle_s, sums[around], 2)
     if bend <= 0.0:
         return None
-    offset_s = offsets_s[best] + (below - above) / (2.0 * bend * FINEST_S)
-    # A misfit of one a step is as it should be; a larger one tells of larger errors.
-    sigma_s = float(np.sqrt(2.0 / bend * max(1.0, here / len(steps.start_ns))))
-    if sigma_s > MOST_SIGMA_S:
-        return None
-    return ClockOffset(float(offset_s), sigma_s, len(steps.start_ns))
+    return middle_s - float(slope / (2.0 * bend)), float(2.0 * bend), float(sums[at])
 
 
-def _inside(steps: Steps, drive: Drive, margin_s: float) -> Steps:
-    margin_ns = int(margin_s * 1e9)
-    first, last = drive.time_ns[0] + margin_ns, drive.time_ns[-1] - margin_ns
-    keep = (steps.start_ns >= first) & (steps.stop_ns <= last)
-    return Steps(*(column[keep] for column in steps))
-
-
-def _misfit(steps: Steps, drive: Drive, ahead_m: float, offset_s: float) -> float:
-    """Sum over the steps of their squared distance from the drive, in sigmas; outliers count the
-    less the farther they lie (a bound would kink the sum, and shift its lowest place)."""
-    shift = round(offset_s * 1e9)
-    e0, n0, phi0 = _pose_at(drive, steps.start_ns + shift, ahead_m)
-    e1, n1, phi1 = _pose_at(drive, steps.stop_ns + shift, ahead_m)
-    sin, cos = np.sin(np.radians(phi0)), np.cos(np.radians(phi0))
-    forward = (e1 - e0) * sin + (n1 - n0) * cos
-    aside = (e1 - e0) * cos - (n1 - n0) * sin
-    way = np.hypot(forward - steps.forward_m, aside - steps.right_m)
-    turn = np.asarray(wrap_deg(phi1 - phi0 - steps.turn_deg))
-    squared = (way / np.hypot(steps.sigma_m, WAY_SIGMA_M)) ** 2
-    squared += (turn / np.hypot(steps.sigma_deg, TURN_SIGMA_DEG)) ** 2
-    return float((OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)).sum())
+def _by_parts(offsets_s: _Float64, squared: _Float64) -> float:
+    """The 1-sigma error of the lowest place of a sum over steps, by leaving out stretches of
+    them (the jackknife). `squared` is [offsets, steps]."""
+    total, found = squared.sum(axis=1), []
+    for part in np.array_split(np.arange(squared.shape[1]), PARTS):
+        lowest = _lowest(offsets_s, total - squared[:, part].sum(axis=1))
+        if lowest is None:
+            return float("inf")
+        found.append(lowest[0])
+    return float(np.sqrt((PARTS - 1) / PARTS * np.sum((np.array(found) - np.mean(found)) ** 2)))
 
 
 def _pose_at(drive: Drive, time_ns: _Int64, ahead_m: float) -> tuple[_Float64, _Float64, _Float64]:

@@ -169,11 +169,12 @@ def _constant_note(source: HeadingSource, drive: Drive, settings: PoseSettings) 
 
 
 def _clock_note(clock: ClockOffset | None) -> list[str]:
-    if clock is None or abs(clock.offset_s) < max(3.0 * clock.sigma_s, 0.03):
+    if clock is None or not clock.is_certain:
         return []
     return [
-        f"The images seem stamped {-clock.offset_s:+.2f} s ± {clock.sigma_s:.2f} s against the "
-        f"fixes; if so, add {clock.offset_s:.2f} to image_time_offset_s in recording.toml."
+        f"The images seem stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
+        f"fixes; if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or to "
+        "--time-offset."
     ]
 
 

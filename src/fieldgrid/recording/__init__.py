@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording import folder, kitti
+from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry
 from fieldgrid.recording.columns import Columns, columns_from_text
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.images import ImageFile
@@ -47,7 +47,9 @@ __all__ = [
     "StereoFrame",
     "Stream",
     "columns_from_text",
+    "is_bag",
     "is_recording",
+    "kind_of",
     "open_log",
     "open_recording",
 ]
@@ -59,16 +61,36 @@ class _Backend(NamedTuple):
     open: Callable[[Path, Options], Recording]
 
 
+_BAG = _Backend(bag.LOOKS_FOR, bag.recognises, bag.open_recorded)
 _BACKENDS = {
     "KITTI raw": _Backend(kitti.LOOKS_FOR, kitti.recognises, kitti.open_kitti),
+    "KITTI odometry": _Backend(
+        kitti_odometry.LOOKS_FOR, kitti_odometry.recognises, kitti_odometry.open_sequence
+    ),
+    "EuRoC": _Backend(euroc.LOOKS_FOR, euroc.recognises, euroc.open_euroc),
     "plain folder": _Backend(folder.LOOKS_FOR, folder.recognises, folder.open_folder),
+    "ROS bag": _BAG,
 }
 
 
 def is_recording(path: str | Path) -> bool:
-    """Whether a path is the folder of a recording, rather than a log or something else."""
-    path = Path(path)
-    return path.is_dir() and any(backend.recognises(path) for backend in _BACKENDS.values())
+    """Whether a path is a recording, a bag included, rather than a log or something else."""
+    return _backend(Path(path)) is not None
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether a path is a recording in a ROS bag, and none of another kind."""
+    return _backend(Path(path)) is _BAG
+
+
+def kind_of(path: str | Path) -> str:
+    """What kind of recording a path is, in words; empty when it is none that is known."""
+    backend = _backend(Path(path))
+    return next((kind for kind, one in _BACKENDS.items() if one is backend), "")
+
+
+def _backend(path: Path) -> _Backend | None:
+    return next((one for one in _BACKENDS.values() if one.recognises(path)), None)
 
 
 def open_log(path: str | Path, columns: Columns | None = None) -> FixLog:
@@ -102,12 +124,13 @@ def open_recording(
     own = mounting if isinstance(mounting, Mounting | None) else Path(mounting)
     options = Options(gnss, columns, topics or {}, own, image_time_offset_ns)
     try:
-        if not path.is_dir():
-            what = "is a file" if path.exists() else "does not exist"
-            raise RecordingError(f"{path} {what}; give the folder of a recording.")
-        for backend in _BACKENDS.values():
-            if backend.recognises(path):
-                return backend.open(path, options)
+        if not path.exists():
+            raise RecordingError(f"{path} does not exist; give the folder of a recording or a bag.")
+        backend = _backend(path)
+        if backend is not None:
+            return backend.open(path, options)
+        if path.is_file():
+            raise RecordingError(f"{path} is a file, and no bag; give the folder of a recording.")
     except OSError as problem:
         raise _unreadable(problem, path) from problem
     kinds = "; ".join(f"{backend.looks_for} ({kind})" for kind, backend in _BACKENDS.items())

@@ -12,19 +12,25 @@ from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.logs import find_log, passed_over, read_fix_log
 from fieldgrid.recording.motion_files import AXES, read_motion
 from fieldgrid.recording.mounting import MOUNTING, Mounting, read_mounting
+from fieldgrid.recording.protocol import Stream
 from fieldgrid.rig import Rig
 
 LOOKS_FOR = "gnss/"
 
 
 class BareDrive(NamedTuple):
-    """What a drive without images holds; `rig` is None where nothing says what carried it."""
+    """What a drive without images holds; `rig` is None where nothing says what carried it.
+
+    `streams` are everything that was recorded, used or not, where that is more than the fixes and
+    the motion.
+    """
 
     fixes: tuple[Fix, ...]
     motion: Motion
     rig: Rig | None
     gnss_source: str
     notes: tuple[str, ...]
+    streams: tuple[Stream, ...] = ()
 
 
 def recognises(path: Path) -> bool:

@@ -10,7 +10,7 @@ import stat
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import BinaryIO, cast
 
 from fieldgrid.errors import FieldgridError, RecordingError
@@ -35,6 +35,14 @@ def check_regular(path: Path, error: type[FieldgridError] = RecordingError) -> i
     if not stat.S_ISREG(status.st_mode):
         raise error(f"{path} is not a regular file; put the file itself there.")
     return status.st_size
+
+
+def is_inside(name: str) -> bool:
+    """Whether a path that a recording names stays in it: the recording may come from elsewhere,
+    and must not reach for other files of the reader."""
+    return bool(name) and not (
+        PurePath(name).is_absolute() or ".." in PurePath(name).parts or "\0" in name
+    )
 
 
 def read_bytes(

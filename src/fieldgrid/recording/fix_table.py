@@ -23,7 +23,7 @@ from fieldgrid.recording.columns import (
 )
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recording.qualities import read_qualities
+from fieldgrid.recording.qualities import by_sigma, read_qualities
 from fieldgrid.recording.table_time import TimeColumn, find_time
 from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
 
@@ -43,7 +43,6 @@ _WORDS_ONLY = frozenset(
     {"status", "fix_status", "fix_type", "fixtype", "fix", "carrier", "carrsoln"}
 )
 _FALSE = frozenset({"false", "no", "f", "n", "invalid", "0", "0.0"}) | NOTHING
-_CENTIMETRES_M, _DECIMETRES_M = 0.05, 0.5
 
 
 def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
@@ -216,7 +215,8 @@ class _Plan:
         self, block: Block, keep: npt.NDArray[np.intp], sigma: _Float64 | None
     ) -> list[int]:
         if "quality" not in self.places:
-            return _by_sigma(sigma, keep.size)
+            listed: list[int] = [1] * keep.size if sigma is None else by_sigma(sigma).tolist()
+            return listed
         name = self.table.header[self.places["quality"]]
         said = "quality" in self.columns.names or take_apart(name).base not in _WORDS_ONLY
         read = read_qualities(self._kept("quality", block, keep), numbers_are_gga=said)
@@ -265,16 +265,6 @@ class _Plan:
 def _or_none(values: _Float64) -> list[float | None]:
     listed = values.tolist()
     return [v if v == v else None for v in listed] if np.isnan(values).any() else listed
-
-
-def _by_sigma(sigma: _Float64 | None, count: int) -> list[int]:
-    """Qualities by the error that the receiver states: centimetres need carrier phases."""
-    if sigma is None:
-        return [1] * count
-    known = sigma > 0.0
-    codes = np.where(sigma <= _CENTIMETRES_M, 4, np.where(sigma <= _DECIMETRES_M, 5, 1))
-    listed: list[int] = np.where(known, codes, 1).tolist()
-    return listed
 
 
 def _fewest(cell: str) -> int | None:

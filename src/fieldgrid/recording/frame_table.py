@@ -1,35 +1,66 @@
-"""The frames of a plain folder: by `frames.csv`, or by the names of the images."""
+"""The frames of a plain folder: by `frames.csv`, or by the names of the files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.files import parse_time_ns, read_table
+from fieldgrid.recording.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recording.images import SUFFIXES
-from fieldgrid.recording.stored import Pair, checked_pairs
+from fieldgrid.recording.stored import Shot, checked_shots
+
+TimeOf = Callable[[Path], int]
+"""The time of a file that its name does not tell, UTC in nanoseconds; RecordingError without."""
 
 TABLE = "frames.csv"
 
 
-def read_frames(folder: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
-    """The stereo pairs of a folder in order of time, and remarks."""
-    if (folder / TABLE).exists():
-        return checked_pairs(_from_table(folder / TABLE), folder), ()
-    pairs, notes = _from_names(folder)
-    return checked_pairs(pairs, folder), notes
+class Layout(NamedTuple):
+    """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
+    endings of its files, what a frame and a file are called, and what else tells a file's time."""
+
+    columns: tuple[str, ...]
+    folders: tuple[str, ...]
+    suffixes: Collection[str]
+    what: str
+    file: str = "image"
+    time_of: TimeOf | None = None
+
+    def is_in(self, folder: Path) -> bool:
+        """Whether all the folders are there."""
+        return all((folder / name).is_dir() for name in self.folders)
 
 
-def _from_table(path: Path) -> list[Pair]:
-    pairs = []
-    for line, row in read_table(path, ("frame_id", "left", "right")):
+PAIRS = Layout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
+
+
+def read_frames(
+    folder: Path, table: str | None = None, layout: Layout = PAIRS
+) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+    """The frames of a folder in order of time, and remarks.
+
+    `table` is the table to read, inside the folder; else `frames.csv` if there is one.
+    """
+    path = folder / (table or TABLE)
+    if table is not None or path.exists():
+        return checked_shots(_from_table(path, layout), folder, layout.what), ()
+    shots, notes = _from_names(folder, layout)
+    return checked_shots(shots, folder, layout.what), notes
+
+
+def _from_table(path: Path, layout: Layout) -> list[Shot]:
+    shots = []
+    needed = ("frame_id", *layout.columns)
+    for line, row in read_table(path, needed):
         where = f"{path}, line {line}"
-        for column in ("frame_id", "left", "right"):
+        for column in needed:
             if not row[column]:
                 raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
-        for name in (row["left"], row["right"]):
-            # The table may come from elsewhere: it must not reach for other files of the reader.
-            if PurePath(name).is_absolute() or ".." in PurePath(name).parts or "\0" in name:
+        files = tuple(row[column] for column in layout.columns)
+        for name in files:
+            if not is_inside(name):
                 raise RecordingError(
                     f"{where}: {name!r} leads out of the recording; give a path inside its folder."
                 )
@@ -37,35 +68,43 @@ def _from_table(path: Path) -> list[Pair]:
             time_ns = parse_time_ns(row)
         except ValueError as problem:
             raise RecordingError(f"{where}: {problem}; correct it.") from problem
-        pairs.append(Pair(time_ns, row["frame_id"], row["left"], row["right"]))
-    return pairs
+        shots.append(Shot(time_ns, row["frame_id"], files))
+    return shots
 
 
-def _from_names(folder: Path) -> tuple[list[Pair], tuple[str, ...]]:
-    left, right = _images(folder / "left"), _images(folder / "right")
-    common = left.keys() & right.keys()
-    pairs = []
+def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ...]]:
+    listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
+    common = set.intersection(*(set(listing) for listing in listings))
+    shots = []
     for stem in common:
-        try:
-            time_ns = parse_time_ns({"time_ns": stem})
-        except ValueError:
-            raise RecordingError(
-                f"{folder} has no {TABLE}, and the image name {left[stem]} is no UTC time in "
-                f"nanoseconds; add {TABLE} with frame_id, timestamp_utc_s, left, right."
-            ) from None
-        pairs.append(Pair(time_ns, stem, f"left/{left[stem]}", f"right/{right[stem]}"))
-    alone = len(left) + len(right) - 2 * len(common)
-    return pairs, (f"{alone} images without a partner skipped.",) if alone else ()
+        names = [found[stem] for found in listings]
+        files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
+        shots.append(Shot(_time_ns(folder, files[0], layout), stem, files))
+    alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
+    return shots, (f"{alone} images without a partner skipped.",) if alone else ()
 
 
-def _images(folder: Path) -> dict[str, str]:
-    """File names of the images of a folder by their stem."""
-    images: dict[str, str] = {}
+def _time_ns(folder: Path, file: str, layout: Layout) -> int:
+    try:
+        return parse_time_ns({"time_ns": PurePath(file).stem})
+    except ValueError:
+        if layout.time_of is not None:
+            return layout.time_of(folder / file)
+        raise RecordingError(
+            f"{folder} has no {TABLE}, and the {layout.file} name {PurePath(file).name} is no UTC "
+            f"time in nanoseconds; add {TABLE} with frame_id, timestamp_utc_s, "
+            f"{', '.join(layout.columns)}."
+        ) from None
+
+
+def _files(folder: Path, suffixes: Collection[str]) -> dict[str, str]:
+    """Names of the files of a folder by their stem."""
+    files: dict[str, str] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in SUFFIXES:
-            if path.stem in images:
+        if path.suffix.lower() in suffixes:
+            if path.stem in files:
                 raise RecordingError(
-                    f"{folder} has both {images[path.stem]} and {path.name}; remove one."
+                    f"{folder} has both {files[path.stem]} and {path.name}; remove one."
                 )
-            images[path.stem] = path.name
-    return images
+            files[path.stem] = path.name
+    return files

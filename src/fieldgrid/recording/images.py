@@ -3,35 +3,48 @@
 from __future__ import annotations
 
 import hashlib
-import re
-import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
+from fieldgrid.recording.image_header import Header, read_header
+from fieldgrid.recording.pixels import BITS, to_grey
 from fieldgrid.recording.protocol import Image
 
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"})
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff"})
 """File name endings of images that can be read, in lower case."""
 
 MAX_PIXELS = 100_000_000
 _MAX_FILE_BYTES = 8 * MAX_PIXELS
-_PNM = re.compile(rb"P[2356](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
-# Frames of JPEG, progressive and others; C4, C8 and CC are no frames.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_Pixels = npt.NDArray[np.uint8 | np.uint16]
+_NAMES = {1: "mono", 3: "bgr", 4: "bgra"}
+
+
+class ImageFormat(NamedTuple):
+    """What image files do not say of themselves: the colours of a Bayer mosaic, of the first two
+    rows (like "rggb", None for none), and how many of 16 bits the camera fills."""
+
+    bayer: str | None = None
+    bits: int = BITS[-1]
+
+
+AS_STORED = ImageFormat()
+"""No mosaic, and all bits filled."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFile:
-    """An image in a file: PNG, JPEG, BMP, PGM or PPM of at most `max_pixels`."""
+    """An image in a file: PNG, JPEG, BMP, PGM, PPM or TIFF of at most `max_pixels`."""
 
     path: Path
     max_pixels: int = MAX_PIXELS
+    format: ImageFormat = AS_STORED
 
     @property
     def name(self) -> str:
@@ -39,80 +52,86 @@ class ImageFile:
         return str(self.path)
 
     def read(self) -> Image:
-        """Grey, 8 bit, as stored: a rotation noted in the file is not applied.
+        """Grey, 8 bit, as stored: a rotation noted in the file is not applied."""
+        return decode_image(self._bytes(), self.name, self.max_pixels, self.format)
 
-        Colour becomes luma; of 16 bit the upper 8 are kept, the same in every image.
-        """
-        data = read_bytes(self.path, _MAX_FILE_BYTES)
-        if not data:
-            raise RecordingError(f"{self.path} is empty; record or copy it again.")
-        header = _header(data)
-        if header is None:
-            raise RecordingError(
-                f"{self.path} is no PNG, JPEG, BMP, PGM or PPM image; convert it, or restore it."
-            )
-        if header.width_px * header.height_px > self.max_pixels:
-            raise RecordingError(
-                f"{self.path} claims {header.width_px} x {header.height_px} px, more than "
-                f"{self.max_pixels} in all; scale the images down."
-            )
-        image = _decode(data) if header.is_whole else None
-        if image is None or image.shape != (header.height_px, header.width_px):
-            raise RecordingError(f"{self.path} is truncated or damaged; copy it again.")
-        return image
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) by the file's own header."""
+        header = _checked_header(self._bytes(), self.name, self.max_pixels)
+        return header.width_px, header.height_px
+
+    def deep_pixels(self) -> _Pixels | None:
+        """The pixels as stored if their values have 16 bits, else None."""
+        data = self._bytes()
+        header = _checked_header(data, self.name, self.max_pixels)
+        return _pixels(data, header, self.name) if header.is_deep else None
 
     def sha256(self) -> str:
         """The hash of the file."""
-        return hashlib.sha256(read_bytes(self.path, _MAX_FILE_BYTES)).hexdigest()
+        return hashlib.sha256(self._bytes()).hexdigest()
+
+    def _bytes(self) -> bytes:
+        return read_bytes(self.path, _MAX_FILE_BYTES)
 
 
-class _Header(NamedTuple):
-    width_px: int
-    height_px: int
-    is_whole: bool = True
+def decode_image(
+    data: bytes, name: str, max_pixels: int = MAX_PIXELS, image_format: ImageFormat = AS_STORED
+) -> Image:
+    """Grey, 8 bit, of an encoded image as stored; `name` is what errors call it.
+
+    Colour becomes luma, a Bayer mosaic too; of 16 bit the upper 8 of those that the format says
+    to be filled are kept, the same in every image.
+    """
+    header = _checked_header(data, name, max_pixels)
+    if image_format.bayer is None and not header.is_deep:
+        grey = _pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
+        return np.ascontiguousarray(grey, dtype=np.uint8)
+    pixels = _pixels(data, header, name)
+    return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
 
 
-def _decode(data: bytes) -> Image | None:
+def _checked_header(data: bytes, name: str, max_pixels: int) -> Header:
+    """What an image says of itself, once it is sure that such an image can be."""
+    if not data:
+        raise RecordingError(f"{name} is empty; record or copy it again.")
+    header = read_header(data)
+    if header is None:
+        raise RecordingError(
+            f"{name} is no PNG, JPEG, BMP, PGM, PPM or plain TIFF image; convert it, or restore it."
+        )
+    if header.width_px * header.height_px > max_pixels:
+        raise RecordingError(
+            f"{name} claims {header.width_px} x {header.height_px} px, more than "
+            f"{max_pixels} in all; scale the images down."
+        )
+    return header
+
+
+def _pixels(data: bytes, header: Header, name: str, flags: int = cv2.IMREAD_UNCHANGED) -> _Pixels:
+    pixels = _decode(data, flags) if header.is_whole else None
+    if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
+        raise RecordingError(f"{name} is truncated or damaged; copy it again.")
+    return pixels
+
+
+def _decode(data: bytes, flags: int) -> _Pixels | None:
     # A calibration is for the pixels as stored, so no orientation tag may turn them.
-    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    flags |= cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        return cast(_Pixels | None, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
     except cv2.error:
         return None
-    return None if image is None else np.ascontiguousarray(image, dtype=np.uint8)
 
 
-def _header(data: bytes) -> _Header | None:
-    """Size of an image by its own header, None if it is no image that we read.
-
-    The decoder would allocate whatever the header claims.
-    """
-    try:
-        if data.startswith(b"\x89PNG\r\n\x1a\n"):
-            width, height = struct.unpack(">II", data[16:24])
-            return _Header(width, height)
-        if data.startswith(b"\xff\xd8"):
-            return _jpeg_header(data)
-        if data.startswith(b"BM"):
-            width, height = struct.unpack("<ii", data[18:26])
-            return _Header(width, abs(height))
-    except struct.error:
-        return None
-    match = _PNM.match(data)
-    return None if match is None else _Header(int(match[1]), int(match[2]))
-
-
-def _jpeg_header(data: bytes) -> _Header | None:
-    at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        kind = data[at + 1]
-        if kind == 0xFF:  # padding
-            at += 1
-        elif kind in _JPEG_FRAMES:
-            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
-            # Some decoders fill a cut JPEG with grey. In coded data FF is never followed by D9,
-            # so the last FF D9 is the end of the image, or of a thumbnail before it.
-            return _Header(width, height, data.rfind(b"\xff\xd9") > at)
-        else:
-            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return None
+def _encoding(pixels: _Pixels, image_format: ImageFormat, name: str) -> str:
+    """What ROS calls such pixels."""
+    depth = 8 * pixels.itemsize
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    if image_format.bayer is None:
+        return f"{_NAMES[channels]}{depth}"
+    if channels != 1:
+        raise RecordingError(
+            f"{name} is a colour image, and recording.toml says that images are a Bayer mosaic; "
+            "leave bayer out."
+        )
+    return f"bayer_{image_format.bayer}{depth}"

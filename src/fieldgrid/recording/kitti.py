@@ -20,7 +20,7 @@ from fieldgrid.recording.kitti_calibration import (
 from fieldgrid.recording.mounting import MOUNTING
 from fieldgrid.recording.options import Options
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recording.stored import Pair, StoredRecording, checked_pairs
+from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
 from fieldgrid.rig import Rig
 
 _Float64 = npt.NDArray[np.float64]
@@ -53,26 +53,41 @@ def open_kitti(path: Path, options: Options) -> StoredRecording:
     drive = drives[0]
     times_ns, rows = _oxts(drive)
     left, right = _cameras(drive)
+    rig = _rig(drive, left, right, options)
     return StoredRecording(
         name=drive.resolve().name,
-        rig=_rig(drive, left, right, options),
+        rig=rig,
         folder=drive,
-        pairs=checked_pairs(_pairs(drive, left, right), drive),
+        shots=checked_shots(_shots(drive, left, right), drive),
+        kind=PairKind((rig.camera.width_px, rig.camera.height_px)),
         fix_log=tuple(oxts_fixes(times_ns, rows)),
         gnss_source="oxts",
         notes=(
-            f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; "
-            "no file of the drive gives it.",
+            *_height_note(rig),
             "The heights of oxts are above mean sea level, not above the ellipsoid.",
         ),
         own_motion=oxts_motion(times_ns, rows),
     )
 
 
+def _height_note(rig: Rig) -> tuple[str, ...]:
+    if rig.mount.height_m != CAMERA_HEIGHT_M:
+        return ()
+    return (
+        f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; "
+        "no file of the drive gives it.",
+    )
+
+
+def mounting_path(path: Path) -> Path:
+    """Where the mounting of a drive at or below a path is looked for."""
+    return next(iter(_drives(path)), path) / MOUNTING
+
+
 def _rig(drive: Path, left: str, right: str, options: Options) -> Rig:
-    """KITTI's own rig, unless another mounting is given."""
+    """KITTI's own rig, unless another mounting is given or lies in the drive."""
     rig, offset_ns = read_kitti_calibration(drive, left, right).rig(), options.offset_or(0)
-    if options.mounting is None:
+    if options.mounting is None and not (drive / MOUNTING).exists():
         return replace(rig, image_time_offset_ns=offset_ns)
     return options.find_mounting(drive / MOUNTING, drive).rig(rig.sensor, offset_ns)
 
@@ -94,7 +109,7 @@ def _cameras(drive: Path) -> tuple[str, str]:
     )
 
 
-def _pairs(drive: Path, left: str, right: str) -> list[Pair]:
+def _shots(drive: Path, left: str, right: str) -> list[Shot]:
     names_left, names_right = _listing(drive / f"image_{left}"), _listing(drive / f"image_{right}")
     different = sorted(set(names_left) ^ set(names_right))
     if different:
@@ -104,7 +119,7 @@ def _pairs(drive: Path, left: str, right: str) -> list[Pair]:
         )
     times_ns = _read_stamps(drive / f"image_{left}", len(names_left), "images")
     return [
-        Pair(time_ns, Path(name).stem, f"image_{left}/data/{name}", f"image_{right}/data/{name}")
+        Shot(time_ns, Path(name).stem, (f"image_{left}/data/{name}", f"image_{right}/data/{name}"))
         for time_ns, name in zip(times_ns, names_left, strict=True)
     ]
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import CalibrationError, RecordingError
-from fieldgrid.recording.calibration import camera_from_projections
 from fieldgrid.recording.files import read_text
+from fieldgrid.rectify import camera_from_projections
 from fieldgrid.rig import LeverArm, Mount, Rig
 
 _Float64 = npt.NDArray[np.float64]
@@ -74,15 +74,15 @@ def _centre(projection: _Float64) -> _Float64:
 def read_kitti_calibration(drive: Path, left: str, right: str) -> KittiCalibration:
     """The calibration of cameras `left` and `right`, like "00" and "01"."""
     cameras = _find(drive, "calib_cam_to_cam.txt")
-    table = _table(cameras)
+    table = read_entries(cameras)
     T_cam_velo = _transform(_find(drive, "calib_velo_to_cam.txt"))
     T_velo_imu = _transform(_find(drive, "calib_imu_to_velo.txt"))
     T_rect_cam = np.eye(4)
     T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", cameras)
-    size = _entry(table, f"S_rect_{left}", 2, cameras)
+    size = numbers(table, f"S_rect_{left}", 2, cameras)
     return KittiCalibration(
-        left=_entry(table, f"P_rect_{left}", 12, cameras).reshape(3, 4),
-        right=_entry(table, f"P_rect_{right}", 12, cameras).reshape(3, 4),
+        left=numbers(table, f"P_rect_{left}", 12, cameras).reshape(3, 4),
+        right=numbers(table, f"P_rect_{right}", 12, cameras).reshape(3, 4),
         size_px=(int(size[0]), int(size[1])),
         T_rect_imu=T_rect_cam @ T_cam_velo @ T_velo_imu,
         source=str(cameras),
@@ -100,28 +100,29 @@ def _find(drive: Path, name: str) -> Path:
 
 
 def _transform(path: Path) -> _Float64:
-    table = _table(path)
+    table = read_entries(path)
     T = np.eye(4)
     T[:3, :3] = _rotation(table, "R", path)
-    T[:3, 3] = _entry(table, "T", 3, path)
+    T[:3, 3] = numbers(table, "T", 3, path)
     return T
 
 
 def _rotation(table: dict[str, str], key: str, path: Path) -> _Float64:
-    R = _entry(table, key, 9, path).reshape(3, 3)
+    R = numbers(table, key, 9, path).reshape(3, 3)
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise CalibrationError(f"{path}: {key} is no rotation; restore the file.")
     return R
 
 
-def _table(path: Path) -> dict[str, str]:
+def read_entries(path: Path) -> dict[str, str]:
     """Lines `key: values` of a calibration file."""
     text = read_text(path, _MAX_BYTES, CalibrationError)
     lines = (line.partition(":") for line in text.splitlines())
     return {key.strip(): values for key, _, values in lines}
 
 
-def _entry(table: dict[str, str], key: str, count: int, path: Path) -> _Float64:
+def numbers(table: dict[str, str], key: str, count: int, path: Path) -> _Float64:
+    """The `count` numbers of an entry."""
     values = np.array(floats(table.get(key, ""), path), dtype=np.float64)
     if values.size != count or not (np.abs(values) < 1e9).all():
         raise CalibrationError(f"{path} lacks {key} with {count} numbers; restore the file.")

@@ -41,6 +41,11 @@ def find_log(folder: Path, wanted: str | Path | None) -> Path | None:
     return present[0] if present else None
 
 
+def log_name(path: Path, folder: Path) -> str:
+    """What a log is called in a recording: its path inside it, else its name."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+
+
 def passed_over(folder: Path) -> str:
     """A sentence on a recording without a log: what lies in `gnss/` and is not taken for one."""
     names = ", ".join(path.name for path in _files(folder / "gnss") if not _is_log(path))

@@ -48,9 +48,16 @@ class MotionFiles(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class _Series(NamedTuple):
+class Series(NamedTuple):
+    """Values with their times, increasing."""
+
     time_ns: _Int64
     values: _Float64
+
+
+def directions(axes: str) -> tuple[tuple[int, int, int], ...]:
+    """Where axes like flu point, one by one: forward, left, up."""
+    return tuple(_DIRECTIONS[axis] for axis in axes)
 
 
 def check_axes(axes: str) -> str:
@@ -86,7 +93,7 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings))
 
 
-def _read_gyro(path: Path, axes: str, notes: list[str]) -> tuple[Path, _Series] | None:
+def _read_gyro(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | None:
     """The clockwise rate about the vehicle's vertical, rad/s; None without a gyro."""
     vertical = next(k for k, axis in enumerate(axes) if axis in "ud")
     with open_table(path) as table:
@@ -113,7 +120,7 @@ def _find_rate(table: Table, axis: str) -> tuple[str, bool] | None:
     return (euroc, False) if euroc in table.header else None
 
 
-def _read_speed(path: Path, notes: list[str]) -> tuple[Path, _Series] | None:
+def _read_speed(path: Path, notes: list[str]) -> tuple[Path, Series] | None:
     with open_table(path) as table:
         named = {take_apart(name): name for name in reversed(table.header)}
         bases = {apart.base: apart for apart in named}
@@ -129,27 +136,32 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, _Series] | None:
     return path, series
 
 
-def _read(table: Table, name: str, factor: float, notes: list[str]) -> _Series:
+def _read(table: Table, name: str, factor: float, notes: list[str]) -> Series:
     """A column with its times, increasing; rows without either are dropped and counted."""
     time, place = find_time(table, Columns()), table.header.index(name)
     blocks = [(time.utc_ns(block), table.numbers(block, place)) for block in table.blocks()]
     times_ns = np.concatenate([times for times, _ in blocks] or [np.zeros(0, dtype=np.int64)])
     values = np.concatenate([values for _, values in blocks] or [np.zeros(0)]) * factor
-    known = (times_ns > 0) & np.isfinite(values)
-    times_ns, values = times_ns[known], values[known]
-    if np.any(np.diff(times_ns) <= 0):
-        times_ns, first = np.unique(times_ns, return_index=True)
-        values = values[first]
-    lost = len(known) - len(times_ns)
+    series, lost = in_order(times_ns, values)
     if lost:
         notes.append(
             f"{table.path.name}: {lost} rows without a time or value, or repeated, skipped."
         )
     notes += time.notes
-    return _Series(times_ns, values)
+    return series
 
 
-def _joined(parts: Sequence[tuple[Path, _Series]]) -> _Series | None:
+def in_order(times_ns: _Int64, values: _Float64) -> tuple[Series, int]:
+    """The values with a time, times increasing, the first of each; and how many are left out."""
+    known = (times_ns > 0) & np.isfinite(values)
+    kept_ns, kept = times_ns[known], values[known]
+    if np.any(np.diff(kept_ns) <= 0):
+        kept_ns, first = np.unique(kept_ns, return_index=True)
+        kept = kept[first]
+    return Series(kept_ns, kept), len(times_ns) - len(kept_ns)
+
+
+def _joined(parts: Sequence[tuple[Path, Series]]) -> Series | None:
     """The files of one sensor in order of time; two that overlap are two sensors."""
     filled = sorted((p for p in parts if len(p[1].time_ns)), key=lambda p: int(p[1].time_ns[0]))
     for (path, earlier), (other, later) in pairwise(filled):
@@ -159,7 +171,7 @@ def _joined(parts: Sequence[tuple[Path, _Series]]) -> _Series | None:
             )
     if not filled:
         return None
-    return _Series(
+    return Series(
         np.concatenate([series.time_ns for _, series in filled]),
         np.concatenate([series.values for _, series in filled]),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from fieldgrid.errors import CalibrationError
+from fieldgrid.publish import replacing
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.motion_files import AXES, check_axes
 from fieldgrid.rig import (
@@ -81,9 +82,14 @@ def missing_mounting(path: Path, recording: Path) -> CalibrationError:
     """The error of a recording that has no mounting where `path` would be."""
     return CalibrationError(
         f"{recording} does not say how its sensor is mounted: there is no {path.name}, and without "
-        f"height and tilt nothing can be placed; run `fieldgrid mount {recording} --write` to "
-        f"estimate them, or write {path}."
+        f"height and tilt nothing can be placed; run {estimating(recording)} to estimate them, or "
+        f"write {path}."
     )
+
+
+def estimating(recording: Path) -> str:
+    """The command that estimates a mounting and writes it; no drive tells where the antenna is."""
+    return f"`fieldgrid mount {recording} --write --antenna FORWARD LEFT UP`"
 
 
 def read_mounting(path: Path) -> Mounting:
@@ -119,6 +125,47 @@ def read_mounting(path: Path) -> Mounting:
         )
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
+
+
+def write_mounting(path: Path, mounting: Mounting) -> None:
+    """Write a mounting where :func:`read_mounting` finds it again.
+
+    A file that is there keeps its remarks, and is replaced at once or not at all. Raises
+    CalibrationError when it is no mounting, MapWriteError when the disk does not take it.
+    """
+    document: dict[str, Any] = {}
+    if path.exists():
+        read_mounting(path)
+        document = _load(path)
+    mount, antenna = mounting.mount, mounting.antenna
+    document[_HEIGHT], document[_TILT] = mount.height_m, mount.tilt_deg
+    document[_ROLL], document[_YAW] = mount.roll_deg, mount.yaw_deg
+    # Rounded to micrometres: the height was added when it was read.
+    up_m = round(antenna.up_m - mount.height_m, 6)
+    document[_ANTENNA] = [antenna.forward_m, -antenna.right_m + 0.0, up_m]
+    axle_m = mounting.rear_axle_forward_m
+    if axle_m is None:
+        document.pop(_AXLE, None)
+    else:
+        left_m = document[_AXLE][1] if _AXLE in document else 0.0
+        document[_AXLE] = [-axle_m, left_m, mount.height_m]
+    _put(document, _BASELINE, mounting.baseline_m, None)
+    _put(document, _OFFSET, mounting.heading_offset_deg, None)
+    _put(document, _CONVENTION, mounting.heading_convention, "cw_north")
+    _put(document, _AXES, mounting.imu_axes, AXES)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as draft:
+        draft.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _put(document: dict[str, Any], key: str, value: object, usual: object) -> None:
+    """Set a key, or leave it out where it would say what is usual and nothing says it yet."""
+    if value != usual:
+        document[key] = value
+    elif usual is None:
+        document.pop(key, None)
+    elif key in document:
+        document[key] = usual
 
 
 def _refuse_unknown(document: dict[str, Any], path: Path) -> None:

@@ -18,8 +18,8 @@ ROLES = (
 )
 """What a topic can be to a recording."""
 
-MAX_OFFSET_S = 3600
-"""An image clock that is further off than an hour is no clock."""
+MAX_OFFSET_S = 86_400
+"""Time zones and a wrong date put a clock off by up to a day; beyond that it is no clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Options:
         offset_ns = self.image_time_offset_ns
         if offset_ns is not None and abs(offset_ns) > MAX_OFFSET_S * 1_000_000_000:
             raise ConfigError(
-                f"An image time offset of {offset_ns / 1e9} s is beyond an hour; give the seconds "
+                f"An image time offset of {offset_ns / 1e9} s is beyond a day; give the seconds "
                 "that an image time must be moved by to be GNSS time."
             )
 

@@ -6,6 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 # The first that occurs in the text decides, so that "RTK float" is not "RTK".
 _WORDS: tuple[tuple[str, int], ...] = (
     (r"no[ _-]?(gps|gnss)?[ _-]?(fix|solution|position)|invalid|not[ _]available|unavailable", 0),
@@ -24,6 +27,7 @@ _WORDS: tuple[tuple[str, int], ...] = (
     (r"^none$|^0$|^no$", 0),
 )
 _PATTERNS = tuple((re.compile(pattern), quality) for pattern, quality in _WORDS)
+_CENTIMETRES_M, _DECIMETRES_M = 0.05, 0.5
 _NOT_AVAILABLE = 15  # ISO 11783-10: the receiver does not say
 
 
@@ -70,3 +74,11 @@ def from_position_status(status: int) -> int:
     if status == _NOT_AVAILABLE:
         return 1
     return status if status <= 8 else 0
+
+
+def by_sigma(sigma_m: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    """GGA's codes by the error that the receiver states, 1 where that is nothing above 0:
+    centimetres need carrier phases."""
+    sigma = np.asarray(sigma_m, dtype=np.float64)
+    codes = np.where(sigma <= _CENTIMETRES_M, 4, np.where(sigma <= _DECIMETRES_M, 5, 1))
+    return np.where(sigma > 0.0, codes, 1).astype(np.int64)

@@ -1,4 +1,4 @@
-"""A recording that is a list of image files and a list of fixes, both known when it opens."""
+"""A recording that is a list of files and a list of fixes, both known when it opens."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,54 +17,80 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording.files import check_regular
-from fieldgrid.recording.images import ImageFile
+from fieldgrid.recording.images import AS_STORED, ImageFile, ImageFormat
 from fieldgrid.recording.protocol import Frame, PairRectifier, StereoFrame, Stream
 from fieldgrid.rig import Rig
 
 
-class Pair(NamedTuple):
-    """A frame on disk; the paths are relative to the folder of the recording."""
+class Shot(NamedTuple):
+    """A frame on disk; the paths of its files are relative to the folder of the recording."""
 
     time_ns: int
     frame_id: str
-    left: str
-    right: str
+    files: tuple[str, ...]
+
+
+class FrameKind(Protocol):
+    """What the files of a shot are, and the frame that they make."""
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What each file of a shot is, of `options.ROLES`."""
+
+    def frame(self, folder: Path, shot: Shot) -> Frame:
+        """The frame, its files unread."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairKind:
+    """A left and a right image, for a calibration of `size_px`."""
+
+    size_px: tuple[int, int]
+    rectifier: PairRectifier | None = None
+    image_format: ImageFormat = AS_STORED
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The two sides."""
+        return "left", "right"
+
+    def frame(self, folder: Path, shot: Shot) -> Frame:
+        """The pair, its images unread."""
+        left, right = (ImageFile(folder / name, format=self.image_format) for name in shot.files)
+        return StereoFrame(shot.frame_id, shot.time_ns, left, right, self.size_px, self.rectifier)
 
 
 @dataclass(frozen=True, slots=True)
 class StoredRecording:
-    """A :class:`~fieldgrid.recording.protocol.Recording` of image files.
+    """A :class:`~fieldgrid.recording.protocol.Recording` of files.
 
-    It holds a row of text a frame; the images stay on disk. Nothing is held open.
+    It holds a row of text a frame; images and clouds stay on disk. Nothing is held open.
     """
 
     name: str
     rig: Rig
     folder: Path
-    pairs: tuple[Pair, ...]
+    shots: tuple[Shot, ...]
+    kind: FrameKind
     fix_log: tuple[Fix, ...]
     gnss_source: str = ""
     datum_hint: Datum | None = None
     notes: tuple[str, ...] = ()
     own_motion: Motion = field(default_factory=Motion)
     losses: tuple[str, ...] = ()
-    rectifier: PairRectifier | None = None
 
     @property
     def frame_count(self) -> int:
         """How many frames there are."""
-        return len(self.pairs)
+        return len(self.shots)
 
     def frame_times_ns(self) -> npt.NDArray[np.int64]:
         """Times of the frames, shape (frame_count,), increasing."""
-        return np.array([pair.time_ns for pair in self.pairs], dtype=np.int64)
+        return np.array([shot.time_ns for shot in self.shots], dtype=np.int64)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames in order of time, images unread."""
-        size_px = (self.rig.camera.width_px, self.rig.camera.height_px)
-        for pair in self.pairs:
-            left, right = (ImageFile(self.folder / name) for name in (pair.left, pair.right))
-            yield StereoFrame(pair.frame_id, pair.time_ns, left, right, size_px, self.rectifier)
+        """The frames in order of time, unread."""
+        return (self.kind.frame(self.folder, shot) for shot in self.shots)
 
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log."""
@@ -79,7 +105,8 @@ class StoredRecording:
         frames_ns = self.frame_times_ns()
         fixes_ns = np.array([fix.time_ns for fix in self.fix_log], dtype=np.int64)
         found = [
-            Stream(side, "image", side, len(frames_ns), frames_ns) for side in ("left", "right")
+            Stream(role, "cloud" if role == "cloud" else "image", role, len(frames_ns), frames_ns)
+            for role in self.kind.roles
         ]
         if self.gnss_source:
             found.append(Stream(self.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns))
@@ -105,11 +132,12 @@ class StoredRecording:
         self.close()
 
 
-def checked_pairs(pairs: list[Pair], folder: Path) -> tuple[Pair, ...]:
-    """The pairs in order of time, once it is sure that they can be told apart and exist."""
-    if not pairs:
-        raise RecordingError(f"{folder} has no stereo pair; a recording needs at least one.")
-    ordered = sorted(pairs)
+def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") -> tuple[Shot, ...]:
+    """The shots in order of time, once it is sure that they can be told apart and exist; `what`
+    is what an error calls one of them."""
+    if not shots:
+        raise RecordingError(f"{folder} has no {what}; a recording needs at least one.")
+    ordered = sorted(shots)
     for earlier, later in pairwise(ordered):
         if earlier.time_ns == later.time_ns:
             raise RecordingError(
@@ -117,27 +145,29 @@ def checked_pairs(pairs: list[Pair], folder: Path) -> tuple[Pair, ...]:
                 f"{later.time_ns} ns; correct the time stamps."
             )
     seen: set[str] = set()
-    for pair in ordered:
-        if pair.frame_id in seen:
+    for shot in ordered:
+        if shot.frame_id in seen:
             raise RecordingError(
-                f"The frame_id {pair.frame_id!r} occurs twice in {folder}; give each frame its own."
+                f"The frame_id {shot.frame_id!r} occurs twice in {folder}; give each frame its own."
             )
-        seen.add(pair.frame_id)
-    _check_files(ordered, folder)
+        seen.add(shot.frame_id)
+    _check_files(ordered, folder, what)
     return tuple(ordered)
 
 
-def _check_files(pairs: list[Pair], folder: Path) -> None:
+def _check_files(shots: list[Shot], folder: Path, what: str) -> None:
     missing = 0
     first: RecordingError | None = None
-    for pair in pairs:
-        for name in (pair.left, pair.right):
+    for shot in shots:
+        for name in shot.files:
             try:
                 check_regular(folder / name)
             except RecordingError as problem:
                 missing += 1
                 first = first or problem
     if first is not None:
+        files = "clouds" if what == "cloud" else "images"
         raise RecordingError(
-            f"{missing} of {2 * len(pairs)} images are missing from {folder}. First: {first}"
+            f"{missing} of {sum(len(shot.files) for shot in shots)} {files} are missing from "
+            f"{folder}. First: {first}"
         ) from first

@@ -40,7 +40,7 @@ def read_stream(path: Path) -> FixLog:
             "alone give their date; let the receiver write RMC besides GGA."
         )
     by_ubx = bool(ubx.messages) and len(ubx.fixes) >= len(nmea.fixes)
-    notes = _ubx_notes(ubx) if by_ubx else _nmea_notes(nmea)
+    notes = _ubx_notes(ubx) if by_ubx else nmea_notes(nmea)
     if nmea.fixes and ubx.fixes:
         counted = f"{len(ubx.fixes)} positions in UBX and {len(nmea.fixes)} in NMEA"
         notes = [f"{counted}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
@@ -62,7 +62,8 @@ def _parse(path: Path) -> tuple[NmeaLog, UbxLog]:
     return sentences.log(from_nmea), messages.log(from_ubx)
 
 
-def _nmea_notes(log: NmeaLog) -> list[str]:
+def nmea_notes(log: NmeaLog) -> list[str]:
+    """What was skipped and assumed in a log, a few words each."""
     counted = (
         (log.bad_checksum + log.broken, "damaged sentences skipped"),
         (log.no_position, "sentences without a position"),

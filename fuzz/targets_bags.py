@@ -1,0 +1,116 @@
+"""Bags as recordings: no crash, and as many frames as were promised, each read or refused."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from fieldgrid.errors import FieldgridError
+from fieldgrid.recording import CloudFrame, DepthFrame, Frame, Mounting, Options
+from fieldgrid.recording.bag import BagRecording, open_drive
+from fieldgrid.rig import LeverArm, Mount
+from fuzz.target import Target
+from fuzz.targets_ros import check_sentence, mend_mcap
+from tests.recording import bags
+from tests.recording.bags import Container, Maker, Said
+
+_UTC = 1_700_000_000_000_000_000
+_STEP = 100_000_000
+_P = np.array([[20.0, 0, 8, 0], [0, 20, 8, 0], [0, 0, 1, 0]])
+_P_RIGHT = _P + np.array([[0, 0, 0, -4.0], [0, 0, 0, 0], [0, 0, 0, 0]])
+_OPTIONS = Options(mounting=Mounting(Mount(2.0, 15.0), LeverArm(0.0, 0.0, 3.0)))
+
+
+def check_drive(data: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "drive")
+        path.write_bytes(data)
+        try:
+            drive = open_drive(path, _OPTIONS)
+        except FieldgridError as error:
+            check_sentence(str(error))
+            return
+        if isinstance(drive, BagRecording):
+            with drive:
+                _check_frames(drive)
+
+
+def _check_frames(drive: BagRecording) -> None:
+    times_ns = drive.frame_times_ns()
+    assert np.all(np.diff(times_ns) > 0)
+    assert [frame.time_ns for frame in drive.frames()] == times_ns.tolist()
+    for frame in drive.frames():
+        try:
+            _read(frame)
+        except FieldgridError as error:
+            check_sentence(str(error))
+    assert len(drive.streams()) == len(drive.bag.topics)
+
+
+def _read(frame: Frame) -> None:
+    if isinstance(frame, CloudFrame):
+        assert np.isfinite(frame.cloud.read()).all()
+    elif isinstance(frame, DepthFrame):
+        assert not np.any(frame.depth.read() <= 0.0)
+    else:
+        left, right = frame.images()
+        assert left.shape == right.shape == frame.size_px[::-1]
+    assert all(len(source.sha256()) == 64 for source in frame.sources)
+
+
+def _small(maker: Maker, time_ns: int) -> Iterator[Said]:
+    """What every seed has: a fix, a gyro and a transform."""
+    yield Said(time_ns, bags.FIX, maker.fix(time_ns, 41.0, -4.0, 700.0, sigma_m=0.02))
+    yield Said(time_ns, bags.IMU, maker.imu(time_ns, (0.0, 0.0, 0.1)))
+    tree = maker.transforms(maker.transform("base_link", "imu_link", (0.0, 0.0, 0.0)))
+    yield Said(time_ns, "/tf_static", tree)
+
+
+def _stereo(maker: Maker) -> Iterator[Said]:
+    for time_ns in (_UTC, _UTC + _STEP):
+        for topic, info, P in (
+            (bags.LEFT, bags.LEFT_INFO, _P),
+            (bags.RIGHT, bags.RIGHT_INFO, _P_RIGHT),
+        ):
+            pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
+            yield Said(time_ns, topic, maker.image(time_ns, pixels, "mono8"))
+            yield Said(time_ns, info, maker.info(time_ns, (16, 16), P))
+        yield from _small(maker, time_ns)
+
+
+def _disparities(maker: Maker) -> Iterator[Said]:
+    for time_ns in (_UTC, _UTC + _STEP):
+        image = maker.image(time_ns, np.full((16, 16), 2.0, np.float32), "32FC1")
+        disparity = maker.disparity(time_ns, image, 20.0, 0.2, 16.0, 1.0)
+        yield Said(time_ns, "/stereo/disparity", disparity)
+        yield Said(time_ns, bags.LEFT_INFO, maker.info(time_ns, (16, 16), _P))
+        yield from _small(maker, time_ns)
+
+
+def _clouds(maker: Maker) -> Iterator[Said]:
+    points = np.random.default_rng(1).uniform(1.0, 9.0, (120, 3)).astype("<f4")
+    for time_ns in (_UTC, _UTC + _STEP):
+        yield Said(time_ns, "/lidar/points", maker.cloud(time_ns, points))
+        yield from _small(maker, time_ns)
+
+
+def _seeds(container: Container) -> list[bytes]:
+    seeds = []
+    for drive in (_stereo, _disparities, _clouds):
+        with tempfile.TemporaryDirectory() as folder:
+            maker = Maker(container)
+            path = bags.write_bag(
+                Path(folder, "drive"), container, maker, drive(maker), packed=False
+            )
+            seeds.append(path.read_bytes())
+    return seeds
+
+
+TARGETS = [
+    Target("drive in a ROS 1 bag", check_drive, lambda: _seeds("bag")),
+    Target("drive in a .db3", check_drive, lambda: _seeds("db3")),
+    Target("drive in an MCAP", check_drive, lambda: _seeds("mcap"), mend_mcap),
+]

@@ -1,0 +1,201 @@
+"""`fieldgrid inspect`: what is in a recording, and what would go wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fieldgrid.cli import output, progress, recording_options
+
+if TYPE_CHECKING:
+    from fieldgrid.inspection import Inspection
+    from fieldgrid.inspection.streams import StreamSummary
+
+_PICTURES = (".png", ".svg", ".pdf")
+_MOST_QUALITIES = 3
+
+
+def command(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
+    ],
+    gnss: recording_options.Gnss = None,
+    topic: recording_options.Topic = None,
+    mounting: recording_options.MountingFile = None,
+    time_offset: recording_options.TimeOffset = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
+    ] = None,
+    config: recording_options.Config = None,
+    as_json: recording_options.AsJson = False,
+) -> None:
+    """Show what is in a recording and what would go wrong with it; exit 1 if a build would fail.
+
+    Every finding says how bad it is (error: build fails or the map is wrong; warning: the map is
+    poorer than the drive; info) and what to do.
+
+    Examples:
+
+        fieldgrid inspect june-03 --gnss rtk.nmea
+
+        fieldgrid inspect june-03.mcap --json
+    """
+    if figure is not None and figure.suffix.lower() not in _PICTURES:
+        raise typer.BadParameter(
+            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
+        )
+    from fieldgrid.inspection import inspect_recording
+    from fieldgrid.settings import resolve
+
+    given = recording_options.given(topic, mounting, time_offset)
+    with progress.counting("frames") as tell:
+        found = inspect_recording(
+            recording,
+            resolve(config, {}),
+            gnss=gnss,
+            topics=given.topics,
+            mounting=given.mounting,
+            image_time_offset_ns=given.image_time_offset_ns,
+            tell=tell,
+        )
+    if figure is not None:
+        _draw(found, figure)
+    if as_json:
+        output.print_json({**found.as_dict(), "figure": None if figure is None else str(figure)})
+    else:
+        _print(found, figure)
+    if not found.builds:
+        raise typer.Exit(1)
+
+
+def _draw(found: Inspection, path: Path) -> None:
+    from fieldgrid.figures import save
+    from fieldgrid.inspection.figure import inspection_figure
+
+    save(inspection_figure(found), path)
+
+
+def _print(found: Inspection, figure: Path | None) -> None:
+    rows = [*_drive_rows(found), *_rig_rows(found), *_fix_rows(found)]
+    rows += [*_image_rows(found), *_map_rows(found)]
+    if rows:
+        output.print_table(("", ""), rows, title=f"inspect {found.name}")
+    if found.streams:
+        columns = ("stream", "kind", "used as", "count", "rate", "longest gap", "jitter")
+        print()
+        output.print_table(columns, [_stream_row(stream) for stream in found.streams])
+    print()
+    for finding in found.findings:
+        remedy = f" {finding.remedy}" if finding.remedy else ""
+        print(f"{finding.severity.value} {finding.code}: {finding.message}{remedy}")
+    verdict = "a build goes through" if found.builds else "a build would fail"
+    print(f"inspect {found.path or found.name}: {verdict}")
+    if figure is not None:
+        print(f"figure {figure}")
+
+
+def _drive_rows(found: Inspection) -> Iterator[tuple[str, str]]:
+    if not found.kind:
+        return
+    yield "kind", found.kind
+    yield "duration", output.number(found.duration_s, 1, "s")
+    yield "frames", str(found.frames)
+    if found.frames:
+        yield "looked at closely / followed", f"{found.looked} / {found.followed}"
+    yield "GNSS", found.gnss_source or "-"
+
+
+def _rig_rows(found: Inspection) -> Iterator[tuple[str, str]]:
+    from fieldgrid.inspection.rigs import describe_sensor
+
+    rig = found.rig
+    if rig is None:
+        return
+    mount, lever, axle_m = rig.mount, rig.antenna, rig.rear_axle_forward_m
+    yield "sensor", describe_sensor(rig.sensor)
+    yield (
+        "mount: height, tilt, roll, yaw",
+        f"{mount.height_m:g} m, {mount.tilt_deg:.1f}°, {mount.roll_deg:.1f}°, {mount.yaw_deg:.1f}°",
+    )
+    if found.ground is not None:
+        seen = found.ground
+        yield (
+            "by the ground ahead",
+            f"{seen.height_m:.2f} m, {seen.tilt_deg:.1f}°, {seen.roll_deg:.1f}°",
+        )
+    yield (
+        "antenna: right, forward, up",
+        f"{lever.right_m:.2f}, {lever.forward_m:.2f}, {lever.up_m:.2f} m",
+    )
+    yield "unsteered axle: forward", output.number(axle_m, 2, "m")
+    yield "image time offset, declared", f"{found.declared_offset_s:+.3f} s"
+
+
+def _fix_rows(found: Inspection) -> Iterator[tuple[str, str]]:
+    if found.fixes is not None:
+        fixes = found.fixes
+        log = fixes.log
+        yield "fixes accepted", f"{log.accepted} of {log.fixes}"
+        best = list(fixes.quality.items())[:_MOST_QUALITIES]
+        yield "quality", ", ".join(f"{name} {output.percent(share, 0)}" for name, share in best)
+        yield (
+            "satellites / hdop / age, median",
+            " / ".join(
+                (
+                    output.number(fixes.satellites, 0),
+                    output.number(fixes.hdop, 1),
+                    output.number(fixes.age_s, 1, "s"),
+                )
+            ),
+        )
+        yield "sigma of a fix, median", output.number(fixes.sigma_m, 3, "m")
+    if found.sync is not None:
+        sync = found.sync
+        yield "image to nearest fix, median / most", f"{sync.median_s:.3f} / {sync.most_s:.3f} s"
+        yield "images between no fixes", output.percent(sync.without_share)
+    if found.clock is not None:
+        yield "image clock", f"{found.clock.offset_s:+.3f} ± {found.clock.sigma_s:.3f} s"
+
+
+def _image_rows(found: Inspection) -> Iterator[tuple[str, str]]:
+    looks = found.looks
+    if looks:
+        middle = sorted(look.blur for look in looks)[len(looks) // 2]
+        points = sorted(look.points for look in looks)[len(looks) // 2]
+        yield "blur, median", f"{middle:.2f}"
+        yield "points with depth, median", str(points)
+    if found.misalignment is not None:
+        rows = found.misalignment
+        yield "rows off, median / up or down", f"{rows.median_px:+.2f} / {rows.residual_px:.2f} px"
+    if found.camera_pairs:
+        yield "camera steps", f"{found.camera_steps} of {found.camera_pairs}"
+    if found.scale is not None:
+        yield "way, camera over fixes", f"{found.scale.ratio:.3f} ± {found.scale.sigma:.3f}"
+
+
+def _map_rows(found: Inspection) -> Iterator[tuple[str, str]]:
+    if found.trajectory is not None and found.frames:
+        lost = found.reasons.total()
+        yield "frames with a usable pose", f"{found.frames - lost} of {found.frames}"
+    if found.coverage is not None:
+        cover = found.coverage
+        yield "expected area", output.number(cover.area_m2, 0, "m²")
+        spacing = output.number(cover.spacing_m, 2, "m")
+        yield "way between frames / of a grid", f"{spacing} / {cover.grid_m:.1f} m"
+        yield "cell that the data support", output.number(cover.cell_m, 2, "m")
+
+
+def _stream_row(stream: StreamSummary) -> tuple[str, ...]:
+    jitter_ms = None if stream.jitter_s is None else 1000.0 * stream.jitter_s
+    return (
+        stream.name,
+        stream.kind,
+        stream.role or "-",
+        str(stream.messages),
+        output.number(stream.rate_hz, 2, "Hz"),
+        output.number(stream.longest_gap_s, 3, "s"),
+        output.number(jitter_ms, 1, "ms"),
+    )

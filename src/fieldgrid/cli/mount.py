@@ -1,0 +1,169 @@
+"""`fieldgrid mount`: how the sensor is mounted, by the drive alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import output, progress, recording_options
+from fieldgrid.errors import FieldgridError
+
+if TYPE_CHECKING:
+    from fieldgrid.mounting import MountEstimate
+    from fieldgrid.mounting.estimate import Compared
+
+_PICTURES = (".png", ".svg", ".pdf")
+
+_NAMES = {
+    "camera_height_above_ground_m": ("height above ground", 3, "m"),
+    "camera_tilt_down_deg": ("tilt, down", 2, "°"),
+    "camera_roll_deg": ("roll, right side down", 2, "°"),
+    "camera_yaw_deg": ("yaw, right of where it goes", 2, "°"),
+    "camera_ahead_of_rear_axle_m": ("ahead of the unsteered axle", 2, "m"),
+}
+
+
+def command(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording.")],
+    write: Annotated[
+        bool, typer.Option("--write", help="Write it to the recording's mounting.json.")
+    ] = False,
+    antenna: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            metavar="FORWARD LEFT UP",
+            help="With --write: where the GNSS antenna is, metres from the camera (of a pair, "
+            "from the middle between its cameras). No drive tells that.",
+        ),
+    ] = None,
+    gnss: recording_options.Gnss = None,
+    topic: recording_options.Topic = None,
+    mounting: recording_options.MountingFile = None,
+    time_offset: recording_options.TimeOffset = None,
+    every: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Take every N-th frame [about a metre apart]."),
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, max=256, help="Threads [one a core].")] = None,
+    as_json: recording_options.AsJson = False,
+) -> None:
+    """Estimate height, tilt, roll and yaw of the sensor from the drive alone.
+
+    What the recording says of its mount already is not used, but compared.
+
+    Examples:
+
+        fieldgrid mount june-03
+
+        fieldgrid mount june-03 --write --antenna -0.45 0.12 0.35
+    """
+    if figure is not None and figure.suffix.lower() not in _PICTURES:
+        raise typer.BadParameter(
+            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
+        )
+    if antenna is not None and not write:
+        raise typer.BadParameter("it is for --write", param_hint="--antenna")
+    from fieldgrid.mounting import estimate_mount, write_estimate
+
+    opening = recording_options.given(topic, mounting, time_offset)._asdict()
+    with progress.counting("frames") as show:
+        estimate = estimate_mount(
+            recording, every=every, jobs=jobs or os.cpu_count(), progress=show, gnss=gnss, **opening
+        )
+    if figure is not None:
+        _draw(estimate, figure)
+    written: Path | None = None
+    problem: FieldgridError | None = None
+    if write:
+        try:
+            written = write_estimate(estimate, recording, antenna)
+        except FieldgridError as error:
+            problem = error
+    if as_json:
+        output.print_json(_document(estimate, written, figure))
+    else:
+        _print(estimate, written, figure)
+    if problem is not None:
+        raise problem  # only now, since the estimate took its time and is worth seeing
+
+
+def _draw(estimate: MountEstimate, path: Path) -> None:
+    from fieldgrid.figures import save
+    from fieldgrid.mounting.figure import mount_figure
+
+    save(mount_figure(estimate), path)
+
+
+def _document(estimate: MountEstimate, written: Path | None, figure: Path | None) -> dict[str, Any]:
+    return {
+        **estimate.as_dict(),
+        "mounting": None if written is None else str(written),
+        "figure": None if figure is None else str(figure),
+    }
+
+
+def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -> None:
+    compared = {one.key: one for one in estimate.compared()}
+    rows = [
+        _row(key, estimate, compared.get(key))
+        for key, value in estimate.measured().items()
+        if value is not None or key == "camera_yaw_deg"
+    ]
+    columns = ("", "measured", "stated", "stated - measured")
+    output.print_table(columns, rows, title=f"mount {estimate.name}")
+    output.print_table(("", ""), list(_facts(estimate)))
+    wrong = [one for one in compared.values() if one.disagrees]
+    for one in wrong:
+        name, digits, unit = _NAMES[one.key]
+        print(
+            f"disagrees: {name} is stated as {one.stated:.{digits}f} {unit}, which is "
+            f"{abs(one.sigmas):.1f} sigma off"
+        )
+    if compared and not wrong:
+        print("what is stated agrees with the drive")
+    for note in estimate.notes:
+        print(f"note: {note}")
+    if written is not None:
+        print(f"mounting {written}")
+    if figure is not None:
+        print(f"figure {figure}")
+
+
+def _row(key: str, estimate: MountEstimate, compared: Compared | None) -> tuple[str, ...]:
+    name, digits, unit = _NAMES[key]
+    measured = estimate.measured()[key]
+    said = "-" if measured is None else f"{measured.value:.{digits}f} ± {measured.sigma:.{digits}f}"
+    cells = (name, said if measured is None else f"{said} {unit}")
+    if compared is None:
+        return (*cells, "-", "-")
+    difference = compared.stated - compared.measured.value
+    return (
+        *cells,
+        f"{compared.stated:.{digits}f} {unit}",
+        f"{difference:+.{digits}f} {unit} ({compared.sigmas:+.1f} sigma)",
+    )
+
+
+def _facts(estimate: MountEstimate) -> Iterator[tuple[str, str]]:
+    yield "measured on", estimate.method
+    yield (
+        "frames used / looked at / all",
+        (f"{len(estimate.stands.frame)} / {estimate.looked} / {estimate.frames}"),
+    )
+    yield (
+        "driven forward / reverse / nearly straight",
+        (f"{estimate.forward_m:.1f} / {estimate.reverse_m:.1f} / {estimate.straight_m:.1f} m"),
+    )
+    gnss = estimate.gnss
+    if gnss is not None and gnss.scale is not None:
+        yield "camera's way over the receiver's", f"{gnss.scale.value:.4f} ± {gnss.scale.sigma:.4f}"
+    if gnss is not None and gnss.course_off_deg is not None:
+        course = gnss.course_off_deg
+        yield "course minus recorded heading", f"{course.value:+.2f} ± {course.sigma:.2f} °"

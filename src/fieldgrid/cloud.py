@@ -1,0 +1,62 @@
+"""Point clouds: float32 [n, 3], metres; how dense they are, and their points in the level frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import CalibrationError
+from fieldgrid.kernel import kernel
+
+Cloud = npt.NDArray[np.float32]
+"""Points [n, 3], metres."""
+
+FEWEST_POINTS = 100
+"""Fewer points than this say nothing of how dense a sensor looks."""
+
+AZIMUTHS, BANDS = 72, 24
+"""Directions are told apart in 72 x 24 bins of equal solid angle: 5° of azimuth by a twelfth of
+the sine of elevation, so that a bin holds several rings of a lidar whose rings are 2° apart."""
+
+
+def points_per_sr(points: npt.ArrayLike) -> float:
+    """How many points of a cloud lie in a steradian of what its sensor looks at.
+
+    `points` [n, 3] in the sensor's frame (x right, y down, z forward), metres, its origin where
+    the sensor is. It is the density around the median point: the sky, of which few points come
+    back, and rings that lie closer in places do not matter much. The order of the points does
+    not matter. Raises CalibrationError for too few points.
+    """
+    xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    range_m = np.sqrt((xyz * xyz).sum(axis=1))
+    xyz, range_m = xyz[range_m > 0.0], range_m[range_m > 0.0]  # false for NaN, too
+    if len(xyz) < FEWEST_POINTS:
+        raise CalibrationError(
+            f"A cloud of {len(xyz)} points does not tell how dense its sensor looks; record whole "
+            "sweeps, or say points_per_sr."
+        )
+    azimuth = np.arctan2(xyz[:, 0], xyz[:, 2]) / (2.0 * math.pi) + 0.5
+    band = (xyz[:, 1] / range_m + 1.0) / 2.0
+    column = np.minimum((azimuth * AZIMUTHS).astype(np.intp), AZIMUTHS - 1)
+    row = np.minimum((band * BANDS).astype(np.intp), BANDS - 1)
+    counts = np.bincount(row * AZIMUTHS + column, minlength=AZIMUTHS * BANDS)
+    in_order = np.sort(counts)
+    median = in_order[np.searchsorted(np.cumsum(in_order), len(xyz) / 2.0)]
+    return float(median) * AZIMUTHS * BANDS / (4.0 * math.pi)
+
+
+@kernel
+def level_points(points, R_level_sensor, height_m):  # type: ignore[no-untyped-def]
+    """Points of the sensor's frame, float32 [n, 3], in the level frame below it: x right,
+    y forward, z up, metres above the ground's plane."""
+    out = np.empty_like(points)
+    R = R_level_sensor.astype(np.float32)
+    up = np.float32(height_m)
+    for k in range(points.shape[0]):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        out[k, 0] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
+        out[k, 1] = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+        out[k, 2] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + up
+    return out

@@ -1,0 +1,214 @@
+"""The fixes of a drive: how good they are, over time, and how near to the images."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.gnss import QUALITY_NAMES, ConditioningSummary, Fix, position_sigma_m
+from fieldgrid.inspection.findings import Finding, info, warning
+from fieldgrid.track import grouped_reasons
+from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
+
+_Int64 = npt.NDArray[np.int64]
+
+REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1
+"""More of the fixes, or of the frames, than this are worth a warning."""
+
+LEAST_RATE_HZ = 0.9
+"""A receiver of 1 Hz may be late."""
+
+COARSE_QUANTUM_M = 0.05
+"""Positions that are written more coarsely than a cell."""
+
+POOR_SIGMA_M = 0.5
+
+STRETCHES = 10
+"""Parts of equal time over which the quality is told."""
+
+
+class Sync(NamedTuple):
+    """How near the images are to accepted fixes, seconds, and the share of them that has none
+    near enough on both sides for a pose. Image times include the declared offset."""
+
+    median_s: float
+    most_s: float
+    without_share: float
+
+
+class Stretch(NamedTuple):
+    """A part of the drive: seconds since its first fix, its fixes, and how good they are."""
+
+    start_s: float
+    fixes: int
+    accepted_share: float | None
+    quality: str
+    sigma_m: float | None
+
+
+class FixSummary(NamedTuple):
+    """The fixes in numbers; None for what the receiver does not say."""
+
+    log: ConditioningSummary
+    quality: dict[str, float]
+    satellites: float | None
+    hdop: float | None
+    age_s: float | None
+    sigma_m: float | None
+    stretches: tuple[Stretch, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            **self.log.as_dict(),
+            "quality_share": self.quality,
+            "satellites_median": self.satellites,
+            "hdop_median": self.hdop,
+            "age_s_median": self.age_s,
+            "sigma_m_median": self.sigma_m,
+            "over_time": [stretch._asdict() for stretch in self.stretches],
+        }
+
+
+def summarise_fixes(
+    fixes: Sequence[Fix], accepted: Sequence[bool], log: ConditioningSummary
+) -> FixSummary:
+    """The quality of fixes, ordered by time, `accepted` or not, as a whole and over time."""
+    counts = Counter(QUALITY_NAMES.get(fix.quality, str(fix.quality)) for fix in fixes)
+    return FixSummary(
+        log=log,
+        quality={name: count / len(fixes) for name, count in counts.most_common()},
+        satellites=_median([fix.satellites for fix in fixes]),
+        hdop=_median([fix.hdop for fix in fixes]),
+        age_s=_median([fix.age_s for fix in fixes]),
+        sigma_m=_median([position_sigma_m(fix) for fix in fixes]),
+        stretches=_stretches(fixes, accepted),
+    )
+
+
+def synchronisation(images_ns: _Int64, times_ns: _Int64) -> Sync:
+    """How near images are to accepted fixes; both in order of time."""
+    if not len(times_ns) or not len(images_ns):
+        return Sync(float("inf"), float("inf"), 1.0)
+    after = np.searchsorted(times_ns, images_ns)
+    inside = (after > 0) & (after < len(times_ns))
+    later = times_ns[np.minimum(after, len(times_ns) - 1)]
+    earlier = times_ns[np.maximum(after - 1, 0)]
+    nearest_ns = np.minimum(np.abs(later - images_ns), np.abs(images_ns - earlier))
+    exact = nearest_ns == 0
+    without = ~exact & (~inside | (later - earlier > MAX_GAP_NS))
+    return Sync(
+        float(np.median(nearest_ns)) / 1e9, float(nearest_ns.max()) / 1e9, float(without.mean())
+    )
+
+
+def fix_findings(summary: FixSummary) -> Iterator[Finding]:
+    """What is wrong with the fixes."""
+    log = summary.log
+    rejected = log.fixes - log.accepted
+    if rejected > REJECTED_SHARE * log.fixes:
+        commonest = log.rejected[0]
+        yield warning(
+            "fixes-rejected",
+            f"{rejected} of {log.fixes} fixes are rejected, {commonest.fixes} of them like this: "
+            f"{commonest.example}.",
+            "Choose a better log with --gnss, or loosen the gates of [pose.gnss] in --config.",
+        )
+    if 0.0 < log.rate_hz < LEAST_RATE_HZ:
+        yield warning(
+            "fix-rate",
+            f"The fixes come at {log.rate_hz:.2f} Hz, and poses are not told over more than "
+            f"{MAX_GAP_NS / 1e9:.1f} s without one.",
+            "Let the receiver write 5 Hz or more.",
+        )
+    if log.gaps:
+        longest = max(log.gaps, key=lambda gap: gap.seconds)
+        yield warning(
+            "fix-gaps",
+            f"There are {len(log.gaps)} gaps without an accepted fix, the longest of "
+            f"{longest.seconds:.1f} s.",
+            "Frames in them have no pose, unless gyro, wheels and camera carry it over.",
+        )
+    if log.seams:
+        yield warning(
+            "fix-seams",
+            f"The solution moves {len(log.seams)} times: {log.seams[0].reason}.",
+            "The map is torn there; prefer a log with one kind of solution throughout.",
+        )
+    if log.quantum_m > COARSE_QUANTUM_M:
+        yield warning(
+            "fix-digits",
+            f"Positions are written in steps of {log.quantum_m:.2f} m.",
+            "Let the receiver write more decimals (high precision mode, or UBX).",
+        )
+    if summary.sigma_m is not None and summary.sigma_m > POOR_SIGMA_M:
+        yield info(
+            "fix-sigma",
+            f"The error of a fix is {summary.sigma_m:.2f} m, by its own word or as is usual for "
+            f"{next(iter(summary.quality))}.",
+            "Use correction data (RTK, PPP) for cells finer than that.",
+        )
+
+
+def sync_findings(sync: Sync) -> Iterator[Finding]:
+    """What is wrong between images and fixes."""
+    if sync.without_share > UNUSABLE_SHARE:
+        yield info(
+            "images-without-fix",
+            f"{100.0 * sync.without_share:.0f} % of the images lie in no pair of accepted fixes "
+            f"that is less than {MAX_GAP_NS / 1e9:.1f} s apart; the farthest is "
+            f"{sync.most_s:.1f} s from a fix.",
+            "Their poses hang on gyro, wheels and camera; start the receiver before the camera.",
+        )
+
+
+def pose_findings(frames: int, reasons: Counter[str]) -> Iterator[Finding]:
+    """How many frames will be without a pose, and mostly why."""
+    lost = reasons.total()
+    if lost > UNUSABLE_SHARE * frames:
+        count, reason = grouped_reasons(reasons)[0]
+        yield warning(
+            "frames-unusable",
+            f"{lost} of {frames} frames will have no usable pose, {count} of them like this: "
+            f"{reason}.",
+            "Look at `fieldgrid track --figure`; another --gnss, --heading or --budget may do.",
+        )
+
+
+def rejections(images_ns: _Int64, trajectory: Trajectory) -> Counter[str]:
+    """How many frames would be rejected for each reason."""
+    poses = (trajectory.at(time_ns) for time_ns in images_ns.tolist())
+    return Counter(pose.reason for pose in poses if pose.status is not Status.OK)
+
+
+def _stretches(fixes: Sequence[Fix], accepted: Sequence[bool]) -> tuple[Stretch, ...]:
+    if not fixes:
+        return ()
+    times_s = np.array([fix.time_ns - fixes[0].time_ns for fix in fixes], dtype=np.int64) / 1e9
+    ok = np.asarray(accepted, dtype=np.bool_)
+    length_s = max(float(times_s[-1]), 1e-9) / STRETCHES
+    part = np.minimum((times_s / length_s).astype(np.intp), STRETCHES - 1)
+    found = []
+    for k in range(STRETCHES):
+        rows = np.flatnonzero(part == k)
+        own = [fixes[row] for row in rows.tolist()]
+        counted = Counter(QUALITY_NAMES.get(fix.quality, str(fix.quality)) for fix in own)
+        found.append(
+            Stretch(
+                start_s=k * length_s,
+                fixes=len(own),
+                accepted_share=float(ok[rows].mean()) if own else None,
+                quality=counted.most_common(1)[0][0] if own else "",
+                sigma_m=_median([position_sigma_m(fix) for fix in own]),
+            )
+        )
+    return tuple(found)
+
+
+def _median(values: Sequence[float | int | None]) -> float | None:
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return float(np.median(known)) if known else None

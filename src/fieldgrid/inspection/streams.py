@@ -1,0 +1,257 @@
+"""The time base of everything that was recorded: rates, gaps, jitter, and stamps that lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.inspection.findings import Finding, info, warning
+from fieldgrid.recording import Stream
+
+_Float64 = npt.NDArray[np.float64]
+_Int64 = npt.NDArray[np.int64]
+
+APART_S = 0.1
+"""Delays of two streams, from stamp to being written down, may differ by this: that is what
+exposure, transport and a busy disk take."""
+
+DRIFT_PPM, DRIFT_S, DRIFT_OVER_S = 100.0, 0.05, 60.0
+"""Quartz is good for 50 ppm. A drift is one when it is faster, comes to so much over the drive,
+and was seen for a minute."""
+
+JUMP_S = 0.5
+"""A delay that changes by more than this, and stays, is a clock that was set."""
+
+JUMP_OVER = 20
+"""Messages on either side that must agree on a jump."""
+
+REPEATED_SHARE = 0.02
+
+GAP_S, GAP_PERIODS = 1.0, 10.0
+"""A gap of a stream that has a rate is longer than both."""
+
+STEADY_SHARE = 0.5
+"""A stream has a rate when the middle half of its steps differ by less than this share."""
+
+
+class StreamSummary(NamedTuple):
+    """One stream in numbers; None for what its stamps do not tell.
+
+    `jitter_s` is half the spread of the middle 68 % of the steps about their median.
+    `delay_s` is the median time from stamp to being written down, `drift_ppm` how fast it grows.
+    """
+
+    name: str
+    kind: str
+    role: str
+    messages: int
+    start_ns: int | None
+    stop_ns: int | None
+    rate_hz: float | None
+    longest_gap_s: float | None
+    jitter_s: float | None
+    backward: int
+    repeated: int
+    unstamped: int
+    delay_s: float | None
+    drift_ppm: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return self._asdict()
+
+
+def summarise_stream(stream: Stream) -> StreamSummary:
+    """The numbers of a stream, by its stamps in the order of the record."""
+    stamps = np.asarray(stream.stamp_ns, dtype=np.int64)
+    known = stamps[stamps > 0]
+    steps_s = np.diff(known) / 1e9
+    ordered_s = np.diff(np.unique(known)) / 1e9
+    low, middle, high = np.quantile(ordered_s, [0.16, 0.5, 0.84]) if ordered_s.size else [None] * 3
+    delay = _delay_s(stream)
+    return StreamSummary(
+        name=stream.name,
+        kind=stream.kind,
+        role=stream.role,
+        messages=stream.count,
+        start_ns=int(known.min()) if known.size else None,
+        stop_ns=int(known.max()) if known.size else None,
+        rate_hz=None if middle is None or middle <= 0.0 else float(1.0 / middle),
+        longest_gap_s=float(ordered_s.max()) if ordered_s.size else None,
+        jitter_s=None if low is None else float(high - low) / 2.0,
+        backward=int(np.count_nonzero(steps_s < 0.0)),
+        repeated=int(np.count_nonzero(steps_s == 0.0)),
+        unstamped=int(np.count_nonzero(stamps <= 0)),
+        delay_s=None if delay is None else float(np.median(delay.delay_s)),
+        drift_ppm=None if delay is None else _drift_ppm(delay),
+    )
+
+
+def stream_findings(streams: Sequence[Stream]) -> Iterator[Finding]:
+    """What is wrong with the stamps of the streams that are used."""
+    used = [stream for stream in streams if stream.role]
+    for stream in used:
+        summary = summarise_stream(stream)
+        yield from _order_findings(stream, summary)
+        yield from _gap_findings(stream, summary)
+        delay = _delay_s(stream)
+        if delay is not None:
+            yield from _delay_findings(stream, delay)
+    yield from _apart_findings(used)
+
+
+def _order_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
+    if summary.backward:
+        steps_ns = np.diff(stream.stamp_ns[stream.stamp_ns > 0])
+        farthest_s = float(-steps_ns.min()) / 1e9
+        yield warning(
+            "backward-stamps",
+            f"{summary.backward} stamps of {stream.name} are earlier than the one before, by up "
+            f"to {farthest_s:.3f} s.",
+            "Their messages are put in order of their stamps; if the clock was set during the "
+            "drive, take the part before or after that.",
+        )
+    if summary.repeated > REPEATED_SHARE * max(summary.messages, 1):
+        yield warning(
+            "repeated-stamps",
+            f"{summary.repeated} of {summary.messages} stamps of {stream.name} repeat the one "
+            "before.",
+            "Let the driver stamp each message when it is measured.",
+        )
+    if summary.unstamped:
+        yield warning(
+            "no-stamps",
+            f"{summary.unstamped} of {summary.messages} messages of {stream.name} carry no time.",
+            "Let the driver fill header.stamp; until then only their time of receipt is known.",
+        )
+
+
+def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
+    """Gaps of streams that have a steady rate, which images taken by way have not. Those of fixes
+    are told when they have been judged."""
+    if stream.role in ("fix", "nmea"):
+        return
+    times_s = np.unique(stream.stamp_ns[stream.stamp_ns > 0]) / 1e9
+    steps_s = np.diff(times_s - times_s[0]) if times_s.size else np.array([])
+    if steps_s.size < GAP_PERIODS:
+        return
+    low_s, period_s, high_s = np.quantile(steps_s, [0.25, 0.5, 0.75])
+    if high_s - low_s > STEADY_SHARE * period_s:
+        return
+    gaps_s = steps_s[steps_s > max(GAP_S, GAP_PERIODS * period_s)]
+    if gaps_s.size:
+        yield warning(
+            "gap",
+            f"{stream.name} has {gaps_s.size} gaps, the longest of {gaps_s.max():.1f} s, beside a "
+            f"period of {period_s:.3f} s.",
+            "Look for a disk or a bus that was too slow, or a receiver that lost its sky.",
+        )
+
+
+class _Delay(NamedTuple):
+    """Seconds since the first stamp, and from stamp to being written down."""
+
+    time_s: _Float64
+    delay_s: _Float64
+
+
+def _delay_s(stream: Stream) -> _Delay | None:
+    if stream.receive_ns is None or len(stream.receive_ns) != len(stream.stamp_ns):
+        return None
+    known = stream.stamp_ns > 0
+    if not known.any():
+        return None
+    stamps, received = stream.stamp_ns[known], stream.receive_ns[known]
+    return _Delay((received - received[0]) / 1e9, (received - stamps) / 1e9)
+
+
+def _lower_envelope(delay: _Delay, parts: int = 20) -> _Delay:
+    """The least delay of each part of the drive: waiting only adds to it."""
+    groups = [g for g in np.array_split(np.arange(len(delay.time_s)), parts) if g.size]
+    least = np.array([g[np.argmin(delay.delay_s[g])] for g in groups], dtype=np.intp)
+    return _Delay(delay.time_s[least], delay.delay_s[least])
+
+
+def _drift_ppm(delay: _Delay) -> float | None:
+    """The median of the slopes between the least delays, parts per million; None when short."""
+    if len(delay.time_s) < 2 or delay.time_s[-1] - delay.time_s[0] < DRIFT_OVER_S:
+        return None
+    time_s, delay_s = _lower_envelope(delay)
+    first, second = np.triu_indices(len(time_s), 1)
+    apart_s = time_s[second] - time_s[first]
+    clear = apart_s > 0.0
+    if not clear.any():
+        return None
+    slopes = (delay_s[second] - delay_s[first])[clear] / apart_s[clear]
+    return 1e6 * float(np.median(slopes))
+
+
+def _jumps(delay: _Delay) -> list[tuple[float, float]]:
+    """When, in seconds since the first, and by how much the delay changed for good."""
+    found: list[tuple[float, float]] = []
+    change = np.abs(np.diff(delay.delay_s))
+    for k in np.flatnonzero(change > JUMP_S).tolist():
+        before = delay.delay_s[max(k + 1 - JUMP_OVER, 0) : k + 1]
+        after = delay.delay_s[k + 1 : k + 1 + JUMP_OVER]
+        # Waiting adds to the least delay of neither side.
+        by_s = float(after.min() - before.min())
+        lasting = len(before) >= JUMP_OVER // 2 and len(after) >= JUMP_OVER // 2
+        if lasting and abs(by_s) > JUMP_S:
+            found.append((float(delay.time_s[k + 1]), by_s))
+    return found
+
+
+def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
+    jumps = _jumps(delay)
+    if jumps:
+        when_s, by_s = max(jumps, key=lambda jump: abs(jump[1]))
+        yield warning(
+            "clock-jump",
+            f"The stamps of {stream.name} jump by {-by_s:+.3f} s against the time of receipt, "
+            f"{when_s:.1f} s after its start ({len(jumps)} jumps in all).",
+            "Do not set the clock during a drive; take the part before or after the jump.",
+        )
+        return
+    drift_ppm = _drift_ppm(delay)
+    over_s = float(delay.time_s[-1] - delay.time_s[0])
+    if (
+        drift_ppm is not None
+        and abs(drift_ppm) > DRIFT_PPM
+        and abs(drift_ppm) * 1e-6 * over_s > DRIFT_S
+    ):
+        yield warning(
+            "clock-drift",
+            f"The stamps of {stream.name} drift by {-drift_ppm:+.0f} ppm against the time of "
+            f"receipt, {abs(drift_ppm) * 1e-6 * over_s:.3f} s over the drive.",
+            "Discipline the clock of that sensor (PTP, NTP, PPS); one offset cannot mend a drift.",
+        )
+
+
+def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
+    """Images and fixes whose stamps are of different clocks, by when both were written down."""
+    images = _first_delay(used, ("left", "depth", "disparity", "cloud", "right"))
+    fixes = _first_delay(used, ("fix", "nmea"))
+    if images is None or fixes is None:
+        return
+    (image, image_s), (fix, fix_s) = images, fixes
+    apart_s = image_s - fix_s
+    if abs(apart_s) > APART_S:
+        yield info(
+            "stamp-delays",
+            f"From stamp to being written down it takes {image_s:+.3f} s in {image.name} and "
+            f"{fix_s:+.3f} s in {fix.name}.",
+            f"If both arrive at once, their clocks differ, and --time-offset {apart_s:.3f} would "
+            "mend it; compare it with the offset that the drive itself shows.",
+        )
+
+
+def _first_delay(used: Sequence[Stream], roles: Sequence[str]) -> tuple[Stream, float] | None:
+    for role in roles:
+        for stream in used:
+            delay = _delay_s(stream) if stream.role == role else None
+            if delay is not None:
+                return stream, float(np.median(_lower_envelope(delay).delay_s))
+    return None

@@ -1,0 +1,366 @@
+"""How a sensor is mounted, by the drive alone: height, tilt, roll, and the yaw off the way."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.build.perception import side_by_side
+from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
+from fieldgrid.mounting.looks import Look, Looker
+from fieldgrid.mounting.measured import Measured, mean_of
+from fieldgrid.mounting.passed import Stands, stands
+from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.selection import stretches, usual_every
+from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
+from fieldgrid.odometry import Motion3, Refusal, camera_motion
+from fieldgrid.recording import Frame, Mounting, Recording, open_recording
+from fieldgrid.recording.places import mounting_place
+from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+
+_Float64 = npt.NDArray[np.float64]
+
+NO_MOUNTING = Mounting(Mount(1.0, 0.0), LeverArm(0.0, 0.0, 0.0), source="no mounting")
+"""Opens a recording that states none; nothing of it is used."""
+
+FEWEST_STANDS = 8
+"""With fewer frames under which the ground was seen, the planes ahead have to do."""
+
+FEWEST_PLANES = 3
+
+TILT_FLOOR_DEG, ROLL_FLOOR_DEG = 0.06, 0.12
+HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE = 0.01, 0.006
+"""What all frames share: calibration, stubble that is taken for ground, and for the roll that one
+side of a lane is not like the other."""
+
+AHEAD_ANGLE_DEG, AHEAD_HEIGHT_SHARE = 0.6, 0.02
+"""The same where only the ground ahead was seen: it is seldom the plane that the vehicle is on."""
+
+UNDER, AHEAD = "ground under the vehicle", "ground ahead"
+
+HEIGHT, TILT = "camera_height_above_ground_m", "camera_tilt_down_deg"
+ROLL, YAW, AXLE = "camera_roll_deg", "camera_yaw_deg", "camera_ahead_of_rear_axle_m"
+
+DISAGREES = 3.0
+"""What is stated disagrees with what was measured when it is so many sigmas off."""
+
+
+class Compared(NamedTuple):
+    """A value that was measured, and what the recording states for it."""
+
+    key: str
+    measured: Measured
+    stated: float
+
+    @property
+    def sigmas(self) -> float:
+        """How many sigmas the stated value is above the measured one."""
+        return self.measured.off(self.stated)
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether that is more than chance."""
+        return abs(self.sigmas) > DISAGREES
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "stated": self.stated,
+            "difference": self.stated - self.measured.value,
+            "sigmas": self.sigmas,
+            "disagrees": self.disagrees,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MountEstimate:
+    """How the sensor is mounted, each value with its 1-sigma error.
+
+    `height_m` above the ground that the vehicle stands on; `tilt_deg` down, `roll_deg` positive
+    when the right side is down, `yaw_deg` positive when the sensor looks to the right of where the
+    vehicle goes; None when the drive does not tell. `axle_ahead_m` is how far the sensor is ahead
+    of the axle that does not steer, None without turns. `method` is the ground that was measured.
+    `stands` are the frames' own values, `ways` the steps of the camera, `time_ns` the times of the
+    `looked` frames, by the receiver's clock. `gnss` compares with the fixes, None without; `stated`
+    is what the recording says of its rig itself, None when it does not.
+    """
+
+    name: str
+    height_m: Measured
+    tilt_deg: Measured
+    roll_deg: Measured
+    yaw_deg: Measured | None
+    axle_ahead_m: Measured | None
+    method: str
+    frames: int
+    looked: int
+    steps: int
+    forward_m: float
+    reverse_m: float
+    straight_m: float
+    time_ns: npt.NDArray[np.int64]
+    stands: Stands
+    ways: Ways
+    gnss: GnssCheck | None
+    stated: Rig | None
+    notes: tuple[str, ...]
+
+    @property
+    def mount(self) -> Mount:
+        """The mount; of a yaw that is not known, 0."""
+        yaw_deg = 0.0 if self.yaw_deg is None else self.yaw_deg.value
+        return Mount(self.height_m.value, self.tilt_deg.value, self.roll_deg.value, yaw_deg)
+
+    def measured(self) -> dict[str, Measured | None]:
+        """All that was measured, by the keys of a `mounting.json` as far as it has them."""
+        return {
+            HEIGHT: self.height_m,
+            TILT: self.tilt_deg,
+            ROLL: self.roll_deg,
+            YAW: self.yaw_deg,
+            AXLE: self.axle_ahead_m,
+        }
+
+    def compared(self) -> list[Compared]:
+        """What was measured beside what the recording states; empty when it states nothing."""
+        rig = self.stated
+        if rig is None:
+            return []
+        mount, axle_m = rig.mount, rig.rear_axle_forward_m
+        stated = {
+            HEIGHT: mount.height_m,
+            TILT: mount.tilt_deg,
+            ROLL: mount.roll_deg,
+            YAW: mount.yaw_deg,
+            AXLE: None if axle_m is None else -axle_m,
+        }
+        return [
+            Compared(key, value, said)
+            for key, value in self.measured().items()
+            if value is not None and (said := stated[key]) is not None
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what is unknown is null."""
+        return {
+            "recording": self.name,
+            **{
+                key: None if value is None else value._asdict()
+                for key, value in self.measured().items()
+            },
+            "method": self.method,
+            "frames": self.frames,
+            "frames_looked_at": self.looked,
+            "frames_used": len(self.stands.frame),
+            "camera_steps": self.steps,
+            "forward_m": self.forward_m,
+            "reverse_m": self.reverse_m,
+            "straight_m": self.straight_m,
+            "gnss": None if self.gnss is None else self.gnss.as_dict(),
+            "stated": (
+                None if self.stated is None else {one.key: one.as_dict() for one in self.compared()}
+            ),
+            "notes": list(self.notes),
+        }
+
+
+def estimate_mount(
+    recording: Recording | str | Path,
+    *,
+    every: int | None = None,
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **opening: Any,
+) -> MountEstimate:
+    """Height, tilt, roll and yaw of a recording's sensor, by the drive alone.
+
+    A path is opened here, `opening` being what `open_recording` takes; it needs no mounting. What
+    the recording says of its mount does not enter, except where its unsteered axle is. Every
+    `every`-th frame is looked at (None: frames about a metre apart), `jobs` at a time; `progress`
+    is told how many of how many. Raises RecordingError when no ground is seen.
+    """
+    if not isinstance(recording, str | Path):
+        return _estimated(recording, recording.rig, every, jobs, progress)
+    drive, states = open_unmounted(Path(recording), **opening)
+    with drive:
+        return _estimated(drive, drive.rig if states else None, every, jobs, progress)
+
+
+def open_unmounted(path: Path, **opening: Any) -> tuple[Recording, bool]:
+    """A recording that need not say how its sensor is mounted, and whether it does.
+
+    Where it does not, its rig has a mount that stands for none. `opening` as `open_recording`.
+    """
+    try:
+        return open_recording(path, **opening), True
+    except CalibrationError:
+        if opening.get("mounting") is not None or mounting_place(path).exists():
+            raise
+        # Any mounting will do; if there is another fault, this raises it.
+        return open_recording(path, **{**opening, "mounting": NO_MOUNTING}), False
+
+
+def _estimated(
+    recording: Recording,
+    stated: Rig | None,
+    every: int | None,
+    jobs: int | None,
+    progress: Callable[[int, int], None] | None,
+) -> MountEstimate:
+    rig = recording.rig
+    chosen = stretches(
+        recording.frame_count, every or usual_every(recording.frame_times_ns(), recording.fixes())
+    )
+    looks, joined = _look(recording, chosen, jobs or os.cpu_count() or 1, progress)
+    planes = [look.ahead for look in looks if look.ahead is not None]
+    if len(planes) < FEWEST_PLANES:
+        raise RecordingError(
+            f"{recording.name} shows ground in {len(planes)} of {len(looks)} frames, and "
+            f"{FEWEST_PLANES} are needed to tell how its sensor is mounted; take a drive over open "
+            "ground, or measure the mounting."
+        )
+    rough = _middle(planes)
+    motions = _motions(looks, joined, rig, rough)
+    found, plane = stands([look.patches for look in looks], motions, rough)
+    steps = ways(motions, plane)
+    under = len(found.frame) >= FEWEST_STANDS
+    if not under:
+        found = _ahead(looks)
+        steps = ways(motions, rough)
+    height, tilt, roll = _means(found, under)
+    axle = rig.rear_axle_forward_m
+    moved = travel(steps, None if axle is None else -axle)
+    time_ns = np.array([look.time_ns for look in looks], dtype=np.int64) + rig.image_time_offset_ns
+    check = check_against_gnss(recording, time_ns, steps)
+    checked = [check] if isinstance(check, str) else remarks(check)
+    return MountEstimate(
+        name=recording.name,
+        height_m=height,
+        tilt_deg=tilt,
+        roll_deg=roll,
+        yaw_deg=moved.yaw_deg,
+        axle_ahead_m=moved.ahead_m,
+        method=UNDER if under else AHEAD,
+        frames=recording.frame_count,
+        looked=len(looks),
+        steps=len(steps.stop),
+        forward_m=float(steps.forward_m[steps.forward_m > 0.0].sum()),
+        reverse_m=float(np.abs(steps.forward_m[steps.forward_m < 0.0]).sum()),
+        straight_m=moved.straight_m,
+        time_ns=time_ns,
+        stands=found,
+        ways=steps,
+        gnss=None if isinstance(check, str) else check,
+        stated=stated,
+        notes=(*_notes(rig, under, steps, moved), *checked),
+    )
+
+
+def _look(
+    recording: Recording,
+    chosen: Sequence[range],
+    jobs: int,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[list[Look], list[bool]]:
+    """The looks at the chosen frames, and whether each follows the one before in a stretch."""
+    wanted = {k for stretch in chosen for k in stretch}
+    starts = {stretch[0] for stretch in chosen if stretch}
+    order = sorted(wanted)
+    looks: list[Look] = []
+    picked = _picked(recording.frames(), wanted)
+    for look in side_by_side(Looker(recording.rig), picked, jobs):
+        looks.append(look)
+        if progress is not None:
+            progress(len(looks), len(order))
+    return looks, [k not in starts for k in order[: len(looks)]]
+
+
+def _picked(frames: Iterable[Frame], wanted: set[int]) -> Iterator[Frame]:
+    return (frame for k, frame in enumerate(frames) if k in wanted)
+
+
+def _middle(planes: Sequence[Plane]) -> Plane:
+    up = np.median([plane.up for plane in planes], axis=0)
+    height_m = float(np.median([plane.height_m for plane in planes]))
+    return Plane(up / np.linalg.norm(up), height_m)
+
+
+def _motions(
+    looks: Sequence[Look], joined: Sequence[bool], rig: Rig, rough: Plane
+) -> list[Motion3 | None]:
+    """The motion from each look to the next, of the middle of the baseline; None if not known."""
+    camera = rig.sensor
+    if not isinstance(camera, StereoCamera):
+        return [None] * max(len(looks) - 1, 0)
+    mount = Mount(rough.height_m, rough.tilt_deg, rough.roll_deg)
+    roughly = Rig(camera, mount, LeverArm(0.0, 0.0, 0.0))
+    middle = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
+    motions: list[Motion3 | None] = []
+    for (start, stop), follows in zip(pairwise(looks), joined[1:], strict=True):
+        if not follows or start.features is None or stop.features is None:
+            motions.append(None)
+            continue
+        motion = camera_motion(start.features, stop.features, roughly)
+        if isinstance(motion, Refusal):
+            motions.append(None)
+            continue
+        R, t = motion
+        motions.append(Motion3(R, R @ middle + t - middle))
+    return motions
+
+
+def _ahead(looks: Sequence[Look]) -> Stands:
+    """The planes ahead, for want of better."""
+    planes = [(k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None]
+    rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in planes])
+    return Stands(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3])
+
+
+def _means(found: Stands, under: bool) -> tuple[Measured, Measured, Measured]:
+    """Height, tilt and roll with their errors."""
+    height_m = float(np.median(found.height_m))
+    floor_m = math.hypot(HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE * height_m)
+    tilt_floor_deg, roll_floor_deg = TILT_FLOOR_DEG, ROLL_FLOOR_DEG
+    if not under:
+        floor_m = AHEAD_HEIGHT_SHARE * height_m
+        tilt_floor_deg = roll_floor_deg = AHEAD_ANGLE_DEG
+    return (
+        mean_of(found.height_m, floor_m),
+        mean_of(found.tilt_deg, tilt_floor_deg),
+        mean_of(found.roll_deg, roll_floor_deg),
+    )
+
+
+def _notes(rig: Rig, under: bool, steps: Ways, moved: Travel) -> Iterator[str]:
+    if not isinstance(rig.sensor, StereoCamera):
+        yield (
+            f"A {type(rig.sensor).__name__} alone does not tell its own motion, so yaw is not "
+            "estimated, and the ground is that around the sensor, not the one under the wheels."
+        )
+    elif not under:
+        yield (
+            "The vehicle did not come to stand on ground that its camera had seen, so the ground "
+            "ahead was measured, which is seldom the plane that the vehicle is on; drive 20 m or "
+            "more straight on."
+        )
+    if isinstance(rig.sensor, StereoCamera) and moved.yaw_deg is None:
+        yield (
+            f"Yaw is not estimated: {moved.straight_m:.1f} m of the steps that the camera told are "
+            f"nearly straight on, and more than {LEAST_WAY_M:.0f} m are needed that are not all of "
+            "one curve; drive along a row."
+        )
+    forward_m = steps.forward_m[steps.forward_m > 0.0].sum()
+    if len(steps.forward_m) and forward_m < 0.5 * np.abs(steps.forward_m).sum():
+        yield (
+            "Most of the way was driven in reverse, as the camera sees it; a camera that looks "
+            "backwards has no mount here, so check which way it looks."
+        )

@@ -1,0 +1,123 @@
+"""The ground that the vehicle stands on, seen from where it was a little earlier.
+
+How a camera is mounted is how it sits on the vehicle, and the vehicle stands on the ground under
+its wheels, which the camera does not see. The ground ahead is another plane: in a lane the two
+differ by a degree from frame to frame. But the camera saw, some metres back, where the vehicle
+stands now; the camera's own motion since then carries that ground here. What a vehicle drives over
+is also surely ground, and no canopy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.mounting.plane import Plane, robust_plane
+from fieldgrid.odometry import Motion3
+
+_Float64 = npt.NDArray[np.float64]
+
+HALF_WIDTH_M = 1.0
+BACK_M, AHEAD_M = -2.0, 1.0
+"""Where a vehicle stands, about the ground below its sensor."""
+
+REACH_M = 11.0
+"""Patches seen from farther away are too uncertain."""
+
+MOST_WAY_M = 16.0
+"""The camera's motion is believed over this far."""
+
+DRIFT_M_PER_M = 0.003
+"""What a metre of way adds to the error of a patch's height."""
+
+FEWEST, SPREAD = 40, 0.6
+"""Patches under a vehicle, and the share of its length and width that they must span."""
+
+ROUNDS = 3
+
+
+class Patches(NamedTuple):
+    """The ground seen in one frame: points [n, 3] in the sensor's frame, and their sigma [n]."""
+
+    points_m: _Float64
+    sigma_m: _Float64
+
+
+class Stands(NamedTuple):
+    """How the sensor stood on the ground under the vehicle, frame by frame; all length n."""
+
+    frame: npt.NDArray[np.int64]
+    tilt_deg: _Float64
+    roll_deg: _Float64
+    height_m: _Float64
+
+
+def stands(
+    seen: Sequence[Patches], motions: Sequence[Motion3 | None], start: Plane
+) -> tuple[Stands, Plane]:
+    """The stands of all frames under which enough was seen, and their mean plane.
+
+    `motions` lead from each frame to the next, in the sensor's frame; None where nothing is known.
+    `start` is roughly the plane.
+    """
+    under = [_brought(k, seen, motions) for k in range(len(seen))]
+    plane, rows = start, np.zeros((0, 4))
+    for _ in range(ROUNDS):
+        found = [(k, plane_k) for k, there in enumerate(under) if (plane_k := _fit(there, plane))]
+        rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in found]).reshape(-1, 4)
+        if not found:
+            break
+        up = np.median([p.up for _, p in found], axis=0)
+        plane = Plane(up / np.linalg.norm(up), float(np.median(rows[:, 3])))
+    return Stands(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
+
+
+def _brought(k: int, seen: Sequence[Patches], motions: Sequence[Motion3 | None]) -> Patches:
+    """The patches of the frames around frame k, in its frame."""
+    points, sigmas = [], []
+    for direction in (-1, 1):
+        R, t, j, way_m = np.eye(3), np.zeros(3), k, 0.0
+        while True:
+            step = _step(j, direction, motions)
+            if step is None:
+                break
+            R, t = R @ step.R_stop_start, R @ step.t_stop_start_m + t
+            way_m += float(np.linalg.norm(step.t_stop_start_m))
+            j += direction
+            if way_m > MOST_WAY_M:
+                break
+            points.append(seen[j].points_m @ R.T + t)
+            sigmas.append(np.hypot(seen[j].sigma_m, DRIFT_M_PER_M * way_m))
+    if not points:
+        return Patches(np.zeros((0, 3)), np.zeros(0))
+    return Patches(np.concatenate(points), np.concatenate(sigmas))
+
+
+def _step(j: int, direction: int, motions: Sequence[Motion3 | None]) -> Motion3 | None:
+    """The motion that takes points of frame j + direction into frame j."""
+    if direction < 0:
+        return motions[j - 1] if j > 0 else None
+    back = motions[j] if j < len(motions) else None
+    if back is None:
+        return None
+    R = back.R_stop_start.T
+    return Motion3(R, -R @ back.t_stop_start_m)
+
+
+def _fit(there: Patches, plane: Plane) -> Plane | None:
+    """The plane under the vehicle; None when too little of it was seen."""
+    level = plane.level(there.points_m)
+    x, y, z = level.T
+    below = (np.abs(x) < HALF_WIDTH_M) & (y > BACK_M) & (y < AHEAD_M)
+    if np.count_nonzero(below) < FEWEST:
+        return None
+    if np.ptp(x[below]) < SPREAD * 2.0 * HALF_WIDTH_M:
+        return None
+    if np.ptp(y[below]) < SPREAD * (AHEAD_M - BACK_M):
+        return None
+    c, agreeing = robust_plane(x[below], y[below], z[below], there.sigma_m[below])
+    found = plane.corrected(c)
+    return found if agreeing >= FEWEST and found.can_be() else None

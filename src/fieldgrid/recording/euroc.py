@@ -1,0 +1,202 @@
+"""EuRoC (ASL) folders: `mav0/cam0`, `cam1` and `imu0`, each with `sensor.yaml` and `data.csv`.
+
+A sensor's T_BS takes points from its frame to that of the body, which is the IMU as a rule.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePath
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.motion import Gyro, Motion
+from fieldgrid.recording.calibration_kalibr import pinhole
+from fieldgrid.recording.calibration_yaml import load_yaml, matrix
+from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.files import is_inside, parse_time_ns, read_text
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.image_format import image_format
+from fieldgrid.recording.logs import find_log, log_name, passed_over, read_fix_log
+from fieldgrid.recording.motion_files import in_order
+from fieldgrid.recording.mounting import MOUNTING, Mounting
+from fieldgrid.recording.options import Options
+from fieldgrid.recording.settings_file import SETTINGS, read_settings
+from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
+from fieldgrid.recording.table_time import find_time
+from fieldgrid.recording.tables import open_table
+from fieldgrid.rectify import RawCamera, Rectification, is_rotation, rectify_by_pose
+
+_Float64 = npt.NDArray[np.float64]
+
+LOOKS_FOR = "mav0 with cam0 and cam1"
+
+_TOP = "mav0"
+_LEFT, _RIGHT, _IMU = "cam0", "cam1", "imu0"
+_DATA, _SENSOR = "data.csv", "sensor.yaml"
+_MAX_AWAY_M = 100.0
+_RATES = tuple(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is a folder of EuRoC's kind, or its mav0."""
+    return _mav(path) is not None
+
+
+def open_euroc(path: Path, options: Options) -> StoredRecording:
+    """The recording at a path; what EuRoC's format has no place for lies beside or in mav0:
+    `mounting.json`, `gnss/`, `recording.toml`."""
+    options.refuse_topics(path)
+    mav = _mav(path)
+    if mav is None:
+        raise RecordingError(f"{path} has no {LOOKS_FOR}; give the folder that holds them.")
+    folder = mav.parent if mav.name == _TOP else mav
+    settings = read_settings(_beside(folder, mav, SETTINGS))
+    rectification = _rectification(mav)
+    camera = rectification.camera
+    mounting = options.find_mounting(_mounting_path(folder, mav), path)
+    shots, frame_notes = _shots(folder, mav)
+    stored, image_notes = image_format(folder, shots, settings)
+    log_path = _log_path(folder, mav, options)
+    log = (
+        FixLog((), (passed_over(folder),))
+        if log_path is None
+        else read_fix_log(log_path, options.columns or settings.columns)
+    )
+    gyro, gyro_notes = _gyro(mav, mounting, rectification)
+    return StoredRecording(
+        name=settings.name or folder.resolve().name,
+        rig=mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
+        folder=folder,
+        shots=shots,
+        kind=PairKind((camera.width_px, camera.height_px), rectification.rectifier, stored),
+        fix_log=log.fixes,
+        gnss_source="" if log_path is None else log_name(log_path, folder),
+        datum_hint=settings.datum,
+        notes=frame_notes + image_notes + log.notes + gyro_notes,
+        own_motion=Motion(gyro=gyro or log.motion.gyro, wheels=log.motion.wheels),
+    )
+
+
+def _mav(path: Path) -> Path | None:
+    """The folder that holds the sensors."""
+    for mav in (path / _TOP, path):
+        if all((mav / camera / _DATA).is_file() for camera in (_LEFT, _RIGHT)):
+            return mav
+    return None
+
+
+def _beside(folder: Path, mav: Path, name: str) -> Path:
+    """A file in mav0 or beside it."""
+    return mav / name if (mav / name).exists() else folder / name
+
+
+def _mounting_path(folder: Path, mav: Path) -> Path:
+    inside = folder / "calibration" / MOUNTING
+    return inside if inside.exists() else _beside(folder, mav, MOUNTING)
+
+
+def _log_path(folder: Path, mav: Path, options: Options) -> Path | None:
+    """The log that was asked for, else that of mav0/gnss, mav0/gps0 or gnss beside them."""
+    if options.gnss is None and (mav / "gps0" / _DATA).is_file():
+        return mav / "gps0" / _DATA
+    return find_log(mav if (mav / "gnss").is_dir() else folder, options.gnss)
+
+
+def _shots(folder: Path, mav: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+    """The images that both cameras took at the same time."""
+    left, right = (_images(mav / camera) for camera in (_LEFT, _RIGHT))
+    common = sorted(left.keys() & right.keys())
+    if not common:
+        raise RecordingError(
+            f"{mav}: no image of {_LEFT} has the time of one of {_RIGHT}; both cameras must be "
+            "triggered together and stamped alike."
+        )
+    top = mav.relative_to(folder)
+    left_folder, right_folder = (
+        f"{(top / camera / 'data').as_posix()}/" for camera in (_LEFT, _RIGHT)
+    )
+    shots = [
+        Shot(time_ns, str(time_ns), (left_folder + left[time_ns], right_folder + right[time_ns]))
+        for time_ns in common
+    ]
+    alone = len(left) + len(right) - 2 * len(common)
+    notes = (f"{alone} images without a partner of the same time skipped.",) if alone else ()
+    return checked_shots(shots, folder), notes
+
+
+def _images(camera: Path) -> dict[int, str]:
+    """The names of the images of a camera by their times, UTC nanoseconds."""
+    path = camera / _DATA
+    images: dict[int, str] = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        stamp, _, name = (part.strip() for part in line.partition(","))
+        if not is_inside(name) or len(PurePath(name).parts) != 1:
+            raise RecordingError(
+                f"{path}, line {number}: {name[:40]!r} is no name of a file in {camera.name}/data; "
+                "give rows of a time in nanoseconds and a file name."
+            )
+        try:
+            time_ns = parse_time_ns({"time_ns": stamp})
+        except ValueError as problem:
+            raise RecordingError(f"{path}, line {number}: {problem}; correct it.") from problem
+        if time_ns in images:
+            raise RecordingError(
+                f"{path}, line {number}: {images[time_ns]} and {name} have the same time {time_ns} "
+                "ns; correct the time stamps."
+            )
+        images[time_ns] = name
+    return images
+
+
+def _rectification(mav: Path) -> Rectification:
+    """The cameras by their intrinsics and their places on the body."""
+    left, right = (_camera(mav / name / _SENSOR, name) for name in (_LEFT, _RIGHT))
+    T_body_left, T_body_right = (_pose(mav / name / _SENSOR) for name in (_LEFT, _RIGHT))
+    T_right_left = np.linalg.inv(T_body_right) @ T_body_left
+    return rectify_by_pose(left, right, T_right_left[:3, :3], T_right_left[:3, 3], str(mav))
+
+
+def _camera(path: Path, name: str) -> RawCamera:
+    return pinhole(load_yaml(path), path, name, coefficients="distortion_coefficients")
+
+
+def _pose(path: Path) -> _Float64:
+    """T_BS, once it is sure to be a rigid motion."""
+    T = matrix(load_yaml(path), "T_BS", (4, 4), path)
+    is_near = bool((np.abs(T[:3, 3]) < _MAX_AWAY_M).all())
+    if not (is_rotation(T[:3, :3]) and is_near and (T[3] == (0, 0, 0, 1)).all()):
+        raise CalibrationError(f"{path}: T_BS is no rigid transformation; restore the file.")
+    return T
+
+
+def _gyro(
+    mav: Path, mounting: Mounting, rectification: Rectification
+) -> tuple[Gyro | None, tuple[str, ...]]:
+    """The clockwise rate about the vehicle's vertical, by the axes that the cameras give it."""
+    path = mav / _IMU / _DATA
+    if not path.is_file():
+        return None, ()
+    R_body_imu = (
+        _pose(mav / _IMU / _SENSOR)[:3, :3] if (mav / _IMU / _SENSOR).is_file() else np.eye(3)
+    )
+    R_rect_body = rectification.R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
+    R_vehicle_imu = mounting.mount.rotation() @ R_rect_body @ R_body_imu
+    # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
+    upward = np.round(R_vehicle_imu[2], 9)
+    with open_table(path) as table:
+        missing = [name for name in _RATES if name not in table.header]
+        if missing:
+            return None, (f"{_IMU}/{_DATA}: no column {missing[0]}; it is not used.",)
+        time = find_time(table, Columns())
+        times, rates = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+        for block in table.blocks():
+            turning = [table.numbers(block, table.header.index(name)) for name in _RATES]
+            times.append(time.utc_ns(block))
+            rates.append(-sum(part * rate for part, rate in zip(upward, turning, strict=True)))
+    series, lost = in_order(np.concatenate(times), np.concatenate(rates))
+    notes = (f"{_IMU}/{_DATA}: {lost} rows without a time or value, or repeated, skipped.",)
+    return Gyro(*series), notes if lost else ()

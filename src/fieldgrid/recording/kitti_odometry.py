@@ -1,0 +1,208 @@
+"""KITTI odometry: `sequences/NN` with rectified pairs, `calib.txt` and times from 0.
+
+It has no GNSS. Its poses can stand in for one, once it is said where and when they start.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import Fix
+from fieldgrid.recording.files import read_text
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.images import SUFFIXES, ImageFile
+from fieldgrid.recording.kitti_calibration import CAMERA_HEIGHT_M, floats, numbers, read_entries
+from fieldgrid.recording.logs import find_log, log_name, read_fix_log
+from fieldgrid.recording.mounting import MOUNTING
+from fieldgrid.recording.options import Options
+from fieldgrid.recording.settings_file import SETTINGS, Settings, Start, read_settings
+from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
+from fieldgrid.rectify import camera_from_projections
+from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+
+_Float64 = npt.NDArray[np.float64]
+
+LOOKS_FOR = "a KITTI sequence with calib.txt, times.txt, image_0 and image_1"
+
+_CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
+_SIDES = (("0", "1"), ("2", "3"))
+_QUALITY = 4
+_SIGMA_M, _SIGMA_DEG = 0.1, 0.2  # what KITTI says of its RTK and INS, roughly
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is a sequence."""
+    if not all((path / name).is_file() for name in (_CALIBRATION, _TIMES)):
+        return False
+    return any(all((path / f"image_{number}").is_dir() for number in pair) for pair in _SIDES)
+
+
+def open_sequence(path: Path, options: Options) -> StoredRecording:
+    """The sequence at a path: fixes of a log that is given, else of its own poses."""
+    options.refuse_topics(path)
+    settings = read_settings(path / SETTINGS)
+    if settings.start is None:
+        raise RecordingError(
+            f"{path / _TIMES} counts from 0, and nothing says when it was driven; add {SETTINGS} "
+            "with [start] utc_s = seconds since 1970 of its first image."
+        )
+    times_ns = _times_ns(path / _TIMES, settings.start)
+    left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
+    shots = checked_shots(_shots(path, left, right, times_ns), path)
+    camera = _camera(path, left, right, ImageFile(path / shots[0].files[0]).size_px())
+    log_path = find_log(path, options.gnss)
+    notes: tuple[str, ...] = ()
+    if log_path is not None:
+        source = log_name(log_path, path)
+        log = read_fix_log(log_path, options.columns or settings.columns)
+        mounting = options.find_mounting(path / MOUNTING, path)
+        rig = mounting.rig(camera, options.offset_or(settings.image_time_offset_ns))
+    elif options.columns is not None:
+        raise ConfigError("Columns: the poses of a KITTI sequence are no table; leave them out.")
+    else:
+        mount, notes = _own_mount(path, options)
+        log = _poses_as_fixes(path, times_ns, settings, mount)
+        source = _POSES if log.fixes else ""
+        antenna = _first_camera(_projection(path, left), camera, mount)
+        offset_ns = options.offset_or(settings.image_time_offset_ns)
+        rig = Rig(camera, mount, antenna, image_time_offset_ns=offset_ns, heading_offset_deg=0.0)
+    return StoredRecording(
+        name=settings.name or path.resolve().name,
+        rig=rig,
+        folder=path,
+        shots=shots,
+        kind=PairKind((camera.width_px, camera.height_px)),
+        fix_log=log.fixes,
+        gnss_source=source,
+        datum_hint=settings.datum,
+        notes=notes + log.notes,
+        own_motion=log.motion,
+    )
+
+
+def _times_ns(path: Path, start: Start) -> list[int]:
+    times_s = floats(read_text(path), path)
+    if not all(0.0 <= time_s < 1e6 for time_s in times_s):
+        raise RecordingError(f"{path} holds a time that is no second from the start; restore it.")
+    return [start.time_ns + round(time_s * 1e9) for time_s in times_s]
+
+
+def _shots(path: Path, left: str, right: str, times_ns: list[int]) -> list[Shot]:
+    listings = [
+        sorted(p.name for p in (path / f"image_{n}").iterdir() if p.suffix.lower() in SUFFIXES)
+        for n in (left, right)
+    ]
+    if not len(listings[0]) == len(listings[1]) == len(times_ns):
+        raise RecordingError(
+            f"{path} has {len(listings[0])} left and {len(listings[1])} right images for "
+            f"{len(times_ns)} times; unpack the sequence again."
+        )
+    return [
+        Shot(time_ns, Path(a).stem, (f"image_{left}/{a}", f"image_{right}/{b}"))
+        for time_ns, a, b in zip(times_ns, *listings, strict=True)
+    ]
+
+
+def _projection(path: Path, number: str) -> _Float64:
+    file = path / _CALIBRATION
+    return numbers(read_entries(file), f"P{number}", 12, file).reshape(3, 4)
+
+
+def _camera(path: Path, left: str, right: str, size_px: tuple[int, int]) -> StereoCamera:
+    matrices = _projection(path, left), _projection(path, right)
+    return camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
+
+
+def _own_mount(path: Path, options: Options) -> tuple[Mount, tuple[str, ...]]:
+    """How the cameras sit, by a mounting that is given, else as KITTI's; and a remark."""
+    if options.mounting is not None or (path / MOUNTING).exists():
+        return options.find_mounting(path / MOUNTING, path).mount, ()
+    note = (
+        f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; no file of the "
+        "sequence gives it."
+    )
+    return Mount(CAMERA_HEIGHT_M, 0.0), (note,)
+
+
+def _first_camera(left_projection: _Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
+    """The optical centre of camera 0, of which the poses are."""
+    left_from_first_m = -float(left_projection[0, 3]) / camera.focal_px
+    aside_m = np.array([-left_from_first_m - camera.baseline_m / 2.0, 0.0, 0.0])
+    right, forward, up = (mount.rotation() @ aside_m).tolist()
+    return LeverArm(right, forward, mount.height_m + up)
+
+
+def _poses_as_fixes(path: Path, times_ns: list[int], settings: Settings, mount: Mount) -> FixLog:
+    """The fixes that the poses come to; none, and what is missing for them."""
+    file = next((p for p in _pose_files(path) if p.is_file()), None)
+    if file is None:
+        return FixLog((), (f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",))
+    if settings.datum is None:
+        missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
+        return FixLog((), (missing,))
+    assert settings.start is not None
+    poses = _poses(file, len(times_ns))
+    fixes = _fixes(poses, times_ns, settings.datum, settings.start.heading_deg or 0.0, mount)
+    notes = [
+        f"The fixes are the poses of {file.name}, taken as good to {_SIGMA_M} m and {_SIGMA_DEG}°.",
+    ]
+    if settings.start.heading_deg is None:
+        notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
+    return FixLog(tuple(fixes), tuple(notes))
+
+
+def _pose_files(path: Path) -> tuple[Path, ...]:
+    beside = path.resolve().parent.parent / "poses" / f"{path.resolve().name}.txt"
+    return path / _POSES, beside
+
+
+def _poses(path: Path, count: int) -> _Float64:
+    """Camera 0 in the frame of its first image (x right, y down, z forward), [n, 3, 4]."""
+    values = np.array(floats(read_text(path), path))
+    if values.size != 12 * count or not (np.abs(values) < 1e7).all():
+        raise RecordingError(
+            f"{path} has {values.size} numbers, not 12 for each of {count} images; restore it."
+        )
+    poses = values.reshape(count, 3, 4)
+    turns = poses[:, :, :3]
+    if np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-2:
+        raise RecordingError(f"{path} holds a matrix that is no rotation; restore it.")
+    return poses
+
+
+def _fixes(
+    poses: _Float64, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
+) -> list[Fix]:
+    """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
+    R_vehicle_camera = mount.rotation()
+    right_m, forward_m, up_m = R_vehicle_camera @ poses[:, :, 3].T
+    noses = R_vehicle_camera @ poses[:, :, :3] @ R_vehicle_camera.T
+    headings = wrap_deg(start_deg + np.degrees(np.arctan2(noses[:, 0, 1], noses[:, 1, 1])))
+    cos, sin = math.cos(math.radians(start_deg)), math.sin(math.radians(start_deg))
+    lat, lon, height = datum.to_geodetic(
+        right_m * cos + forward_m * sin, forward_m * cos - right_m * sin, mount.height_m + up_m
+    )
+    return [
+        Fix(
+            time_ns,
+            lat_deg,
+            lon_deg,
+            height_m,
+            quality=_QUALITY,
+            sigma_m=_SIGMA_M,
+            heading_deg=heading_deg,
+            heading_sigma_deg=_SIGMA_DEG,
+        )
+        for time_ns, lat_deg, lon_deg, height_m, heading_deg in zip(
+            times_ns,
+            *(values.tolist() for values in (lat, lon, height, headings)),
+            strict=True,
+        )
+    ]

@@ -1,0 +1,168 @@
+"""What the frames of a plain folder are, and the sensor that they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.cloud import points_per_sr
+from fieldgrid.errors import CalibrationError
+from fieldgrid.recording.calibration import read_calibration
+from fieldgrid.recording.calibration_ros import read_ros_camera
+from fieldgrid.recording.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
+from fieldgrid.recording.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
+from fieldgrid.recording.files import read_table
+from fieldgrid.recording.frame_table import PAIRS, TABLE, Layout, read_frames
+from fieldgrid.recording.image_format import image_format
+from fieldgrid.recording.mounting import Mounting
+from fieldgrid.recording.settings_file import Settings
+from fieldgrid.recording.stored import FrameKind, PairKind, Shot
+from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Rig
+
+CALIBRATION = "calibration"
+DEPTH_INFO = "depth_camera_info.yaml"
+
+_LAYOUTS = {"stereo": PAIRS, "depth": DEPTHS, "disparity": DISPARITIES, "cloud": CLOUDS}
+
+
+class Seen(NamedTuple):
+    """The frames of a recording, the rig that saw them, and remarks."""
+
+    rig: Rig
+    shots: tuple[Shot, ...]
+    kind: FrameKind
+    notes: tuple[str, ...]
+
+
+def has_frames(path: Path) -> bool:
+    """Whether a folder has the folders of some kind of frames."""
+    return any(layout.is_in(path) for layout in _LAYOUTS.values())
+
+
+def read_seen(path: Path, settings: Settings, mounting: Mounting, offset_ns: int) -> Seen:
+    """The frames of the recording in a folder.
+
+    Where there are several kinds, the settings say which, or else the first of pairs, depths,
+    disparities and clouds is taken.
+    """
+    found = _kinds(path, settings)
+    sensor = settings.sensor or next(iter(found), "stereo")
+    layout = _LAYOUTS[sensor]
+    read: dict[str, Callable[[Path, Settings, Mounting, int, Layout], Seen]] = {
+        "stereo": _pairs,
+        "depth": _depths,
+        "disparity": _depths,
+        "cloud": _clouds,
+    }
+    seen = read[sensor](path, settings, mounting, offset_ns, layout)
+    others = [other for other in found if other != sensor]
+    if settings.sensor is None and others:
+        note = (
+            f"The frames are those of {sensor}; {' and '.join(others)} are there, too: say which "
+            f'in recording.toml, like sensor = "{others[0]}".'
+        )
+        return seen._replace(notes=(*seen.notes, note))
+    return seen
+
+
+def _kinds(path: Path, settings: Settings) -> list[str]:
+    """The kinds of frames that the table has columns for, or without rows there are folders for."""
+    table = path / (settings.frames or TABLE)
+    if settings.frames is not None or table.exists():
+        for _, row in read_table(table, ("frame_id",)):
+            return [kind for kind, layout in _LAYOUTS.items() if row.keys() >= set(layout.columns)]
+    return [kind for kind, layout in _LAYOUTS.items() if layout.is_in(path)]
+
+
+def _pairs(
+    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
+) -> Seen:
+    calibration = read_calibration(path / CALIBRATION, settings.calibration, settings.rectified)
+    rig = mounting.rig(calibration.camera, offset_ns)
+    shots, notes = read_frames(path, settings.frames, layout)
+    stored, image_notes = image_format(path, shots, settings)
+    size_px = (rig.camera.width_px, rig.camera.height_px)
+    kind = PairKind(size_px, calibration.rectifier, stored)
+    return Seen(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
+
+
+def _depths(
+    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
+) -> Seen:
+    rig, offset_px, calibration_notes = _depth_rig(path, settings, mounting, offset_ns)
+    camera = rig.sensor
+    assert isinstance(camera, DepthCamera)
+    if layout is DEPTHS:
+        stated = DepthFormat("depth", settings.scale)
+    elif camera.baseline_m is None:
+        raise CalibrationError(
+            f"{path} has disparities, and nothing says the baseline of their pair; add it to "
+            "recording.toml: [disparity] baseline_m, or give the calibration of the pair."
+        )
+    else:
+        product = camera.fx_px * camera.baseline_m
+        stated = DepthFormat("disparity", settings.scale, product, offset_px)
+    shots, notes = read_frames(path, settings.frames, layout)
+    kind = DepthKind((camera.width_px, camera.height_px), stated)
+    return Seen(rig, shots, kind, (*calibration_notes, *notes))
+
+
+def _depth_rig(
+    path: Path, settings: Settings, mounting: Mounting, offset_ns: int
+) -> tuple[Rig, float, tuple[str, ...]]:
+    """The rig of a depth camera, the disparity at infinity of its pair, and remarks."""
+    info = path / CALIBRATION / (settings.calibration or DEPTH_INFO)
+    if info.exists() and (settings.calibration is None or info.name == DEPTH_INFO):
+        camera, notes = read_ros_camera(info)
+        camera = replace(camera, baseline_m=settings.baseline_m or mounting.baseline_m)
+        return mounting.rig(camera, offset_ns), 0.0, notes
+    calibration = read_calibration(path / CALIBRATION, settings.calibration, settings.rectified)
+    if calibration.rectifier is not None:
+        raise CalibrationError(
+            f"The calibration in {path / CALIBRATION} is of raw images, and depths are of "
+            f"rectified ones; give theirs as {DEPTH_INFO}."
+        )
+    pair = calibration.camera
+    f, baseline_m = pair.focal_px, settings.baseline_m or pair.baseline_m
+    size_px = (pair.width_px, pair.height_px)
+    depth_camera = DepthCamera(*size_px, f, f, pair.cx_px, pair.cy_px, baseline_m)
+    rig = mounting.rig(pair, offset_ns)  # which compares the baselines
+    note = "The depths are taken to be of the left camera of the calibrated pair."
+    return _from_left(rig, depth_camera), pair.disparity_offset_px, (*calibration.notes, note)
+
+
+def _from_left(rig: Rig, camera: DepthCamera) -> Rig:
+    """The rig of a pair as that of its left camera: all is told from below that one."""
+    left = rig.mount.rotation() @ np.array([-rig.camera.baseline_m / 2.0, 0.0, 0.0])
+    right_m, forward_m = float(left[0]), float(left[1])
+    antenna, axle_m = rig.antenna, rig.rear_axle_forward_m
+    return replace(
+        rig,
+        sensor=camera,
+        mount=replace(rig.mount, height_m=rig.mount.height_m + float(left[2])),
+        antenna=LeverArm(antenna.right_m - right_m, antenna.forward_m - forward_m, antenna.up_m),
+        rear_axle_forward_m=None if axle_m is None else axle_m - forward_m,
+    )
+
+
+def _clouds(
+    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
+) -> Seen:
+    shots, notes = read_frames(path, settings.frames, layout)
+    axes = settings.axes or AXES
+    if settings.points_per_sr is not None:
+        return Seen(
+            mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, CloudKind(axes), notes
+        )
+    (name,) = shots[len(shots) // 2].files
+    source = CloudFile(path / name, axes)
+    try:
+        density = points_per_sr(source.read())
+    except CalibrationError as problem:
+        raise CalibrationError(f"{source.name}: {problem}") from problem
+    note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
+    return Seen(mounting.rig(Lidar(density), offset_ns), shots, CloudKind(axes), (*notes, note))

@@ -1,0 +1,65 @@
+"""What is measured of a pair of images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldgrid.inspection.images import misalignment
+from fieldgrid.inspection.measures import Look, blur, exposure
+from fieldgrid.localgrid import FrameGround
+
+SIZE_PX = (640, 480)
+
+
+def look(shifts: np.ndarray) -> Look:
+    ground = FrameGround(2.0, 0.0, 0.0, True)
+    return Look("0", 0, (100.0, 100.0), 0.0, 0.0, 0.2, 500, shifts, ground, 0.5)
+
+
+def shifts_of(seed: int, constant_px: float, per_width_px: float, wrong: float) -> np.ndarray:
+    """Matches all over the image, some of them wrong."""
+    draw = np.random.default_rng(seed)
+    at = draw.uniform((0.0, 0.0), SIZE_PX, (300, 2))
+    shift = constant_px + per_width_px * (at[:, 0] / SIZE_PX[0] - 0.5)
+    shift += draw.normal(0.0, 0.1, 300)
+    is_wrong = draw.uniform(size=300) < wrong
+    shift[is_wrong] = draw.uniform(-24.0, 24.0, np.count_nonzero(is_wrong))
+    return np.column_stack([at, shift])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    constant_px=st.floats(-18.0, 18.0),
+    per_width_px=st.floats(-2.0, 2.0),
+    wrong=st.floats(0.0, 0.25),
+)
+def test_misalignment_in_spite_of_wrong_matches(
+    seed: int, constant_px: float, per_width_px: float, wrong: float
+) -> None:
+    found = misalignment([look(shifts_of(seed, constant_px, per_width_px, wrong))], SIZE_PX)
+    assert found is not None
+    columns = np.linspace(-0.5, 0.5, 201)
+    expected_px = float(np.median(np.abs(constant_px + per_width_px * columns)))
+    assert found.residual_px == pytest.approx(expected_px, abs=0.12)
+    roll_deg = np.degrees(np.arctan(per_width_px / SIZE_PX[0]))
+    assert found.roll_deg == pytest.approx(roll_deg, abs=0.02)
+
+
+def test_too_few_matches_tell_nothing() -> None:
+    assert misalignment([], SIZE_PX) is None
+    assert misalignment([look(shifts_of(0, 5.0, 0.0, 0.0)[:20])], SIZE_PX) is None
+
+
+def test_blur_does_not_depend_on_contrast() -> None:
+    image = np.random.default_rng(0).integers(0, 200, (120, 160)).astype(np.uint8)
+    assert blur(image) == pytest.approx(blur((image // 4 * 1).astype(np.uint8)), abs=0.03)
+    assert blur(np.full((50, 50), 7, dtype=np.uint8)) == 0.0
+
+
+def test_exposure_is_that_of_the_worse_image() -> None:
+    dark, bright = np.zeros((10, 10), np.uint8), np.full((10, 10), 255, np.uint8)
+    assert exposure(dark, bright) == ((0.0, 255.0), 1.0, 1.0)

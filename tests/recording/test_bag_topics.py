@@ -1,0 +1,186 @@
+"""Which topic is what: by type, name, and what is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording.bag.topics import Choice, choose
+from fieldgrid.ros import Topic
+
+BAG = Path("drive.mcap")
+TYPES = {
+    "image": "sensor_msgs/msg/Image",
+    "packed": "sensor_msgs/msg/CompressedImage",
+    "info": "sensor_msgs/msg/CameraInfo",
+    "disparity": "stereo_msgs/msg/DisparityImage",
+    "cloud": "sensor_msgs/msg/PointCloud2",
+    "fix": "sensor_msgs/msg/NavSatFix",
+    "nmea": "nmea_msgs/msg/Sentence",
+    "imu": "sensor_msgs/msg/Imu",
+    "odometry": "nav_msgs/msg/Odometry",
+    "other": "std_msgs/msg/String",
+}
+
+
+def chosen(
+    text: str, given: Mapping[str, str] | None = None, count: int = 9, sensor: str | None = None
+) -> Choice:
+    """The choice among topics written like `image /left/image_raw`, one a line."""
+    topics = {}
+    for line in text.split("\n"):
+        if line.strip():
+            kind, name = line.split()
+            topics[name] = Topic(name, TYPES[kind], count)
+    return choose(topics, given or {}, BAG, sensor=sensor)
+
+
+def stereo(place: str, image: str = "image_rect", kind: str = "image") -> str:
+    """A stereo pair with its calibration."""
+    return "".join(
+        f"{kind} {place}/{side}/{image}\ninfo {place}/{side}/camera_info\n"
+        for side in ("left", "right")
+    )
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "left_info", "right_info"),
+    [
+        ("/left/image_raw", "/right/image_raw", "/left/camera_info", "/right/camera_info"),
+        ("/cam0/image_raw", "/cam1/image_raw", "/cam0/camera_info", "/cam1/camera_info"),
+        (
+            "/camera/infra1/image_rect_raw",
+            "/camera/infra2/image_rect_raw",
+            "/camera/infra1/camera_info",
+            "/camera/infra2/camera_info",
+        ),
+        (
+            "/kitti/camera_gray_left/image_raw",
+            "/kitti/camera_gray_right/image_raw",
+            "/kitti/camera_gray_left/camera_info",
+            "/kitti/camera_gray_right/camera_info",
+        ),
+        ("/left_image", "/right_image", "/left_camera_info", "/right_camera_info"),
+        (
+            "/oak/left/image_rect/compressed",
+            "/oak/right/image_rect/compressed",
+            "/oak/left/camera_info",
+            "/oak/right/camera_info",
+        ),
+    ],
+)
+def test_a_pair_is_told_by_its_names(
+    left: str, right: str, left_info: str, right_info: str
+) -> None:
+    kind = "packed" if left.endswith("compressed") else "image"
+    found = chosen(
+        f"{kind} {left}\n{kind} {right}\ninfo {left_info}\ninfo {right_info}\n"
+        "image /rear/image_raw\ninfo /rear/camera_info\n"
+    )
+    assert found.problem is None
+    assert found.kind == "stereo"
+    assert found.roles == {
+        "left": left, "right": right, "left_info": left_info, "right_info": right_info,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("better", "worse"),
+    [
+        (("image", "image_rect"), ("image", "image_raw")),
+        (("image", "image_rect"), ("image", "image_rect_color")),
+        (("image", "image_rect"), ("packed", "image_rect/compressed")),
+        (("packed", "image_rect/compressed"), ("image", "image_raw")),
+        (("image", "image_mono"), ("image", "image_color")),
+        (("image", "image_rect_color"), ("image", "image_color")),
+    ],
+)
+def test_rectified_before_raw_grey_before_colour_plain_before_compressed(
+    better: tuple[str, str], worse: tuple[str, str]
+) -> None:
+    text = "".join(stereo("/s", image, kind) for kind, image in (worse, better))
+    assert chosen(text).roles["left"] == f"/s/left/{better[1]}"
+
+
+def test_several_pairs_are_an_error_that_names_them_and_the_flag() -> None:
+    text = stereo("/front") + stereo("/rear")
+    problem = chosen(text).problem
+    assert problem is not None
+    for part in ("/front/left/image_rect", "/rear/right/image_rect", "--topic left="):
+        assert part in str(problem)
+    found = chosen(text, {"left": "/rear/left/image_rect"})
+    assert found.problem is None
+    assert found.roles["right"] == "/rear/right/image_rect"
+    assert found.roles["right_info"] == "/rear/right/camera_info"
+
+
+def test_what_is_given_outranks_names() -> None:
+    text = stereo("/s") + "image /a\nimage /b\ninfo /c\ninfo /d\n"
+    given = {"left": "/a", "right": "/b", "left_info": "/c", "right_info": "/d"}
+    assert chosen(text, given).roles == given
+    problem = chosen(text, {"left": "/a"}).problem
+    assert problem is not None
+    assert "add --topic right=" in str(problem)
+    problem = chosen(text, {"left": "/a", "right": "/a"}).problem
+    assert problem is not None
+    assert "give two topics" in str(problem)
+
+
+def test_the_sensor_is_stereo_then_disparity_then_depth_then_cloud_or_the_given_one() -> None:
+    depth = "image /d/depth/image_rect_raw\ninfo /d/depth/camera_info\n"
+    disparity = "disparity /s/disparity\ninfo /s/left/camera_info\n"
+    cloud = "cloud /lidar/points\n"
+    everything = stereo("/s") + depth + disparity + cloud
+    assert chosen(everything).kind == "stereo"
+    found = chosen(depth + disparity + cloud)
+    assert (found.kind, found.roles["left_info"]) == ("disparity", "/s/left/camera_info")
+    found = chosen(depth + cloud)
+    assert found.kind == "depth"
+    assert found.roles["depth_info"] == "/d/depth/camera_info"
+    assert chosen(cloud).kind == "cloud"
+    assert chosen(everything, {"cloud": "/lidar/points"}).kind == "cloud"
+    assert chosen(everything, sensor="depth").kind == "depth"
+    assert chosen(cloud, sensor="depth").kind == ""
+    problem = chosen(everything, {"cloud": "/lidar/points", "left": "/s/left/image_rect"}).problem
+    assert problem is not None
+    assert "give those of one" in str(problem)
+
+
+def test_a_bag_without_frames_has_no_problem_yet() -> None:
+    found = chosen("fix /fix\nother /chatter\nimage /front/image_raw\n")
+    assert (found.kind, found.problem) == ("", None)
+    assert found.roles == {"fix": "/fix"}
+    assert any("/front/image_raw" in note and "/chatter" not in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("role", "text", "expected"),
+    [
+        ("imu", "imu /zed/imu/data\nimu /imu/data\nimu /imu/data_raw", "/imu/data"),
+        ("odometry", "odometry /odometry/filtered\nodometry /wheel/odom", "/wheel/odom"),
+        ("fix", "fix /gps/filtered\nfix /gps/fix", "/gps/fix"),
+    ],
+)
+def test_of_several_sensors_the_vehicles_own_is_taken(role: str, text: str, expected: str) -> None:
+    assert chosen(text).roles[role] == expected
+
+
+@pytest.mark.parametrize("role", ["fix", "nmea", "imu", "odometry"])
+def test_several_alike_are_an_error_that_names_them_and_the_flag(role: str) -> None:
+    with pytest.raises(RecordingError, match=rf"for {role}: /a, /b; .*--topic {role}=/a"):
+        chosen(f"{role} /b\n{role} /a")
+    assert chosen(f"{role} /b\n{role} /a", {role: "/b"}).roles[role] == "/b"
+
+
+def test_topics_without_messages_are_not_taken() -> None:
+    assert chosen(stereo("/s"), count=0).kind == ""
+    with pytest.raises(RecordingError, match="has no message"):
+        chosen(stereo("/s"), {"left": "/s/left/image_rect"}, count=0)
+
+
+def test_a_depth_image_is_no_side_of_a_pair() -> None:
+    found = chosen("image /left/depth\nimage /right/depth\ninfo /left/camera_info")
+    assert found.kind in ("", "depth")

@@ -1,0 +1,316 @@
+"""MCAPs of recordings: what an independent reader finds in them, and what our own makes of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+import fieldgrid as fg
+from fieldgrid.build import build_map
+from fieldgrid.convert import Images, convert_recording, nav_sat_fix
+from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
+from fieldgrid.gnss import Fix
+from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.recording import DepthFrame, open_recording
+from fieldgrid.recording.bag.readings import fix_of
+from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
+from fieldgrid.settings import BuildSettings
+from tests.conftest import TWO_LANES
+from tests.mounting.drives import START_NS, Drive, Memory, swept
+
+MakeDrive = Callable[..., Path]
+Messages = dict[str, list[tuple[int, Any]]]
+
+
+def messages(path: Path) -> Messages:
+    """Log time and message by topic, read by a library that is not ours."""
+    found: Messages = defaultdict(list)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        last_ns = 0
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            assert message.log_time >= last_ns  # written in order of time
+            last_ns = message.log_time
+            found[channel.topic].append((message.log_time, decoded))
+    return found
+
+
+def rotation(q: Any) -> np.ndarray:
+    """The matrix of a quaternion."""
+    w, v = q.w, np.array([q.x, q.y, q.z])
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+
+@pytest.fixture(scope="module")
+def converted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("convert") / "two_lanes.mcap"
+    convert_recording(TWO_LANES, out, gnss="gnss_rtk.nmea")
+    return out
+
+
+@pytest.fixture(scope="module")
+def found(converted: Path) -> Messages:
+    return messages(converted)
+
+
+def test_images_are_the_files_as_recorded(found: Messages) -> None:
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as recording:
+        frames = list(recording.frames())
+    for side in ("left", "right"):
+        sent = found[f"/stereo/{side}/image_rect/compressed"]
+        infos = found[f"/stereo/{side}/camera_info"]
+        assert len(sent) == len(infos) == len(frames)
+        for (time_ns, image), (_, info), frame in zip(sent, infos, frames, strict=True):
+            assert time_ns == stamp_ns(image) == stamp_ns(info) == frame.time_ns
+            assert image.format == "jpeg"
+            assert bytes(image.data) == getattr(frame, side).path.read_bytes()
+            assert image.header.frame_id == info.header.frame_id == f"{side}_optical"
+
+
+def test_the_calibration_by_ros(found: Messages) -> None:
+    _, left = found["/stereo/left/camera_info"][0]
+    _, right = found["/stereo/right/camera_info"][0]
+    for info in (left, right):
+        assert (info.width, info.height, info.distortion_model) == (640, 480, "plumb_bob")
+        np.testing.assert_allclose(info.k, [905.4, 0, 316.2, 0, 905.4, 243.9, 0, 0, 1])
+        assert list(info.d) == [0.0] * 5
+    assert left.p[3] == 0.0
+    assert right.p[3] == pytest.approx(-905.4 * 0.18)
+
+
+def test_fixes_and_gyro(found: Messages) -> None:
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as recording:
+        fixes, gyro = recording.fixes(), recording.motion().gyro
+    assert gyro is not None
+    assert len(found["/gnss/fix"]) == len(fixes)
+    for (time_ns, message), fix in zip(found["/gnss/fix"], fixes, strict=True):
+        assert time_ns == fix.time_ns
+        position = (message.latitude, message.longitude, message.altitude)
+        assert position == (fix.lat_deg, fix.lon_deg, fix.height_m)  # above the ellipsoid
+        assert message.status.status == 2
+        assert fix.sigma_m is not None
+        assert message.position_covariance[0] == pytest.approx(fix.sigma_m**2)
+        assert message.position_covariance[4] == pytest.approx(fix.sigma_m**2)
+    rates = np.array([imu.angular_velocity.z for _, imu in found["/imu/data"]])
+    np.testing.assert_array_equal(rates, -gyro.rate_rad_s)  # counter-clockwise, by REP-103
+    _, imu = found["/imu/data"][0]
+    assert imu.orientation_covariance[0] == imu.linear_acceleration_covariance[0] == -1.0
+
+
+def test_poses_are_east_north_up_and_counter_clockwise(found: Messages) -> None:
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as recording:
+        trajectory = fg.estimate_trajectory(recording)
+    rows = np.flatnonzero(trajectory.accepted)
+    assert len(found["/pose"]) == len(found["/tf"]) == len(rows)
+    for k, (time_ns, pose), (_, sure), (_, tf) in zip(
+        rows, found["/pose"], found["/pose_with_covariance"], found["/tf"], strict=True
+    ):
+        assert time_ns == trajectory.time_ns[k]
+        assert pose.header.frame_id == "map"
+        at = pose.pose.position
+        expected = (trajectory.east_m[k], trajectory.north_m[k], trajectory.up_m[k])
+        assert (at.x, at.y, at.z) == expected
+        phi = math.radians(trajectory.heading_deg[k])
+        nose = rotation(pose.pose.orientation)[:, 0]
+        np.testing.assert_allclose(nose, [math.sin(phi), math.cos(phi), 0.0], atol=1e-9)
+        assert sure.pose.covariance[0] == pytest.approx(trajectory.position_sigma_m[k] ** 2)
+        yaw_deg = math.degrees(math.sqrt(sure.pose.covariance[35]))
+        assert yaw_deg == pytest.approx(trajectory.heading_sigma_deg[k])
+        (placed,) = tf.transforms
+        assert (placed.header.frame_id, placed.child_frame_id) == ("map", "base_footprint")
+        assert placed.transform.translation.x == trajectory.east_m[k]
+    ((_, said),) = found["/datum"]
+    assert json.loads(said.data) == {
+        "frame": "map",
+        "lat_deg": trajectory.datum.lat_deg,
+        "lon_deg": trajectory.datum.lon_deg,
+        "height_m": trajectory.datum.height_m,
+    }
+
+
+def test_where_things_sit_on_the_vehicle(found: Messages) -> None:
+    ((_, said),) = found["/tf_static"]
+    placed = {one.child_frame_id: one.transform for one in said.transforms}
+    assert {one.header.frame_id for one in said.transforms} == {"base_footprint"}
+
+    def at(name: str) -> list[float]:
+        shift = placed[name].translation
+        return [shift.x, shift.y, shift.z]
+
+    np.testing.assert_allclose(at("left_optical"), [0.0, 0.09, 2.65], atol=1e-12)
+    np.testing.assert_allclose(at("right_optical"), [0.0, -0.09, 2.65], atol=1e-12)
+    np.testing.assert_allclose(at("gnss_antenna"), [-0.45, 0.12, 3.0], atol=1e-12)
+    np.testing.assert_allclose(at("rear_axle"), [-1.4, 0.0, 0.0], atol=1e-12)
+    R, tilt = rotation(placed["left_optical"].rotation), math.radians(16.0)
+    np.testing.assert_allclose(R[:, 2], [math.cos(tilt), 0.0, -math.sin(tilt)], atol=1e-9)
+    np.testing.assert_allclose(R[:, 0], [0.0, -1.0, 0.0], atol=1e-9)
+
+
+def test_our_own_reader_finds_the_same_drive(converted: Path) -> None:
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as one, open_recording(converted) as other:
+        assert other.rig.camera == one.rig.camera
+        mount, arm = other.rig.mount, other.rig.antenna
+        assert mount.height_m == pytest.approx(2.65, abs=1e-9)
+        assert (mount.tilt_deg, mount.roll_deg, mount.yaw_deg) == pytest.approx((16, 0, 0))
+        assert (arm.right_m, arm.forward_m, arm.up_m) == pytest.approx((-0.12, -0.45, 3.0))
+        np.testing.assert_array_equal(other.frame_times_ns(), one.frame_times_ns())
+        for ours, theirs in list(zip(one.frames(), other.frames(), strict=True))[::10]:
+            for a, b in zip(ours.images(), theirs.images(), strict=True):  # type: ignore[union-attr]
+                np.testing.assert_array_equal(a, b)
+        kept = (*Fix._fields[:5], "sigma_m")
+        for a, b in zip(one.fixes(), other.fixes(), strict=True):
+            assert [getattr(b, name) for name in kept] == pytest.approx(
+                [getattr(a, name) for name in kept], rel=1e-15
+            )
+        assert one.motion().gyro is not None
+        np.testing.assert_array_equal(other.motion().gyro, one.motion().gyro)
+
+
+def test_a_map_can_be_built(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, out = make_drive("june", range(4, 8)), tmp_path / "june.mcap"
+    convert_recording(drive, out, images="raw")
+    for side in ("left", "right"):
+        sent = messages(out)[f"/stereo/{side}/image_rect"]
+        for (_, image), file in zip(sent, sorted((drive / side).iterdir()), strict=True):
+            assert (image.encoding, image.step) == ("mono8", 640)
+            grey = np.frombuffer(image.data, np.uint8).reshape(480, 640)
+            np.testing.assert_array_equal(grey, cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
+    (report,) = build_map([out], tmp_path / "map.gpkg", BuildSettings())
+    assert report.used == report.frames == 4
+
+
+def test_raw_pairs_are_rectified(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
+    """The same instants come raw and rectified; what is written is of the second kind."""
+    folder, drive = shared_data("vineyard_two_lanes"), tmp_path / "raw"
+    for name in ("calibration", "gnss"):
+        (drive / name).mkdir(parents=True)
+    for side in ("left", "right"):
+        (drive / side).symlink_to(folder / f"raw_{side}")
+        source = folder / "calibration" / f"stereo_raw_{side}_camera_info.yaml"
+        (drive / "calibration" / f"stereo_{side}_camera_info.yaml").symlink_to(source)
+    (drive / "calibration" / "mounting.json").symlink_to(folder / "calibration" / "mounting.json")
+    table = (folder / "frames_raw.csv").read_text().replace("raw_", "").splitlines()
+    (drive / "frames.csv").write_text("\n".join(table[:3]) + "\n")
+    (drive / "recording.toml").write_text("[images]\nrectified = false\n")
+    (drive / "gnss" / "rtk.nmea").symlink_to(folder / "gnss" / "gnss_rtk.nmea")
+    out = tmp_path / "raw.mcap"
+    with open_recording(drive) as recording:
+        assert convert_recording(recording, out).topics["/stereo/left/camera_info"] == 2
+        pairs = [frame.images() for frame in recording.frames()]  # type: ignore[union-attr]
+    for side, name in enumerate(("left", "right")):
+        for (_, image), pair in zip(
+            messages(out)[f"/stereo/{name}/image_rect/compressed"], pairs, strict=True
+        ):
+            assert image.format == "png"
+            data = np.frombuffer(image.data, dtype=np.uint8)
+            np.testing.assert_array_equal(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), pair[side])
+
+
+def test_depths(tmp_path: Path) -> None:
+    camera = DepthCamera(32, 24, 30.0, 31.0, 15.5, 11.5)
+    mount = Mount(1.2, 20.0, 3.0, -4.0)
+    rig = Rig(camera, mount, LeverArm(0.1, -0.4, 2.0), image_time_offset_ns=7_000_000)
+    depth = np.linspace(0.5, 9.0, 32 * 24, dtype=np.float32).reshape(24, 32)
+    depth[3, 4] = np.nan
+    shots = [DepthFrame("a", START_NS, Memory("a", depth), (32, 24))]  # type: ignore[arg-type]
+    out = tmp_path / "depth.mcap"
+    done = convert_recording(Drive(rig, list(shots)), out)
+    assert done.notes == ("There are no fixes, so no poses were written.",)
+    ((time_ns, image),) = messages(out)["/depth/image_rect"]
+    assert time_ns == stamp_ns(image) == START_NS + 7_000_000  # by the clock of the receiver
+    assert image.encoding == "32FC1"
+    got = np.frombuffer(image.data, np.float32).reshape(24, 32)
+    np.testing.assert_array_equal(got, depth)
+    ((_, info),) = messages(out)["/depth/camera_info"]
+    np.testing.assert_allclose(info.k, [30, 0, 15.5, 0, 31, 11.5, 0, 0, 1])
+
+
+def test_clouds(tmp_path: Path) -> None:
+    out = tmp_path / "cloud.mcap"
+    drive = swept(Mount(1.9, 3.0, -2.0), sweeps=2)
+    drive = replace(drive, rig=replace(drive.rig, mount=Mount(1.9, 3.0, -2.0)))
+    drive.log = [Fix(START_NS + k * 10**8, 40.0, -3.0, 700.0, 4) for k in range(5)]
+    convert_recording(drive, out)
+    (_, cloud), _ = messages(out)["/lidar/points"]
+    assert [field.name for field in cloud.fields] == ["x", "y", "z"]
+    points = np.frombuffer(cloud.data, np.float32).reshape(-1, 3)
+    np.testing.assert_array_equal(points, drive.shots[0].cloud.read())  # type: ignore[union-attr]
+    with open_recording(out) as again:
+        assert isinstance(again.rig.sensor, Lidar)
+        assert again.rig.mount.tilt_deg == pytest.approx(3.0)
+        first = next(again.frames())
+        np.testing.assert_array_equal(first.cloud.read(), points)  # type: ignore[union-attr]
+
+
+def test_gyro_and_wheels_come_back(make_drive: MakeDrive, tmp_path: Path) -> None:
+    out, times = tmp_path / "june.mcap", START_NS + np.arange(5) * 10**7
+    moved = Motion(
+        gyro=Gyro(times, np.linspace(-0.1, 0.1, 5)), wheels=WheelSpeed(times, np.linspace(-1, 2, 5))
+    )
+    with open_recording(make_drive()) as recording:
+        convert_recording(replace(recording, own_motion=moved), out)  # type: ignore[type-var]
+    with open_recording(out) as again:
+        np.testing.assert_array_equal(again.motion().gyro, moved.gyro)
+        np.testing.assert_array_equal(again.motion().wheels, moved.wheels)
+
+
+@given(
+    st.sampled_from([0, 1, 2, 4, 5, 9]),
+    st.none() | st.floats(0.001, 20.0),
+)
+def test_a_fix_keeps_what_the_message_can_hold(quality: int, sigma_m: float | None) -> None:
+    """Beside a stated error the quality is told by that, as of other loggers."""
+    fix = Fix(START_NS, 41.65, -4.72, 790.0, quality, sigma_m=sigma_m)
+    again = fix_of(nav_sat_fix(fix), START_NS)
+    assert again[:4] == fix[:4]
+    assert (again.quality == 0) == (quality == 0)
+    if sigma_m is not None:
+        assert again.sigma_m == pytest.approx(sigma_m)
+    else:
+        assert again.quality == quality
+
+
+@pytest.mark.parametrize("quality", [6, 7, 8])
+def test_what_no_satellites_gave_is_no_fix(quality: int) -> None:
+    assert nav_sat_fix(Fix(START_NS, 41.65, -4.72, 790.0, quality)).status.status == -1
+
+
+def test_progress_and_bounds(make_drive: MakeDrive, tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    convert_recording(make_drive(), tmp_path / "a.mcap", progress=lambda *now: told.append(now))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_what_cannot_be_written(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, out = make_drive(), tmp_path / "a.mcap"
+    with pytest.raises(ConfigError, match=r"ends in \.mcap"):
+        convert_recording(drive, tmp_path / "a.bag")
+    with pytest.raises(ConfigError, match="compressed, raw, none"):
+        convert_recording(drive, out, images="jpeg")
+    out.write_text("mine")
+    with pytest.raises(MapExistsError):
+        convert_recording(drive, out)
+    assert out.read_text() == "mine"
+    rig = Rig(Lidar(1000.0), Mount(1.0, 0.0), LeverArm(0.0, 0.0, 2.0))
+    with pytest.raises(RecordingError, match="nothing to convert"):
+        convert_recording(Drive(rig, []), tmp_path / "b.mcap", images=Images.NONE)
+    assert not (tmp_path / "b.mcap").exists()
