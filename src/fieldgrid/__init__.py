@@ -19,9 +19,11 @@ if TYPE_CHECKING:
         local_grid,
         visual_odometry,
     )
+    from fieldgrid.cost import CostCurve
+    from fieldgrid.costmap import Costmap
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
-    from fieldgrid.export import export_geotiff
+    from fieldgrid.export import Selection, export_geotiff, export_map
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.lattice import Bounds
@@ -35,11 +37,14 @@ _HOMES = {
     "Averaging": "transfer",
     "Bounds": "lattice",
     "BuildSettings": "settings",
+    "CostCurve": "cost",
+    "Costmap": "costmap",
     "Datum": "geodesy",
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
     "Pose": "trajectory",
+    "Selection": "export",
     "Trajectory": "trajectory",
     "Transfer": "transfer",
     "add_recording": "build",
@@ -47,6 +52,7 @@ _HOMES = {
     "estimate_trajectory": "build",
     "evaluate": "evaluation",
     "export_geotiff": "export",
+    "export_map": "export",
     "figures": "",
     "local_grid": "build",
     "merge_maps": "mapfile",
@@ -60,11 +66,14 @@ __all__ = [
     "Averaging",
     "Bounds",
     "BuildSettings",
+    "CostCurve",
+    "Costmap",
     "Datum",
     "FieldgridError",
     "GridSpec",
     "LocalGrid",
     "Pose",
+    "Selection",
     "Trajectory",
     "Transfer",
     "add_recording",
@@ -72,6 +81,7 @@ __all__ = [
     "estimate_trajectory",
     "evaluate",
     "export_geotiff",
+    "export_map",
     "figures",
     "local_grid",
     "merge_maps",

@@ -5,7 +5,7 @@ tells unknown from empty, and is written whole or not at all.
 """
 
 from fieldgrid.export.formats import FORMATS, Exported, export_map, format_of
-from fieldgrid.export.geotiff import export_change, export_geotiff, export_layer
+from fieldgrid.export.geotiff import export_change, export_geotiff
 from fieldgrid.export.selection import Selection
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "Selection",
     "export_change",
     "export_geotiff",
-    "export_layer",
     "export_map",
     "format_of",
 ]

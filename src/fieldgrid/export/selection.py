@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.lattice import Bounds, check_inside
+from fieldgrid.mapfile import LAYERS, MapFile, MapView, Pieces, in_drive_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +37,17 @@ class Selection:
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
 
+    @contextmanager
+    def pieces(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Pieces]:
+        """The same as `view` in pieces from the north, of one state of the map, however large."""
+        if self.bounds is not None:
+            check_inside(self.bounds, universal.bounds)
+        wanted = tuple(dict.fromkeys((self.layer, *layers)))
+        with universal.pieces(self.bounds, self.cell_m, layers=wanted, at=self.at) as pieces:
+            yield pieces
 
-def check_inside(crop: Bounds, extent: Bounds) -> None:
-    """Raise ConfigError for a crop that shares nothing with the map."""
-    if (
-        crop.west_m >= extent.east_m
-        or crop.east_m <= extent.west_m
-        or crop.south_m >= extent.north_m
-        or crop.north_m <= extent.south_m
-    ):
-        raise ConfigError(
-            f"The bounds {crop.west_m:g} {crop.south_m:g} {crop.east_m:g} {crop.north_m:g} hold "
-            f"nothing of the map, which lies between {extent.west_m:g} {extent.south_m:g} "
-            f"{extent.east_m:g} {extent.north_m:g} (west south east north, metres)."
-        )
+    def sessions(self, universal: MapFile) -> list[str]:
+        """The names of the sessions that are in the part, in the order of their drives."""
+        if self.at is not None:
+            return universal.sessions_at(self.at)
+        return [info.name for info in in_drive_order(universal.sessions())]
