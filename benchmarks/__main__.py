@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from benchmarks import EXAMPLE
+from benchmarks.exports import measure_exports
 from benchmarks.lasting import Line, measure_map
 from benchmarks.long_drive import write_long_drive
 from benchmarks.timing import paired_ms
@@ -53,6 +54,7 @@ def main() -> None:
         ("kernels", measure_kernels()),
         ("memory", measure_memory()),
         ("map file", measure_map(large="--no-hectares" not in sys.argv[1:])),
+        ("exports", measure_exports()),
     ):
         print(f"\n{title}")
         for line in lines:

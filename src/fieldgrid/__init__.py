@@ -20,9 +20,11 @@ if TYPE_CHECKING:
         visual_odometry,
     )
     from fieldgrid.convert import convert_recording
+    from fieldgrid.cost import CostCurve
+    from fieldgrid.costmap import Costmap
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
-    from fieldgrid.export import export_geotiff
+    from fieldgrid.export import Selection, export_geotiff, export_map
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.inspection import inspect_recording
@@ -38,11 +40,14 @@ _HOMES = {
     "Averaging": "transfer",
     "Bounds": "lattice",
     "BuildSettings": "settings",
+    "CostCurve": "cost",
+    "Costmap": "costmap",
     "Datum": "geodesy",
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
     "Pose": "trajectory",
+    "Selection": "export",
     "Trajectory": "trajectory",
     "Transfer": "transfer",
     "add_recording": "build",
@@ -52,6 +57,7 @@ _HOMES = {
     "estimate_trajectory": "build",
     "evaluate": "evaluation",
     "export_geotiff": "export",
+    "export_map": "export",
     "figures": "",
     "inspect_recording": "inspection",
     "local_grid": "build",
@@ -66,11 +72,14 @@ __all__ = [
     "Averaging",
     "Bounds",
     "BuildSettings",
+    "CostCurve",
+    "Costmap",
     "Datum",
     "FieldgridError",
     "GridSpec",
     "LocalGrid",
     "Pose",
+    "Selection",
     "Trajectory",
     "Transfer",
     "add_recording",
@@ -80,6 +89,7 @@ __all__ = [
     "estimate_trajectory",
     "evaluate",
     "export_geotiff",
+    "export_map",
     "figures",
     "inspect_recording",
     "local_grid",

@@ -168,3 +168,14 @@ def universal_bounds(east_m: npt.ArrayLike, north_m: npt.ArrayLike, reach_m: flo
         float(east.max()) + reach_m,
         float(north.max()) + reach_m,
     )
+
+
+def check_inside(crop: Bounds, extent: Bounds) -> None:
+    """Raise ConfigError for a crop that is empty, or shares nothing with the map."""
+    Lattice(1.0).window(crop)
+    if not crop.overlaps(extent):
+        raise ConfigError(
+            f"The bounds {crop.west_m:g} {crop.south_m:g} {crop.east_m:g} {crop.north_m:g} hold "
+            f"nothing of the map, which lies between {extent.west_m:g} {extent.south_m:g} "
+            f"{extent.east_m:g} {extent.north_m:g} (west south east north, metres)."
+        )

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fieldgrid.errors import MapExistsError, MapWriteError
+from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 
@@ -22,15 +22,16 @@ _YOUNG_S = 60.0
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """A file to write in the place of `path`: it takes that name when the block ends well, and is
-    gone when it does not. Raises MapWriteError where the disk does not take it."""
-    draft = Draft(path, overwrite=True)
+    gone when it does not. Raises MapExistsError for a file that may not be overwritten,
+    MapWriteError where the disk does not take it."""
+    draft = Draft(path, overwrite=overwrite)
     try:
         yield draft.file
         draft.publish()
     except OSError as error:
-        if isinstance(error, MapWriteError):
+        if isinstance(error, FieldgridError):
             raise
         raise MapWriteError(
             f"{path} could not be written ({error.strerror}); check the space on the disk."
@@ -59,7 +60,8 @@ class Draft:
         if os.path.lexists(target) and not overwrite:
             raise MapExistsError(self._exists)
         place = target.resolve()
-        self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        # With the target's ending, by which other programs tell what to write.
+        self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial{place.suffix}")
         try:
             # Made here, so that it gets the usual permissions and nobody else's file is taken.
             self._held = os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
@@ -183,7 +185,9 @@ class DraftFolder:
 
 def _remove_orphans(place: Path) -> None:
     """Delete the drafts of a target whose programs are gone: they no longer hold them."""
-    for orphan in place.parent.glob(f".{glob.escape(place.name)}.????????.partial"):
+    for orphan in place.parent.glob(
+        f".{glob.escape(place.name)}.????????.partial{glob.escape(place.suffix)}"
+    ):
         with suppress(OSError):
             held = os.open(orphan, os.O_RDONLY)
             try:

@@ -283,6 +283,6 @@ def test_export_of_a_layer(
 
 
 def test_a_layer_that_is_none(fieldgrid: Run, seasons: Path, tmp_path: Path) -> None:
-    sentence = fieldgrid("export", seasons, tmp_path / "x.tif", "--layer", "height").sentence()
-    assert "There is no layer 'height'; there are density, count" in sentence
+    sentence = fieldgrid("export", seasons, tmp_path / "x.tif", "--layer", "depth").sentence()
+    assert "'depth' is no layer of a map; known are density, count" in sentence
     assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import pytest
-import rasterio
 import typer
 
 from fieldgrid.cli import app
@@ -353,61 +352,6 @@ def test_wrong_use_of_show(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) 
     text = fieldgrid("show", two_lanes_map, *out, "--averaging", "median").usage()
     assert "'median' is neither mean nor paper" in text
     assert list(tmp_path.iterdir()) == []
-
-
-# --- export
-
-
-def test_export(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
-    out = tmp_path / "x.tif"
-    flags = ["--cell", "0.25", "--bounds", "-10", "50", "0", "60"]
-    assert fieldgrid("export", two_lanes_map, out, *flags).output() == f"GeoTIFF {out}\n"
-    with open_map(two_lanes_map) as universal, rasterio.open(out) as raster:
-        view = universal.read(cell_m=0.25)
-        assert tuple(raster.bounds) == pytest.approx((-10.0, 50.0, 0.0, 60.0))
-        assert raster.res == (0.25, 0.25)
-        for east_m, north_m in [(-5.1, 55.3), (-2.2, 58.9), (-9.9, 50.1)]:
-            i, j = view.lattice.index(east_m, north_m)
-            place = j - view.window.j0, i - view.window.i0
-            (value, seen) = next(raster.sample([(east_m, north_m)]))
-            assert value == view.density[place]
-            assert (seen == 255) == view.observed[place]
-
-
-@pytest.mark.parametrize(
-    ("flags", "message"),
-    [
-        ("OUT/not/x.tif", "its folder does not exist; make it first"),
-        ("OUT/x.tif --cell 0.02", r"0\.02 m are smaller than the local cells"),
-        ("OUT/x.tif --bounds 1 1 1 1", "are empty; give west south east north"),
-        ("OUT/x.tif --bounds nan 0 1 1", "are empty; give west south east north"),
-        ("OUT/x.tif --bounds 0 0 9e9 99", "over 400 million cells"),
-    ],
-)
-def test_exports_that_cannot_be(
-    flags: str, message: str, fieldgrid: Run, two_lanes_map: Path, tmp_path: Path
-) -> None:
-    words = flags.replace("OUT", str(tmp_path)).split()
-    sentence = fieldgrid("export", two_lanes_map, *words).sentence()
-    assert re.search(message, sentence), sentence
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_existing_export(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
-    out = tmp_path / "x.tif"
-    out.write_bytes(b"an older one")
-    crop = ["--bounds", "-5", "55", "0", "60"]
-    sentence = fieldgrid("export", two_lanes_map, out, *crop).sentence()
-    assert "exists already; give another name, or --overwrite to replace it" in sentence
-    assert out.read_bytes() == b"an older one"
-    fieldgrid("export", two_lanes_map, out, *crop, "--overwrite").output()
-    with rasterio.open(out) as raster:
-        assert raster.shape == (100, 100)
-
-
-def test_an_export_of_another_kind(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
-    text = fieldgrid("export", two_lanes_map, tmp_path / "x.png").usage()
-    assert "x.png does not end in .tif" in text
 
 
 # --- evaluate

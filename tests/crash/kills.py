@@ -49,7 +49,7 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
         hit[doing] += 1
         check(path, allowed)
         # A draft that a writer left is removed with the next, so there is never more than one.
-        assert sum(draft.stat().st_size > 0 for draft in folder.glob(".*.partial")) <= 1
+        assert sum(draft.stat().st_size > 0 for draft in folder.glob(".*.partial.gpkg")) <= 1
         copy = folder / "copy.gpkg"
         if copy.exists():
             check(copy, [state_of(copy)])

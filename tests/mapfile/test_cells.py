@@ -156,8 +156,8 @@ def test_only_the_tiles_of_a_window_are_touched(
 
 def test_layers_that_are_none_or_cannot_be_are_refused(path: Path) -> None:
     with open_map(path) as universal:
-        with pytest.raises(ConfigError, match="no layer 'height'; there are density, count"):
-            universal.read(layers=["height"])
+        with pytest.raises(ConfigError, match="no layer 'depth'; there are density, count"):
+            universal.read(layers=["depth"])
         with pytest.raises(ConfigError, match="gives a density only"):
             universal.read(layers=["count"], averaging=Averaging.PAPER)
 

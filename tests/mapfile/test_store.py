@@ -63,7 +63,7 @@ def test_a_map_appears_when_its_block_ends_and_not_before(tmp_path: Path) -> Non
         assert universal.read().observed.any()
         (partial,) = names_in(tmp_path)
         assert partial.startswith(f".{path.name}.")
-        assert partial.endswith(".partial")
+        assert partial.endswith(".partial.gpkg")
     assert names_in(tmp_path) == [path.name]
     with open_map(str(path)) as universal:
         assert (universal.datum, universal.cell_m) == (DATUM, CELL_M)
@@ -504,7 +504,7 @@ def test_what_a_killed_writer_left_of_a_new_map_goes_with_the_next_one(tmp_path:
         tmp_path / "map.gpkg",
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
-    assert any(name.endswith(".partial") for name in names_in(tmp_path))
+    assert any(name.endswith(".partial.gpkg") for name in names_in(tmp_path))
     other = create_map(tmp_path / "map.gpkg.gpkg", DATUM, cell_m=CELL_M)
     mine = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)
     late = create_map(tmp_path / "map.gpkg", DATUM, cell_m=CELL_M)  # leaves the living ones alone

@@ -42,12 +42,13 @@ def command(
 
         fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30
     """
+    from fieldgrid.lattice import check_inside
     from fieldgrid.mapfile import MEANING, open_map
 
     crop = parse.bounds(bounds)
     with open_map(map_) as universal:
         if crop is not None:
-            parse.check_inside(crop, universal.bounds, universal.cell_m)
+            check_inside(crop, universal.bounds)
         view = universal.diff(from_, to, crop, cell)
     if out is not None:
         if out.suffix.lower() in {".tif", ".tiff"}:

@@ -6,9 +6,8 @@ import re
 
 import typer
 
-from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.lattice import Bounds
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
 
@@ -46,14 +45,3 @@ def datum(text: str | None) -> Datum | None:
 def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
     """West, south, east, north in metres."""
     return None if values is None else Bounds(*values)
-
-
-def check_inside(crop: Bounds, of_map: Bounds, cell_m: float) -> None:
-    """Raise ConfigError for bounds that are none, or that leave nothing of the map."""
-    Lattice(cell_m).window(crop)
-    if not crop.overlaps(of_map):
-        covered = " ".join(f"{value:.0f}" for value in of_map)
-        raise ConfigError(
-            f"Bounds {tuple(crop)} lie outside the map, which covers {covered} (west south east "
-            "north, metres); give some of that."
-        )

@@ -123,6 +123,7 @@ def _view(
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
     from fieldgrid.errors import ConfigError
     from fieldgrid.geodesy import MAX_DISTANCE_M
+    from fieldgrid.lattice import check_inside
     from fieldgrid.transfer import Averaging
 
     if averaging not in {rule.value for rule in Averaging}:
@@ -130,7 +131,7 @@ def _view(
             f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
         )
     extent = bounds or universal.bounds
-    parse.check_inside(extent, universal.bounds, universal.cell_m)
+    check_inside(extent, universal.bounds)
     if cell_m is None:
         side_m = max(extent.east_m - extent.west_m, extent.north_m - extent.south_m)
         if side_m > 2.0 * MAX_DISTANCE_M:

@@ -17,10 +17,12 @@ A session is in the map when its block ends, or not at all; a new map appears wh
 block ends. One process adds a session at a time, any number read meanwhile.
 """
 
+from fieldgrid.mapfile.asof import in_drive_order
 from fieldgrid.mapfile.cells import LAYERS
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
 from fieldgrid.mapfile.codec import decode_grid, encode_grid
 from fieldgrid.mapfile.merge import Merged, merge_maps
+from fieldgrid.mapfile.pieces import Pieces
 from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
@@ -38,6 +40,7 @@ __all__ = [
     "MapFile",
     "MapView",
     "Merged",
+    "Pieces",
     "Provenance",
     "Session",
     "SessionInfo",
@@ -45,6 +48,7 @@ __all__ = [
     "create_map",
     "decode_grid",
     "encode_grid",
+    "in_drive_order",
     "merge_maps",
     "open_map",
     "read_datum",

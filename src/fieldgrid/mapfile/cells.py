@@ -53,6 +53,11 @@ LAYERS: Mapping[str, Layer] = {
     "persistence": Layer(
         "float32", "share of those sessions in which it was an obstacle, NaN where unobserved"
     ),
+    "height": Layer(
+        "float32",
+        "ground height of the vehicle when it saw the cell, metres above the datum's plane: the "
+        "mean over the frames that observed it, NaN where unobserved",
+    ),
 }
 
 

@@ -23,6 +23,7 @@ from fieldgrid.mapfile.records import (
     frame_record,
     session_info,
 )
+from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.mapfile.view import MapView
 from fieldgrid.moments import Moments
 from fieldgrid.trajectory import Trajectory
@@ -162,6 +163,20 @@ class Evidence:
                 sums = decode_sums(blob, f"tile ({ty}, {tx})")[tile.slices_of(part)]
                 place = view.window.slices_of(part)
                 view.density[place], view.observed[place] = mean_density(sums)
+
+    def pictures(
+        self, window: Window, matrices: TileMatrixSet, level: int
+    ) -> list[tuple[TileIndex, object]]:
+        """The pictures of the tiles of a level, 0 for the base, that a window touches."""
+        corners, zoom = list(window.tiles()), matrices.base_zoom - level
+        west, south = matrices.column_row(zoom, corners[0])
+        east, north = matrices.column_row(zoom, corners[-1])
+        rows = self._connection.execute(
+            "SELECT tile_column, tile_row, tile_data FROM density WHERE zoom_level = ? "
+            "AND tile_row BETWEEN ? AND ? AND tile_column BETWEEN ? AND ?",
+            (zoom, north, south, west, east),
+        )
+        return [(matrices.tile(zoom, column, row), blob) for column, row, blob in rows]
 
     def session_tiles(
         self, window: Window, sessions: Sequence[str]

@@ -16,6 +16,7 @@ from fieldgrid.mapfile.cells import LayerTally, Tally, tally_folded, tally_store
 from fieldgrid.mapfile.change import ChangeTally, ChangeView
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.heights import HEIGHT, with_heights
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.view import MapView, check_size, empty_view, fold
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
@@ -35,20 +36,16 @@ class Request(NamedTuple):
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     """The view, by the shortest way that gives the same bits."""
+    if HEIGHT in request.layers:
+        return _with_heights(evidence, header, request)
     view = empty_view(request.lattice, request.window, header.datum)
-    beyond = tuple(name for name in request.layers if name != "density")
-    own_rule = (
-        request.transfer is header.transfer
-        and request.averaging is Averaging.MEAN
-        and request.frame_filter is None
-    )
-    level = level_of(header.lattice, request.lattice) if own_rule else None
-    if not beyond and request.sessions is None and level is not None:
-        # Small maps have few levels; the rest of them is soon folded.
-        if level <= evidence.levels():
-            evidence.fill_from_tiles(view, level)
-            return view
-    elif beyond or level == 0:
+    level = stored_level(evidence, header, request)
+    if level is not None:
+        evidence.fill_from_tiles(view, level)
+        return view
+    beyond = _beyond(request)
+    own_cells = _by_own_rule(header, request) and request.lattice == header.lattice
+    if beyond or own_cells:
         view = with_layers(view, beyond)
         tally_sessions(evidence, header, request, lambda: LayerTally(view))
         return view
@@ -58,12 +55,46 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     return view
 
 
+def stored_level(evidence: Evidence, header: Header, request: Request) -> int | None:
+    """The level of the map's own tiles that has all that is asked for; None when none has."""
+    if _beyond(request) or request.sessions is not None or not _by_own_rule(header, request):
+        return None
+    level = level_of(header.lattice, request.lattice)
+    # Small maps have few levels; the rest of them is soon folded.
+    return level if level is not None and level <= evidence.levels() else None
+
+
+def _beyond(request: Request) -> tuple[str, ...]:
+    return tuple(name for name in request.layers if name != "density")
+
+
+def _by_own_rule(header: Header, request: Request) -> bool:
+    """Whether cells are filled as the map's own are, of whichever size they are."""
+    return (
+        request.transfer is header.transfer
+        and request.averaging is Averaging.MEAN
+        and request.frame_filter is None
+    )
+
+
+def _with_heights(evidence: Evidence, header: Header, request: Request) -> MapView:
+    _refuse_layers_of_paper(request)
+    others = tuple(name for name in request.layers if name != HEIGHT)
+    view = read_view(evidence, header, request._replace(layers=others))
+    frames = evidence.accepted(view.bounds, request.sessions, request.frame_filter)
+    return with_heights(view, frames, request.transfer)
+
+
+def _refuse_layers_of_paper(request: Request) -> None:
+    if request.averaging is Averaging.PAPER:
+        raise ConfigError("The paper's averaging gives a density only; leave the other layers out.")
+
+
 def tally_sessions(
     evidence: Evidence, header: Header, request: Request, tally: Callable[[], Tally]
 ) -> None:
     """Tally each session's moments, stored ones where the request is as the map is stored."""
-    if request.averaging is Averaging.PAPER:
-        raise ConfigError("The paper's averaging gives a density only; leave the other layers out.")
+    _refuse_layers_of_paper(request)
     names = request.sessions or tuple(info.name for info in evidence.active())
     as_stored = (request.lattice, request.transfer, request.frame_filter) == (
         header.lattice, header.transfer, None,

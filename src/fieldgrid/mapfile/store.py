@@ -28,6 +28,7 @@ from fieldgrid.mapfile.database import (
 )
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header, read_header
+from fieldgrid.mapfile.pieces import Pieces, read_pieces
 from fieldgrid.mapfile.provenance import Provenance, trace
 from fieldgrid.mapfile.reading import (
     Request,
@@ -348,7 +349,7 @@ class MapFile:
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
-        `layers` adds to the density: count, variance, max, sessions, persistence. `at` is a
+        `layers` adds to the density: count, variance, max, sessions, persistence, height. `at` is a
         session or a date: the map as of then; `sessions` are some of them by name.
 
         With the map's own cell, or that times a power of two, and its own rule it comes from
@@ -373,6 +374,26 @@ class MapFile:
                 layers=names,
             )
             return read_view(self._evidence, self._header, request)
+
+    @contextmanager
+    def pieces(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> Iterator[Pieces]:
+        """What `read` gives, in views of some million cells, for maps of any size.
+
+        One state of the map for as long as the block lasts: nobody can change it meanwhile.
+        Errors as in `read`, but that ten thousand million cells are allowed.
+        """
+        names = check_layers(layers)
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            request = request._replace(sessions=self._chosen(at, None), layers=names)
+            yield read_pieces(self._evidence, self._header, request)
 
     def diff(
         self,

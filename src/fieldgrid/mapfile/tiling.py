@@ -44,6 +44,11 @@ class TileMatrixSet:
         half = 1 << (zoom - 1)
         return tile.tx + half, half - 1 - tile.ty
 
+    def tile(self, zoom: int, column: int, row: int) -> TileIndex:
+        """The tile at a column and row of the GeoPackage."""
+        half = 1 << (zoom - 1)
+        return TileIndex(half - 1 - row, column - half)
+
     def whole_cells(self, window: Window, zoom: int) -> Window:
         """A window of base cells, widened to whole cells of a zoom level.
 

@@ -67,7 +67,8 @@ class MapView:
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
 
-        Raises ConfigError when xarray is not installed.
+        Its attributes follow the CF conventions, so that rioxarray and GDAL find the plane. Raises
+        ConfigError when xarray is not installed.
         """
         try:
             import xarray
@@ -78,10 +79,19 @@ class MapView:
             ) from error
         east_m, north_m = self.lattice.centres(self.window)
         arrays = {"density": self.density, "observed": self.observed, **self.layers}
+        plane = {"grid_mapping_name": "transverse_mercator", "crs_wkt": self.crs_wkt}
         return xarray.Dataset(
-            {name: (("north_m", "east_m"), array) for name, array in arrays.items()},
-            coords={"north_m": north_m, "east_m": east_m},
+            {
+                name: (("north_m", "east_m"), array, {"grid_mapping": "crs"})
+                for name, array in arrays.items()
+            },
+            coords={
+                "north_m": ("north_m", north_m, _axis("y", "north")),
+                "east_m": ("east_m", east_m, _axis("x", "east")),
+                "crs": ((), np.int32(0), plane),
+            },
             attrs={
+                "Conventions": "CF-1.11",
                 "cell_m": self.lattice.cell_m,
                 "datum_lat_deg": self.datum.lat_deg,
                 "datum_lon_deg": self.datum.lon_deg,
@@ -89,6 +99,15 @@ class MapView:
                 "crs_wkt": self.crs_wkt,
             },
         )
+
+
+def _axis(axis: str, direction: str) -> dict[str, str]:
+    return {
+        "standard_name": f"projection_{axis}_coordinate",
+        "long_name": f"metres {direction} of the datum, centre of the cell",
+        "units": "m",
+        "axis": axis.upper(),
+    }
 
 
 def empty_view(lattice: Lattice, window: Window, datum: Datum) -> MapView:

@@ -1,0 +1,88 @@
+"""From 3D density to what planners count in: an occupancy, and a cost.
+
+The curve is told by three numbers and is monotone: a higher density never costs less. What was
+not observed has no density, so it is kept apart: -1 in an occupancy, 255 in a cost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+
+OCCUPIED, UNKNOWN_OCCUPANCY = 100, -1
+"""Of nav_msgs/OccupancyGrid: an obstacle, and a cell of which nothing is known."""
+
+INSCRIBED, LETHAL, UNKNOWN_COST = 253, 254, 255
+"""Of Nav2's costmaps: too near an obstacle, an obstacle, and a cell of which nothing is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class CostCurve:
+    """Density (0..255) to occupancy (0..100): free, in doubt, an obstacle.
+
+    0 up to `free_up_to`, 100 above `obstacle_above`, and 1..99 between the two, rising as
+    t**shape, where t goes from 0 at `free_up_to` to 1 at the first density of an obstacle. A
+    shape of 1 is a straight line; above 1 doubt is cheap until it is nearly an obstacle, below 1
+    it is dear at once.
+    """
+
+    free_up_to: int = FREE_UP_TO
+    obstacle_above: int = OBSTACLE_ABOVE
+    shape: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.free_up_to <= self.obstacle_above <= 254:
+            raise ConfigError(
+                f"Free up to a density of {self.free_up_to} and an obstacle above "
+                f"{self.obstacle_above} is no curve; give 0 <= free <= obstacle <= 254, such as "
+                f"{FREE_UP_TO} and {OBSTACLE_ABOVE}."
+            )
+        if not (math.isfinite(self.shape) and 0.1 <= self.shape <= 10.0):
+            raise ConfigError(
+                f"A cost curve's shape of {self.shape} is outside 0.1..10; 1 is a straight line."
+            )
+
+    def table(self) -> npt.NDArray[np.int8]:
+        """The occupancy of each density, int8 [256]."""
+        density = np.arange(256, dtype=np.float64)
+        rise = (density - self.free_up_to) / (self.obstacle_above + 1 - self.free_up_to)
+        doubt = np.clip(np.rint(OCCUPIED * np.clip(rise, 0.0, 1.0) ** self.shape), 1, 99)
+        free, occupied = density <= self.free_up_to, density > self.obstacle_above
+        return np.select([free, occupied], [0, OCCUPIED], doubt).astype(np.int8)
+
+    def occupancy(
+        self, density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.int8]:
+        """0..100, -1 where not observed, int8 of the arrays' shape."""
+        return _looked_up(self.table(), density, observed, UNKNOWN_OCCUPANCY)
+
+    def cost(
+        self, density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.uint8]:
+        """What Nav2's static layer makes of the occupancy, uint8 of the arrays' shape.
+
+        0 free, up to 251 in doubt, 254 an obstacle, 255 not observed: that layer with
+        `trinary_costmap: false`, `lethal_cost_threshold: 100` and `track_unknown_space: true`.
+        """
+        occupancy = self.table().astype(np.int64)
+        return _looked_up(
+            (occupancy * LETHAL // OCCUPIED).astype(np.uint8), density, observed, UNKNOWN_COST
+        )
+
+
+def _looked_up(
+    table: npt.NDArray[Any],
+    density: npt.NDArray[np.uint8],
+    observed: npt.NDArray[np.bool_],
+    unknown: int,
+) -> npt.NDArray[Any]:
+    values = table[density]
+    values[~observed] = unknown
+    return values

@@ -1,0 +1,83 @@
+"""A map as arrays for scientists: NumPy's NPZ and Zarr.
+
+Both hold the density, the mask of observed cells, how many frames saw each, and the layer that was
+asked for, over the cells' centres east and north. Rows run to the north: row 0 is in the south.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.selection import Selection
+from fieldgrid.export.tables import datum_values
+from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.publish import DraftFolder, replacing
+
+
+def export_npz(
+    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+) -> Exported:
+    """Write a compressed NPZ: `east_m`, `north_m`, the layers, `cell_m`, the datum, `crs_wkt`.
+
+    Arrays of cells have the shape [north, east]; no pickled object is in the file.
+    """
+    view = selection.view(universal, ("count",))
+    east_m, north_m = view.lattice.centres(view.window)
+    arrays: dict[str, npt.ArrayLike] = {
+        "east_m": east_m,
+        "north_m": north_m,
+        "density": view.density,
+        "observed": view.observed,
+        **view.layers,
+        "cell_m": np.float64(view.lattice.cell_m),
+        "crs_wkt": np.array(view.crs_wkt),
+        **{f"datum_{name}": np.float64(value) for name, value in datum_values(view.datum).items()},
+    }
+    with replacing(path, overwrite=overwrite) as file, file.open("wb") as out:
+        np.savez_compressed(out, allow_pickle=False, **arrays)
+    return Exported((path,), _size(view))
+
+
+def export_zarr(
+    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+) -> Exported:
+    """Write a Zarr store that xarray opens, with CF's attributes for coordinates and plane.
+
+    Raises ConfigError when xarray or zarr is not installed.
+    """
+    try:
+        import xarray  # noqa: F401 (to_xarray would ask for another extra)
+        import zarr  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            "Writing Zarr needs zarr and xarray, which are not installed; "
+            "run: pip install 'fieldgrid[tables]'"
+        ) from error
+    view = selection.view(universal, ("count",))
+    draft = DraftFolder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store")
+    try:
+        # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
+        view.to_xarray().to_zarr(draft.folder, mode="w", zarr_format=2, consolidated=True)
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
+    return Exported((path,), _size(view))
+
+
+def _is_zarr(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (".zgroup", "zarr.json"))
+
+
+def _size(view: MapView) -> tuple[tuple[str, str], ...]:
+    return (("cells", f"{view.window.width} x {view.window.height}"),)

@@ -1,0 +1,246 @@
+"""What of a map has a shape: obstacles, trajectories, poses and footprints, in layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.obstacles import ObstacleSettings, trace_obstacles
+from fieldgrid.export.selection import Selection
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import FrameRecord, MapFile
+from fieldgrid.trajectory import Trajectory
+from fieldgrid.transfer import to_universal
+
+LAYERS = ("obstacle", "trajectory", "pose", "footprint")
+"""The layers of features there are."""
+
+
+class FeatureLayer(NamedTuple):
+    """Features of one kind, metres east and north.
+
+    `geometry` are shapely's, `columns` their attributes, an array each; masked where nothing is
+    known.
+    """
+
+    name: str
+    geometry_type: str
+    geometry: npt.NDArray[np.object_]
+    columns: dict[str, npt.NDArray[Any]]
+
+
+def feature_layers(
+    universal: MapFile,
+    selection: Selection,
+    settings: ObstacleSettings | None = None,
+    names: Sequence[str] = LAYERS,
+) -> list[FeatureLayer]:
+    """The layers asked for, in that order, of what lies within the selection's bounds.
+
+    Sessions are those in the map, as of the selection's moment. Raises ConfigError for a name that
+    is no layer, and when shapely is not installed.
+    """
+    for name in names:
+        if name not in LAYERS:
+            raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
+    sessions = selection.sessions(universal)
+    drives = trajectories(universal, selection)
+    make: dict[str, Callable[[], FeatureLayer]] = {
+        "obstacle": lambda: _obstacles(universal, selection, settings),
+        "trajectory": lambda: _lines(drives),
+        "pose": lambda: _poses(drives),
+        "footprint": lambda: _footprints(universal, sessions),
+    }
+    return [_cropped(make[name](), selection.bounds) for name in names]
+
+
+def obstacle_settings(
+    selection: Selection,
+    obstacle_above: int | None,
+    min_area_m2: float | None,
+    simplify_m: float | None,
+) -> ObstacleSettings:
+    """The settings of an export by its options, None for the usual ones.
+
+    Raises ConfigError for a selection of another layer than the density.
+    """
+    if selection.layer != "density":
+        raise ConfigError(
+            f"Features are traced from the density, not from the layer {selection.layer!r}; leave "
+            "--layer out."
+        )
+    usual = ObstacleSettings()
+    return ObstacleSettings(
+        usual.above if obstacle_above is None else obstacle_above,
+        usual.min_area_m2 if min_area_m2 is None else min_area_m2,
+        simplify_m,
+    )
+
+
+def trajectories(universal: MapFile, selection: Selection) -> dict[str, Trajectory]:
+    """The trajectories of the sessions in the selection by name, in the order of their drives; a
+    session may have been stored without one."""
+    stored = {info.name for info in universal.sessions() if info.heading_source}
+    names = [name for name in selection.sessions(universal) if name in stored]
+    return {name: universal.trajectory(name) for name in names}
+
+
+def _cropped(layer: FeatureLayer, bounds: Bounds | None) -> FeatureLayer:
+    """The features that touch the bounds, whole."""
+    import shapely
+
+    if bounds is None or not len(layer.geometry):
+        return layer
+    inside = shapely.intersects(layer.geometry, shapely.box(*bounds))
+    columns = {name: values[inside] for name, values in layer.columns.items()}
+    return layer._replace(geometry=layer.geometry[inside], columns=columns)
+
+
+def _obstacles(
+    universal: MapFile, selection: Selection, settings: ObstacleSettings | None
+) -> FeatureLayer:
+    with selection.pieces(universal) as pieces:
+        found = list(trace_obstacles(pieces.views, settings))
+    return FeatureLayer(
+        "obstacle",
+        "MultiPolygon",
+        _multi([one.outline for one in found]),
+        {
+            "area_m2": np.array([one.area_m2 for one in found], dtype=np.float64),
+            "mean_density": np.array([one.mean_density for one in found], dtype=np.float64),
+            "max_density": np.array([one.max_density for one in found], dtype=np.int32),
+        },
+    )
+
+
+def _multi(outlines: list[Any]) -> npt.NDArray[np.object_]:
+    """The outlines as multipolygons all: a layer has one type of geometry."""
+    import shapely
+
+    return _objects(
+        [
+            one if one.geom_type == "MultiPolygon" else shapely.MultiPolygon([one])
+            for one in outlines
+        ]
+    )
+
+
+def _lines(drives: dict[str, Trajectory]) -> FeatureLayer:
+    """A line for each stretch of a drive in one gear on which no pose was rejected."""
+    import shapely
+
+    lines, names, gears, starts, stops = [], [], [], [], []
+    for name, track in drives.items():
+        for first, last in _stretches(track):
+            rows = slice(first, last)
+            lines.append(shapely.LineString(np.c_[track.east_m[rows], track.north_m[rows]]))
+            names.append(name)
+            gears.append(int(track.gear[first + 1]))
+            starts.append(int(track.time_ns[first]))
+            stops.append(int(track.time_ns[last - 1]))
+    return FeatureLayer(
+        "trajectory",
+        "LineString",
+        _objects(lines),
+        {
+            "session": np.array(names, dtype=np.object_),
+            "gear": np.array(gears, dtype=np.int32),
+            "first_ns": np.array(starts, dtype=np.int64),
+            "last_ns": np.array(stops, dtype=np.int64),
+        },
+    )
+
+
+def _stretches(track: Trajectory) -> Iterator[tuple[int, int]]:
+    """First row and row after the last of each stretch; neighbours share the row of the cusp."""
+    first = None
+    for k in range(len(track)):
+        if not track.accepted[k]:
+            if first is not None and k - first > 1:
+                yield first, k
+            first = None
+        elif first is None:
+            first = k
+        elif k - first > 1 and track.gear[k] != track.gear[k - 1]:
+            yield first, k
+            first = k - 1
+    if first is not None and len(track) - first > 1:
+        yield first, len(track)
+
+
+def _poses(drives: dict[str, Trajectory]) -> FeatureLayer:
+    """A point for each row of the trajectories, the rejected ones with their reasons."""
+    import shapely
+
+    tracks = list(drives.values())
+
+    def joined(column: str) -> npt.NDArray[Any]:
+        return np.concatenate([getattr(track, column) for track in tracks] or [np.zeros(0)])
+
+    def known(column: str) -> npt.NDArray[Any]:
+        return np.ma.masked_invalid(joined(column))
+
+    # Of a row without a position, the point is empty.
+    points = shapely.points(np.c_[joined("east_m"), joined("north_m")])
+    return FeatureLayer(
+        "pose",
+        "Point",
+        np.asarray(points, dtype=np.object_).reshape(-1),
+        {
+            "session": _texts([name for name, track in drives.items() for _ in range(len(track))]),
+            "time_ns": joined("time_ns").astype(np.int64),
+            "up_m": known("up_m"),
+            "heading_deg": known("heading_deg"),
+            "heading_sigma_deg": known("heading_sigma_deg"),
+            "position_sigma_m": known("position_sigma_m"),
+            "speed_mps": known("speed_mps"),
+            "gear": joined("gear").astype(np.int32),
+            "quality": joined("quality").astype(np.int32),
+            "status": _texts([status.value for track in tracks for status in track.status]),
+            "reason": _texts([reason for track in tracks for reason in track.reason]),
+        },
+    )
+
+
+def _footprints(universal: MapFile, sessions: Sequence[str]) -> FeatureLayer:
+    """The ground that each local grid covers, of the frames that have a pose."""
+    frames = [
+        frame
+        for frame in universal.frames()
+        if frame.session in sessions and np.isfinite(frame.pose.heading_deg)
+    ]
+    return FeatureLayer(
+        "footprint",
+        "Polygon",
+        _objects([_rectangle(frame) for frame in frames]),
+        {
+            "session": _texts([frame.session for frame in frames]),
+            "frame_id": _texts([frame.frame_id for frame in frames]),
+            "time_ns": np.array([frame.pose.time_ns for frame in frames], dtype=np.int64),
+            "status": _texts([frame.pose.status.value for frame in frames]),
+        },
+    )
+
+
+def _rectangle(frame: FrameRecord) -> Any:
+    import shapely
+
+    half_m, length_m = frame.spec.width_m / 2.0, frame.spec.length_m
+    x = np.array([-half_m, half_m, half_m, -half_m])
+    y = np.array([0.0, 0.0, length_m, length_m])
+    return shapely.Polygon(np.c_[to_universal(x, y, frame.pose)])
+
+
+def _texts(values: list[str]) -> npt.NDArray[np.object_]:
+    return np.array(values, dtype=np.object_)
+
+
+def _objects(geometries: list[Any]) -> npt.NDArray[np.object_]:
+    """Geometries in an array of one dimension, which NumPy would not make of them by itself."""
+    array = np.empty(len(geometries), dtype=np.object_)
+    array[:] = geometries
+    return array

@@ -1,0 +1,242 @@
+"""A map as KMZ: pictures that Google Earth lays over the ground, and where the vehicle drove.
+
+The cells are rows and columns of the datum's plane, which is turned against latitude and longitude
+beside the datum's own meridian. So each picture is placed by its four corners (gx:LatLonQuad), and
+cut so small that between them nothing bends by more than a few millimetres.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Iterator
+from itertools import count as count_from
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.selection import Selection
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.publish import replacing
+from fieldgrid.trajectory import Trajectory
+
+PICTURE_PX = 2048
+"""Side of a picture; larger ones are scaled down by older graphics."""
+
+MAX_PICTURES = 64
+
+_KML = "http://www.opengis.net/kml/2.2"
+_GX = "http://www.google.com/kml/ext/2.2"
+_LINE_STYLE = "drive"
+_LINE_COLOUR = "ff00a5ff"  # opaque orange, as alpha, blue, green, red
+_SHOWN_FROM_PX = "64"
+"""A picture is loaded when it is this large on the screen."""
+
+
+class _Place(NamedTuple):
+    """Longitude and latitude of the corners, counter-clockwise from the lower left one."""
+
+    lon_deg: npt.NDArray[np.float64]
+    lat_deg: npt.NDArray[np.float64]
+
+
+def export_kmz(
+    universal: MapFile, path: str | Path, selection: Selection, *, overwrite: bool = False
+) -> Exported:
+    """Write the density, or `max`, as overlays, with the drive of each session as a line.
+
+    Grey is the value, and what was not observed is transparent. Both lie on the terrain of the
+    viewer; the datum is in the description and, as data, in the document. Raises ConfigError for
+    a layer that 8 bits do not hold and for more than 64 pictures of 2048 x 2048 cells,
+    MapExistsError when `path` exists and may not be overwritten, MapWriteError when it cannot be
+    written.
+    """
+    path = Path(path)
+    if LAYERS[selection.layer].dtype != "uint8":
+        raise ConfigError(
+            f"The pictures of a KMZ have 8 bits a pixel, too few for the layer "
+            f"{selection.layer!r}; export density or max, or write a GeoTIFF."
+        )
+    with (
+        replacing(path, overwrite=overwrite) as file,
+        selection.pieces(universal) as pieces,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        lattice, whole = pieces.lattice, pieces.window
+        windows = list(_cut(whole, lattice))
+        document, folder = _document(universal, selection, lattice)
+        count = 0
+        for window in windows:
+            part = Selection(
+                lattice.bounds(window), selection.cell_m, selection.layer, selection.at
+            )
+            view = part.view(universal)
+            if not view.observed.any():
+                continue
+            name = f"pictures/{count:02d}.png"
+            archive.writestr(name, _picture(view, selection.layer), zipfile.ZIP_STORED)
+            _overlay(folder, name, _place(universal.datum, view), alone=len(windows) == 1)
+            count += 1
+        lines = _lines(document, universal, selection)
+        text = ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
+        archive.writestr("doc.kml", text)
+    rows = (
+        ("layer", f"{selection.layer}: {LAYERS[selection.layer].says}"),
+        ("cells", f"{whole.width} x {whole.height} of {lattice.cell_m:g} m"),
+        ("pictures, lines", f"{count}, {lines}"),
+        ("datum", universal.datum.described()),
+    )
+    return Exported((path,), rows)
+
+
+def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
+    """The windows of the pictures, from the south-west."""
+    count, cell_m = _pictures(whole, 1), lattice.cell_m
+    if count > MAX_PICTURES:
+        times = next(2**k for k in count_from(1) if _pictures(whole, 2**k) <= MAX_PICTURES)
+        raise ConfigError(
+            f"A KMZ of {whole.width} x {whole.height} cells would have {count} pictures, more than "
+            f"the {MAX_PICTURES} that viewers bear; give smaller bounds, or cells of "
+            f"{cell_m * times:g} m."
+        )
+    for j0 in range(whole.j0, whole.j0 + whole.height, PICTURE_PX):
+        for i0 in range(whole.i0, whole.i0 + whole.width, PICTURE_PX):
+            part = whole.intersect(Window(i0, j0, PICTURE_PX, PICTURE_PX))
+            assert part is not None
+            yield part
+
+
+def _pictures(whole: Window, times: int) -> int:
+    """How many pictures there are of a window, with cells so many times as wide."""
+    side = PICTURE_PX * times
+    return -(-whole.width // side) * -(-whole.height // side)
+
+
+def _picture(view: MapView, layer: str) -> bytes:
+    """A PNG in colour, which all viewers take, of grey values and alpha."""
+    grey = view.layer(layer)
+    alpha = view.observed * np.uint8(255)
+    pixels = np.dstack([grey, grey, grey, alpha])[::-1]
+    _, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return bytes(encoded)
+
+
+def _place(datum: Datum, view: MapView) -> _Place:
+    bounds = view.bounds
+    east_m = [bounds.west_m, bounds.east_m, bounds.east_m, bounds.west_m]
+    north_m = [bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m]
+    lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
+    return _Place(lon_deg, lat_deg)
+
+
+def _document(
+    universal: MapFile, selection: Selection, lattice: Lattice
+) -> tuple[ElementTree.Element, ElementTree.Element]:
+    """The root, and the folder that pictures go into."""
+    ElementTree.register_namespace("", _KML)
+    ElementTree.register_namespace("gx", _GX)
+    datum, names = universal.datum, selection.sessions(universal)
+    root = ElementTree.Element(_kml("kml"))
+    document = _add(root, "Document")
+    _add(document, "name", universal.path.stem)
+    _add(
+        document,
+        "description",
+        f"{selection.layer}: {LAYERS[selection.layer].says}. Cells of {lattice.cell_m:g} m in the "
+        f"plane that touches the WGS84 datum {datum.described()}, {len(names)} sessions up to "
+        f"{names[-1]}.",
+    )
+    style = _add(document, "Style")
+    style.set("id", _LINE_STYLE)
+    line = _add(style, "LineStyle")
+    _add(line, "color", _LINE_COLOUR)
+    _add(line, "width", "2")
+    data = _add(document, "ExtendedData")
+    for name, value in (
+        ("datum_lat_deg", datum.lat_deg),
+        ("datum_lon_deg", datum.lon_deg),
+        ("datum_height_m", datum.height_m),
+        ("cell_m", lattice.cell_m),
+    ):
+        entry = _add(data, "Data")
+        entry.set("name", name)
+        _add(entry, "value", repr(float(value)))
+    folder = _add(document, "Folder")
+    _add(folder, "name", selection.layer)
+    return root, folder
+
+
+def _overlay(folder: ElementTree.Element, name: str, place: _Place, *, alone: bool) -> None:
+    """A picture on the ground; of many, those are loaded that are in sight."""
+    overlay = _add(folder, "GroundOverlay")
+    _add(overlay, "name", Path(name).stem)
+    if not alone:
+        region = _add(overlay, "Region")
+        box = _add(region, "LatLonAltBox")
+        for side, value in (
+            ("north", place.lat_deg.max()),
+            ("south", place.lat_deg.min()),
+            ("east", place.lon_deg.max()),
+            ("west", place.lon_deg.min()),
+        ):
+            _add(box, side, f"{value:.10f}")
+        _add(_add(region, "Lod"), "minLodPixels", _SHOWN_FROM_PX)
+    _add(_add(overlay, "Icon"), "href", name)
+    quad = ElementTree.SubElement(overlay, f"{{{_GX}}}LatLonQuad")
+    _add(quad, "coordinates", _coordinates(place.lon_deg, place.lat_deg))
+
+
+def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
+    """A line a session; returns how many there are."""
+    document = root[0]
+    folder = _add(document, "Folder")
+    _add(folder, "name", "drives")
+    count = 0
+    for session in selection.sessions(universal):
+        east_m, north_m, up_m = _drive(universal, session)
+        if len(east_m) < 2:
+            continue
+        lat_deg, lon_deg, _ = universal.datum.to_geodetic(east_m, north_m, up_m)
+        placemark = _add(folder, "Placemark")
+        _add(placemark, "name", session)
+        _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
+        line = _add(placemark, "LineString")
+        _add(line, "tessellate", "1")
+        _add(line, "altitudeMode", "clampToGround")
+        _add(line, "coordinates", _coordinates(lon_deg, lat_deg))
+        count += 1
+    return count
+
+
+def _drive(universal: MapFile, session: str) -> tuple[npt.NDArray[np.float64], ...]:
+    """East, north, up of the accepted poses: of the trajectory, or else of the frames."""
+    track: Trajectory | None = universal.about(session).trajectory
+    if track is not None:
+        return tuple(v[track.accepted] for v in (track.east_m, track.north_m, track.up_m))
+    poses = [frame.pose for frame in universal.frames(session) if frame.accepted]
+    places = np.array([(p.east_m, p.north_m, p.up_m) for p in poses], dtype=np.float64)
+    return tuple(places.reshape(-1, 3).T)
+
+
+def _coordinates(lon_deg: npt.NDArray[np.float64], lat_deg: npt.NDArray[np.float64]) -> str:
+    """Longitude and latitude to a hundredth of a millimetre; heights are the viewer's."""
+    pairs = zip(lon_deg.tolist(), lat_deg.tolist(), strict=True)
+    return " ".join(f"{lon:.10f},{lat:.10f}" for lon, lat in pairs)
+
+
+def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
+    child = ElementTree.SubElement(parent, _kml(name))
+    # XML has no place for what a file name may have in it.
+    child.text = text and "".join(c if c.isprintable() else "\ufffd" for c in text)
+    return child
+
+
+def _kml(name: str) -> str:
+    return f"{{{_KML}}}{name}"

@@ -1,0 +1,170 @@
+"""A map as Nav2's map server loads it: a YAML file, a picture, and where on Earth it lies.
+
+The server's rules are met by the old loader and the vectorised one alike, which differ in what
+they do at a threshold itself: no grey that is written lies on one. `docs/exports.md` has them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY, CostCurve
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.georeference import georeference
+from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import write_together
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.mapfile import MapFile, MapView
+
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+"""The thresholds of the YAML file. With a free threshold of 0.25, which is common too, the grey
+205 of unknown cells would be read as free."""
+
+_FREE_GREY, _UNKNOWN_GREY, _OCCUPIED_GREY = 254, 205, 0
+_RAW_UNKNOWN = 255
+
+MODES: dict[str, tuple[str, ...]] = {
+    "trinary": ("pgm", "png"),
+    "scale": ("png",),  # unknown is what is transparent
+    "raw": ("pgm", "png"),
+}
+"""The modes of the map server, and the pictures that can hold each; the first is the usual one."""
+
+
+def export_nav2(
+    universal: MapFile,
+    path: str | Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    mode: str = "trinary",
+    image: str | None = None,
+    free_up_to: int = FREE_UP_TO,
+    obstacle_above: int = OBSTACLE_ABOVE,
+    cost_shape: float = 1.0,
+) -> Exported:
+    """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`.
+
+    The curve of `free_up_to`, `obstacle_above` and `cost_shape` (see `CostCurve`) makes an
+    occupancy of the density. `trinary` keeps free and obstacle; doubt is read back as unknown.
+    `scale` and `raw` keep each of 0..100 and unknown exactly. `image` is pgm or png, the usual one
+    of the mode when not given. The picture's first row is the northernmost; x is east, y is
+    north, in metres from the datum.
+
+    The files appear when all are complete, the YAML file last. Raises ConfigError for what cannot
+    be asked, MapExistsError, MapWriteError.
+    """
+    path, selection = Path(path), selection or Selection()
+    kind = _checked(path, selection, mode, image)
+    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    view = selection.view(universal)
+    occupancy = curve.occupancy(view.layer(selection.layer), view.observed)
+    picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
+    about = {**georeference(view), "image": picture.name, "mode": mode, "layer": selection.layer}
+    about["cost_curve"] = {
+        "free_up_to": curve.free_up_to,
+        "obstacle_above": curve.obstacle_above,
+        "shape": curve.shape,
+    }
+    paths = write_together(
+        {
+            picture: _picture_writer(occupancy, mode, kind),
+            georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
+            path: _text_writer(_yaml(view, picture.name, mode)),
+        },
+        overwrite=overwrite,
+    )
+    return Exported((paths[-1], *paths[:-1]), (("mode", mode), *_counted(view, occupancy)))
+
+
+def _checked(path: Path, selection: Selection, mode: str, image: str | None) -> str:
+    """The kind of picture; ConfigError for what cannot be asked."""
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
+    if selection.layer not in ("density", "max"):
+        raise ConfigError(
+            f"A Nav2 map is made of a density, and {selection.layer!r} is none; take the layer "
+            "density or max, or another format."
+        )
+    if mode not in MODES:
+        raise ConfigError(f"{mode!r} is no mode of Nav2's map server; give {', '.join(MODES)}.")
+    kind = MODES[mode][0] if image is None else image.lower()
+    if kind not in MODES[mode]:
+        raise ConfigError(
+            f"A Nav2 map in mode {mode} cannot be a picture of kind {image!r}; "
+            f"give {' or '.join(MODES[mode])}."
+        )
+    return kind
+
+
+def greys(mode: str) -> npt.NDArray[np.uint8]:
+    """The grey of each occupancy, uint8 [102]: 0..100, and unknown in the last place (-1)."""
+    occupancy = np.arange(OCCUPIED + 1)
+    if mode == "raw":
+        return np.append(occupancy, _RAW_UNKNOWN).astype(np.uint8)
+    doubt = np.full(OCCUPIED + 1, float(_UNKNOWN_GREY))
+    if mode == "scale":
+        # A step of occupancy is 1.16 greys, so each has one whose rounding leads back to it.
+        share = FREE_THRESH + (OCCUPIED_THRESH - FREE_THRESH) * occupancy / OCCUPIED
+        doubt = np.rint(255.0 * (1.0 - share))
+    doubt[0], doubt[OCCUPIED] = _FREE_GREY, _OCCUPIED_GREY
+    return np.append(doubt, _UNKNOWN_GREY).astype(np.uint8)
+
+
+def _picture_writer(
+    occupancy: npt.NDArray[np.int8], mode: str, kind: str
+) -> Callable[[Path], None]:
+    def write(file: Path) -> None:
+        from PIL import Image
+
+        assert UNKNOWN_OCCUPANCY == -1  # which is how the last grey is found
+        grey = greys(mode)[occupancy[::-1]]
+        if mode == "scale":
+            opaque = (occupancy[::-1] != UNKNOWN_OCCUPANCY).astype(np.uint8) * np.uint8(255)
+            grey = np.stack([grey, opaque], axis=-1)
+        picture = Image.fromarray(grey)
+        picture.save(file, format={"pgm": "PPM", "png": "PNG"}[kind])
+
+    return write
+
+
+def _yaml(view: MapView, picture: str, mode: str) -> str:
+    import yaml
+
+    bounds = view.bounds
+    content: dict[str, Any] = {
+        "image": picture,
+        "mode": mode,
+        "resolution": float(view.lattice.cell_m),
+        # Of the lower left corner of the lower left pixel; 0.0 is added because -0.0 looks odd.
+        "origin": [bounds.west_m + 0.0, bounds.south_m + 0.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": OCCUPIED_THRESH,
+        "free_thresh": FREE_THRESH,
+    }
+    return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000))
+
+
+def _text_writer(text: str) -> Callable[[Path], None]:
+    def write(file: Path) -> None:
+        file.write_text(text, encoding="utf-8")
+
+    return write
+
+
+def _counted(view: MapView, occupancy: npt.NDArray[np.int8]) -> tuple[tuple[str, str], ...]:
+    free, occupied, unknown = (
+        int(np.count_nonzero(occupancy == value)) for value in (0, OCCUPIED, UNKNOWN_OCCUPANCY)
+    )
+    doubt = occupancy.size - free - occupied - unknown
+    return (
+        ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
+        ("free, in doubt, obstacle, unknown", f"{free}, {doubt}, {occupied}, {unknown}"),
+    )

@@ -1,0 +1,177 @@
+"""Obstacles as polygons: the cells above a threshold that touch each other, traced and simplified.
+
+Memory goes with the obstacles and not with the map: cells are collected strip by strip, joined into
+components by their neighbours, and each component is traced in a window of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.lattice import Lattice
+from fieldgrid.mapfile import MapView
+
+_Int64 = npt.NDArray[np.int64]
+
+MAX_CELLS = 50_000_000
+"""Obstacle cells that are traced at once: 2.5 GB of neighbours."""
+
+
+_AREA_SHARE = 0.05
+"""An outline is simplified only if its area stays as it is, but for this share."""
+
+
+class ObstacleSettings(NamedTuple):
+    """Cells of a density above `above` are obstacles; of fewer than `min_area_m2` together they are
+    left out. Outlines may be moved by up to `simplify_m`, None for a cell."""
+
+    above: int = OBSTACLE_ABOVE
+    min_area_m2: float = 0.0
+    simplify_m: float | None = None
+
+    def checked(self) -> ObstacleSettings:
+        """The settings, once it is sure that they can be."""
+        if not 0 <= self.above <= 254:
+            raise ConfigError(f"A threshold of {self.above} is outside 0..254; 100 is the paper's.")
+        if not 0.0 <= self.min_area_m2 < 1e9:
+            raise ConfigError(f"A least area of {self.min_area_m2} m² is none; give 0 or more.")
+        if self.simplify_m is not None and not 0.0 <= self.simplify_m <= 10.0:
+            raise ConfigError(
+                f"Outlines simplified by {self.simplify_m} m are outside 0..10 m; a cell is usual."
+            )
+        return self
+
+
+class Obstacle(NamedTuple):
+    """One obstacle: its outline (a shapely polygon or multipolygon, metres east and north), the
+    area of its cells, their mean and highest density."""
+
+    outline: Any
+    area_m2: float
+    mean_density: float
+    max_density: int
+
+
+class _Cells(NamedTuple):
+    """Cells of a lattice by column and row, ordered by row and column, and their densities."""
+
+    i: _Int64
+    j: _Int64
+    density: npt.NDArray[np.uint8]
+
+
+def trace_obstacles(
+    views: Iterable[MapView], settings: ObstacleSettings | None = None
+) -> Iterator[Obstacle]:
+    """The obstacles in views of one lattice that do not overlap, from the south-west.
+
+    Cells that touch by a side or a corner are one obstacle. Raises ConfigError when there are too
+    many, or when shapely or rasterio is not installed.
+    """
+    settings = (settings or ObstacleSettings()).checked()
+    _require_libraries()
+    lattice, cells = _collect(views, settings.above)
+    if lattice is None:
+        return
+    for part in _components(cells):
+        area_m2 = len(part.i) * lattice.cell_m**2
+        if area_m2 >= settings.min_area_m2:
+            yield Obstacle(
+                _outline(part, lattice, settings.simplify_m),
+                area_m2,
+                float(part.density.mean()),
+                int(part.density.max()),
+            )
+
+
+def _require_libraries() -> None:
+    try:
+        import rasterio  # noqa: F401
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            "Tracing obstacles needs rasterio and shapely, which are not installed; "
+            "run: pip install 'fieldgrid[gis]'"
+        ) from error
+
+
+def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice | None, _Cells]:
+    lattice: Lattice | None = None
+    rows, columns, densities, total = [], [], [], 0
+    for view in views:
+        lattice = view.lattice
+        j, i = np.nonzero((view.density > above) & view.observed)
+        total += len(i)
+        if total > MAX_CELLS:
+            raise ConfigError(
+                f"Over {MAX_CELLS / 1e6:.0f} million cells have a density above {above}; give "
+                "smaller bounds, a larger cell or a higher threshold."
+            )
+        rows.append(j + view.window.j0)
+        columns.append(i + view.window.i0)
+        densities.append(view.density[j, i])
+    if not rows:
+        return None, _Cells(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0, dtype=np.uint8))
+    i, j = np.concatenate(columns), np.concatenate(rows)
+    order = np.lexsort((i, j))
+    return lattice, _Cells(i[order], j[order], np.concatenate(densities)[order])
+
+
+def _components(cells: _Cells) -> Iterator[_Cells]:
+    """The cells by what touches, in the order of their first cells."""
+    count = len(cells.i)
+    if count == 0:
+        return
+    i = cells.i - cells.i.min() + 1  # a free column on either side: no row runs into the next
+    j = cells.j - cells.j.min()
+    width = int(i.max()) + 2
+    keys = j * width + i
+    starts, ends = [], []
+    for step in (1, width - 1, width, width + 1):
+        at = np.searchsorted(keys, keys + step)
+        found = np.flatnonzero(keys[np.minimum(at, count - 1)] == keys + step)
+        starts.append(found)
+        ends.append(at[found])
+    start, end = np.concatenate(starts), np.concatenate(ends)
+    graph = coo_array((np.ones(len(start), dtype=np.bool_), (start, end)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    first = np.flatnonzero(np.diff(label[order], prepend=-1))
+    parts = [order[a:b] for a, b in zip(first, [*first[1:], count], strict=True)]
+    for part in sorted(parts, key=lambda part: int(part[0])):
+        yield _Cells(cells.i[part], cells.j[part], cells.density[part])
+
+
+def _outline(cells: _Cells, lattice: Lattice, simplify_m: float | None) -> Any:
+    """The outline of cells that touch, metres east and north, simplified and valid."""
+    import shapely
+    from rasterio.features import shapes
+
+    i0, j0 = int(cells.i.min()), int(cells.j.min())
+    mask = np.zeros((int(cells.j.max()) - j0 + 1, int(cells.i.max()) - i0 + 1), dtype=np.uint8)
+    mask[cells.j - j0, cells.i - i0] = 1
+    # By sides alone: where cells touch by a corner only, an outline that went through it twice
+    # would not be valid.
+    pieces = [
+        shapely.geometry.shape(geometry)
+        for geometry, _ in shapes(mask, mask=mask.astype(np.bool_), connectivity=4)
+    ]
+    outline = pieces[0] if len(pieces) == 1 else shapely.MultiPolygon(pieces)
+    # In cells, whose corners are whole numbers: in metres a corner may miss by rounding the edge
+    # that it touches, and the outline is no longer valid once it is rounded again, to degrees.
+    tolerance = 1.0 if simplify_m is None else simplify_m * lattice.cells_per_m
+    simple = shapely.simplify(outline, tolerance, preserve_topology=True)
+    # A post of few cells would lose a good part of itself.
+    kept = abs(simple.area - outline.area) <= _AREA_SHARE * outline.area
+    return shapely.transform(
+        simple if kept and simple.is_valid else outline,
+        lambda corners: (corners + np.array([i0, j0])) / lattice.cells_per_m,
+    )

@@ -1,0 +1,390 @@
+"""A selection as a raster on disk: plain pixels beside the target, from which pictures are made.
+
+GDAL makes both cloud-optimised GeoTIFFs and PNGs from another raster, so the pixels are written
+twice: first as they are, a piece of the map at a time, then in the format that was asked for. No
+more than some pieces are ever in memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.export.selection import Selection
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.publish import Draft
+
+BLOCK_PX = 512
+CACHE_MB = 96
+"""What GDAL may keep of the pixels in memory."""
+
+MAX_SIDE_PX = 1 << 30
+
+_NEARER_PX = 0.01
+"""How far from its exact place, in cells, a reprojected pixel may look for its value."""
+
+_Band = npt.NDArray[Any]
+
+
+class Layout(NamedTuple):
+    """How a layer's cells become bands: of this type, with alpha or else a value for nodata.
+
+    Where every value means something, band 2 is alpha: 255 where a cell was observed, 0 where not.
+    In an overview the `highest` of four cells stands for them, or else their mean.
+    """
+
+    dtype: str
+    alpha: bool
+    nodata: float | None
+    highest: bool = False
+
+    def bands(self, view: MapView, layer: str) -> tuple[_Band, ...]:
+        """The bands of a view, row 0 in the south."""
+        values = view.layer(layer)
+        return (values, view.observed * np.uint8(255)) if self.alpha else (values,)
+
+
+class Plane(NamedTuple):
+    """Where the pixels are: `crs` and `transform` as rasterio has them, row 0 in the north."""
+
+    width: int
+    height: int
+    crs: Any
+    transform: Any
+
+    def at(self, column: float, row: float) -> tuple[float, float]:
+        """Where a point of the raster is; 0, 0 is the corner of its upper left pixel."""
+        placed = self.transform
+        return placed.c + placed.a * column, placed.f + placed.e * row
+
+
+class Raster(NamedTuple):
+    """A raster on disk, to be made into something that others read."""
+
+    file: Path
+    plane: Plane
+    layout: Layout
+    rows: tuple[tuple[str, str], ...]
+    scratch: Scratch
+
+
+class Scratch:
+    """Files beside a target that are gone when its export has ended."""
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+        self._drafts: list[Draft] = []
+
+    def file(self, what: str, ending: str = ".tif") -> Path:
+        """A new file; `what` tells it from the other ones of the same export."""
+        name = f"{self._target.name}.{what}{ending}"
+        # It is never published, so a file of that name is safe.
+        self._drafts.append(Draft(self._target.with_name(name), overwrite=True))
+        return self._drafts[-1].file
+
+    def discard(self) -> None:
+        """Remove all of them."""
+        for draft in self._drafts:
+            draft.discard()
+
+
+def layout_of(layer: str) -> Layout:
+    """How a layer is laid out."""
+    dtype = LAYERS[layer].dtype
+    if layer in ("density", "max"):
+        return Layout(dtype, alpha=True, nodata=None, highest=layer == "max")
+    return Layout(dtype, alpha=False, nodata=math.nan if dtype.startswith("f") else 0)
+
+
+@contextmanager
+def painted(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    epsg: int | None,
+    *,
+    check: Callable[[Plane], None] | None = None,
+) -> Iterator[Raster]:
+    """The selection as a raster beside `path`, in the map's plane or that of an EPSG code.
+
+    Gone when the block ends. `check` refuses a plane before any pixel is written. Raises
+    ConfigError when rasterio is not installed, for a code that is none and for what cannot be
+    selected, MapWriteError when the disk does not take it.
+    """
+    with gdal(path), ExitStack() as stack:
+        scratch = Scratch(path)
+        stack.callback(scratch.discard)
+        layout = layout_of(selection.layer)
+        with selection.pieces(universal) as pieces:
+            tags = _tags(universal, selection)
+            plane = plane_of(universal.datum, pieces.lattice, pieces.window)
+            other = None if epsg is None else _reprojected(plane, epsg)
+            if check is not None:
+                check(other or plane)
+            file = scratch.file("pixels")
+            with creating(file, plane, layout, tags) as dataset:
+                for view in pieces.views:
+                    place = _pixels(pieces.window, view.window)
+                    for number, band in enumerate(layout.bands(view, selection.layer), 1):
+                        dataset.write(band[::-1], number, window=place)
+        rows = _rows(universal, selection, pieces.lattice, pieces.window)
+        if other is not None:
+            plane, source = other, file
+            file = scratch.file("projected")
+            _warp(source, file, plane, layout, tags)
+            side = f"{plane.transform.a:.9g} x {-plane.transform.e:.9g}"
+            rows += (("pixels", f"{plane.width} x {plane.height} of {side}"),)
+        crs = f"EPSG:{epsg}" if epsg is not None else "Transverse Mercator at the datum"
+        yield Raster(file, plane, layout, (*rows, ("plane", crs)), scratch)
+
+
+def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:
+    """The pixels of a window in the map's own plane."""
+    from rasterio.crs import CRS
+    from rasterio.transform import Affine
+
+    cell_m, bounds = 1.0 / lattice.cells_per_m, lattice.bounds(window)
+    transform = Affine(cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m)
+    crs = CRS.from_wkt(datum.crs_wkt("WKT1_GDAL"))
+    return _checked(Plane(window.width, window.height, crs, transform))
+
+
+@contextmanager
+def gdal(path: Path) -> Iterator[None]:
+    """GDAL with bounded memory, its errors as ours about `path`."""
+    try:
+        import rasterio
+        from rasterio._err import CPLE_BaseError  # what copying raises is of no public class
+        from rasterio.errors import RasterioError
+    except ImportError as error:
+        raise ConfigError(
+            f"Writing {path.name} needs rasterio, which is not installed; "
+            "run: pip install 'fieldgrid[gis]'"
+        ) from error
+    try:
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+            yield
+    except (RasterioError, CPLE_BaseError) as error:
+        why = str(error.__cause__ or error).rstrip(".")
+        raise MapWriteError(
+            f"{path} could not be written ({why}); check the space on the disk."
+        ) from error
+
+
+@contextmanager
+def creating(file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> Iterator[Any]:
+    """A new raster of plain pixels, open for writing; what is not written takes no space."""
+    import rasterio
+    from rasterio.enums import ColorInterp
+
+    with rasterio.open(
+        file,
+        "w",
+        driver="GTiff",
+        dtype=layout.dtype,
+        count=1 + layout.alpha,
+        width=plane.width,
+        height=plane.height,
+        crs=plane.crs,
+        transform=plane.transform,
+        nodata=layout.nodata,
+        tiled=True,
+        blockxsize=BLOCK_PX,
+        blockysize=BLOCK_PX,
+        interleave="band",
+        sparse_ok=True,
+        bigtiff="IF_SAFER",
+    ) as dataset:
+        if layout.alpha:
+            dataset.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
+        dataset.update_tags(**tags)
+        yield dataset
+    check_whole(file)
+
+
+def check_whole(file: Path) -> None:
+    """Raise MapWriteError when the end of a TIFF is missing.
+
+    GDAL keeps the last bytes until a file is closed, and does not tell when the disk is full then.
+    """
+    import rasterio
+
+    end = 0
+    with rasterio.open(file) as dataset:
+        for band in dataset.indexes:
+            levels: list[tuple[int | None, int, int]] = [(None, dataset.width, dataset.height)]
+            for number, factor in enumerate(dataset.overviews(band)):
+                levels.append((number, -(-dataset.width // factor), -(-dataset.height // factor)))
+            for level, width, height in levels:
+                for y in range(-(-height // BLOCK_PX)):
+                    for x in range(-(-width // BLOCK_PX)):
+                        where = (f"{x}_{y}", "TIFF", band, level)
+                        end = max(end, _block_end(dataset, *where))
+    if file.stat().st_size < end:
+        raise MapWriteError("The disk is full and cut a picture short; free some space.")
+
+
+def _block_end(dataset: Any, block: str, domain: str, band: int, level: int | None) -> int:
+    """Where the bytes of a block end in the file; 0 for one that has none."""
+    offset = dataset.get_tag_item(f"BLOCK_OFFSET_{block}", domain, band, level)
+    if offset is None:
+        return 0
+    return int(offset) + int(dataset.get_tag_item(f"BLOCK_SIZE_{block}", domain, band, level))
+
+
+def datum_tags(datum: Datum, lattice: Lattice) -> dict[str, str]:
+    """The datum and the cell as tags."""
+    return {
+        "FIELDGRID_DATUM_LAT_DEG": repr(float(datum.lat_deg)),
+        "FIELDGRID_DATUM_LON_DEG": repr(float(datum.lon_deg)),
+        "FIELDGRID_DATUM_HEIGHT_M": repr(float(datum.height_m)),
+        "FIELDGRID_CELL_M": repr(float(lattice.cell_m)),
+    }
+
+
+def windows(width: int, height: int, rows: int) -> Iterator[Any]:
+    """A raster in windows of so many rows, and some thousand columns, as rasterio has them."""
+    from rasterio.windows import Window as Pixels
+
+    columns = 16 * BLOCK_PX
+    for row in range(0, height, rows):
+        for column in range(0, width, columns):
+            yield Pixels(column, row, min(columns, width - column), min(rows, height - row))
+
+
+def _pixels(whole: Window, part: Window) -> Any:
+    """Where a part of a window is in its raster, whose first row is the northernmost."""
+    from rasterio.windows import Window as Pixels
+
+    row = (whole.j0 + whole.height) - (part.j0 + part.height)
+    return Pixels(part.i0 - whole.i0, row, part.width, part.height)
+
+
+def _tags(universal: MapFile, selection: Selection) -> dict[str, str]:
+    """What a reader of the raster alone has to know."""
+    lattice = Lattice(universal.cell_m if selection.cell_m is None else selection.cell_m)
+    tags = {
+        **datum_tags(universal.datum, lattice),
+        "FIELDGRID_LAYER": selection.layer,
+        "FIELDGRID_SAYS": LAYERS[selection.layer].says,
+    }
+    if selection.layer == "height":
+        tags["FIELDGRID_HEIGHT"] = (
+            "above the plane that touches the datum: the ellipsoidal height is "
+            "FIELDGRID_DATUM_HEIGHT_M + value + (east^2 + north^2) / 12.75e6 m"
+        )
+    names = selection.sessions(universal)
+    tags["FIELDGRID_SESSIONS"] = str(len(names))
+    last = {info.name: info.last_time_ns for info in universal.sessions()}[names[-1]]
+    tags["FIELDGRID_AS_OF_SESSION"] = names[-1]
+    if last is not None:
+        tags["FIELDGRID_AS_OF_TIME"] = datetime.fromtimestamp(last // 10**9, UTC).isoformat()
+    return tags
+
+
+def _rows(
+    universal: MapFile, selection: Selection, lattice: Lattice, window: Window
+) -> tuple[tuple[str, str], ...]:
+    bounds = lattice.bounds(window)
+    return (
+        ("layer", f"{selection.layer}: {LAYERS[selection.layer].says}"),
+        ("cells", f"{window.width} x {window.height} of {lattice.cell_m:g} m"),
+        ("west south east north", " ".join(f"{value:.3f}" for value in bounds) + " m"),
+        ("datum", universal.datum.described()),
+    )
+
+
+def _reprojected(source: Plane, epsg: int) -> Plane:
+    """Square pixels north up that cover a raster, as large as its cells in the middle."""
+    from rasterio.transform import Affine
+    from rasterio.warp import transform, transform_bounds
+
+    crs = _crs_of(epsg)
+    west, north = source.at(0, 0)
+    east, south = source.at(source.width, source.height)
+    half_m = source.transform.a * 0.5
+    x, y = (west + east) / 2.0, (south + north) / 2.0
+    xs, ys = transform(
+        source.crs, crs, [x - half_m, x + half_m, x, x], [y, y, y - half_m, y + half_m]
+    )
+    side_x = math.hypot(xs[1] - xs[0], 0.0 if crs.is_geographic else ys[1] - ys[0])
+    side_y = math.hypot(ys[3] - ys[2], 0.0 if crs.is_geographic else xs[3] - xs[2])
+    bounds = transform_bounds(source.crs, crs, west, south, east, north, densify_pts=99)
+    if not (all(math.isfinite(v) for v in (*bounds, side_x, side_y)) and min(side_x, side_y) > 0):
+        raise ConfigError(
+            f"EPSG:{epsg} ({crs_name(crs)}) does not reach to the map; choose a system that is "
+            "used there."
+        )
+    area = Bounds(*bounds)
+    width = math.ceil((area.east_m - area.west_m) / side_x)
+    height = math.ceil((area.north_m - area.south_m) / side_y)
+    placed = Affine(side_x, 0.0, area.west_m, 0.0, -side_y, area.north_m)
+    return _checked(Plane(max(width, 1), max(height, 1), crs, placed))
+
+
+def _crs_of(epsg: int) -> Any:
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        crs = CRS.from_epsg(epsg)
+    except CRSError as error:
+        raise ConfigError(
+            f"EPSG:{epsg} is not known to PROJ; give the number of a projected or geographic "
+            "system, such as 25830."
+        ) from error
+    if not (crs.is_projected or crs.is_geographic):
+        raise ConfigError(
+            f"EPSG:{epsg} is neither a projected nor a geographic system; give one such as 25830."
+        )
+    return crs
+
+
+def crs_name(crs: Any) -> str:
+    """What a system is called."""
+    return str(crs.to_wkt().split('"')[1])
+
+
+def _warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> None:
+    """The pixels of another plane: each has the cell that its centre falls in, or nothing."""
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.vrt import WarpedVRT
+
+    with (
+        rasterio.open(source) as found,
+        # Of an alpha band the warper would make weights; here it is a band like another.
+        WarpedVRT(
+            found,
+            crs=plane.crs,
+            transform=plane.transform,
+            width=plane.width,
+            height=plane.height,
+            resampling=Resampling.nearest,
+            tolerance=_NEARER_PX,
+            src_alpha=0,
+        ) as warped,
+        creating(file, plane, layout, tags) as dataset,
+    ):
+        for part in windows(plane.width, plane.height, 2 * BLOCK_PX):
+            pixels = warped.read(window=part)
+            dataset.write(pixels, window=part)
+
+
+def _checked(plane: Plane) -> Plane:
+    if max(plane.width, plane.height) > MAX_SIDE_PX:
+        raise ConfigError(
+            f"A raster of {plane.width} x {plane.height} pixels is too large; give smaller bounds "
+            "or a larger cell."
+        )
+    return plane

@@ -1,0 +1,215 @@
+"""A map for ROS 2 and Foxglove: a bag that they open without any code of ours.
+
+The topics are listed in `docs/exports.md`. What is of the whole map bears the time of the first
+pose, so that a player shows it at once; paths and grids are latched, as Nav2 wants them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from fieldgrid.cost import CostCurve
+from fieldgrid.errors import ConfigError
+from fieldgrid.export import foxglove_messages, ros_messages
+from fieldgrid.export.features import trajectories
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.georeference import georeference
+from fieldgrid.export.selection import Selection
+from fieldgrid.export.vector import geojson_text
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.lattice import Lattice
+from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.ros import BagFolderWriter, McapWriter
+from fieldgrid.trajectory import Trajectory
+
+MAX_CELLS = 25_000_000
+"""Cells of a map in one message: the grid map's is of 400 MB then."""
+
+_END_NS = 2**31 * 1_000_000_000
+
+GRID_MAP_LAYERS = ("density", "count", "variance", "persistence")
+
+
+class _Stamped(NamedTuple):
+    """A ROS message on its way into a bag."""
+
+    topic: str
+    message: Any
+    time_ns: int
+    latched: bool
+
+
+def export_mcap(
+    universal: MapFile,
+    path: str | Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    free_up_to: int = FREE_UP_TO,
+    obstacle_above: int = OBSTACLE_ABOVE,
+    cost_shape: float = 1.0,
+) -> Exported:
+    """Write a part of a map as one `.mcap` file for Foxglove.
+
+    It holds what `export_rosbag2` writes, and two of Foxglove's own messages: a coloured grid and
+    the obstacles and trajectories as GeoJSON. Raises ConfigError for a part of more than 25
+    million cells, and when the schemas of Foxglove, pyogrio or shapely are not installed.
+    """
+    path, selection = Path(path), selection or Selection()
+    foxglove_messages.check_installed()
+    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    view, tracks = _read(universal, selection)
+    start_ns = _start_ns(universal, tracks)
+    shapes = geojson_text(
+        universal,
+        path,
+        Selection(selection.bounds, selection.cell_m, at=selection.at),
+        features="obstacle,trajectory",
+        above=curve.obstacle_above,
+    )
+    with McapWriter(path, overwrite=overwrite) as writer:
+        for topic, raw in (
+            ("/foxglove/grid", foxglove_messages.grid(view, start_ns)),
+            ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
+        ):
+            writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
+        count = _write(writer, view, tracks, curve, selection.layer, start_ns)
+    return Exported((path,), _rows(view, count + 2))
+
+
+def export_rosbag2(
+    universal: MapFile,
+    path: str | Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    free_up_to: int = FREE_UP_TO,
+    obstacle_above: int = OBSTACLE_ABOVE,
+    cost_shape: float = 1.0,
+    storage: str = "sqlite3",
+) -> Exported:
+    """Write a part of a map as a ROS 2 bag, a folder that `ros2 bag play` plays to Nav2.
+
+    /map is a nav_msgs/OccupancyGrid, by the curve of `free_up_to`, `obstacle_above` and
+    `cost_shape` (see `CostCurve`); /grid_map has the density, count, variance and persistence of
+    each cell. There are a path and fixes of each session, the datum as a fix, as the transform
+    from `earth` to `map` and as JSON. `storage` is sqlite3 or mcap. The folder appears when it is
+    complete. Raises ConfigError for a part of more than 25 million cells.
+    """
+    path, selection = Path(path), selection or Selection()
+    if storage not in ("sqlite3", "mcap"):
+        raise ConfigError(f"{storage!r} is no storage of a ROS 2 bag; give sqlite3 or mcap.")
+    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    view, tracks = _read(universal, selection)
+    start_ns = _start_ns(universal, tracks)
+    kind: Literal["sqlite3", "mcap"] = "mcap" if storage == "mcap" else "sqlite3"
+    with BagFolderWriter(path, storage=kind, overwrite=overwrite) as writer:
+        count = _write(writer, view, tracks, curve, selection.layer, start_ns)
+    return Exported((path,), _rows(view, count))
+
+
+def _read(universal: MapFile, selection: Selection) -> tuple[MapView, dict[str, Trajectory]]:
+    """The view with the layers of the grid map, and the trajectories of the sessions in it."""
+    if selection.layer not in ("density", "max"):
+        raise ConfigError(
+            f"A bag's occupancy is made of a density, and {selection.layer!r} is none; take the "
+            "layer density or max: the grid map holds others beside it."
+        )
+    _check_size(universal, selection)
+    view = selection.view(universal, GRID_MAP_LAYERS)
+    tracks = trajectories(universal, selection)
+    for name, track in tracks.items():
+        if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
+            raise ConfigError(
+                f"Session {name!r} has times before 1970 or after 2038, which a ROS message cannot "
+                "hold; take another format."
+            )
+    return view, tracks
+
+
+def _check_size(universal: MapFile, selection: Selection) -> None:
+    lattice = Lattice(selection.cell_m or universal.cell_m)
+    window = lattice.window(selection.bounds or universal.bounds)
+    if window.width * window.height > MAX_CELLS:
+        raise ConfigError(
+            f"A map of {window.width} x {window.height} cells of {lattice.cell_m:g} m is too large "
+            f"for one ROS message, which takes {MAX_CELLS / 1e6:.0f} million here; give --bounds "
+            "or a larger --cell."
+        )
+
+
+def _start_ns(universal: MapFile, tracks: dict[str, Trajectory]) -> int:
+    """The time of the first accepted pose, or of the first frame where there is no trajectory."""
+    poses = [
+        int(track.time_ns[track.accepted][0]) for track in tracks.values() if any(track.accepted)
+    ]
+    frames = [info.first_time_ns for info in universal.sessions() if info.first_time_ns is not None]
+    return min(max(min(poses or frames, default=0), 0), _END_NS - 1)
+
+
+def _write(
+    writer: McapWriter | BagFolderWriter,
+    view: MapView,
+    tracks: dict[str, Trajectory],
+    curve: CostCurve,
+    layer: str,
+    start_ns: int,
+) -> int:
+    """Write the ROS messages; their number."""
+    count = 0
+    for one in _messages(view, tracks, curve, layer, start_ns):
+        writer.write(one.topic, one.message, one.time_ns, latched=one.latched)
+        count += 1
+    return count
+
+
+def _messages(
+    view: MapView, tracks: dict[str, Trajectory], curve: CostCurve, layer: str, start_ns: int
+) -> Iterator[_Stamped]:
+    """All messages in the order of their times, one in memory at a time."""
+    datum = view.datum
+    yield _Stamped("/tf_static", ros_messages.earth_to_map(datum, start_ns), start_ns, True)
+    yield _Stamped("/datum", ros_messages.datum_fix(datum, start_ns), start_ns, True)
+    about = json.dumps(georeference(view), ensure_ascii=False)
+    yield _Stamped("/georeference", ros_messages.text(about), start_ns, True)
+    occupancy = curve.occupancy(view.layer(layer), view.observed)
+    grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
+    yield _Stamped("/map", grid, start_ns, True)
+    del occupancy, grid
+    layers = {name: view.layer(name) for name in GRID_MAP_LAYERS}
+    yield _Stamped("/grid_map", ros_messages.grid_map(view, layers, start_ns), start_ns, True)
+    names = topic_names(tracks)
+    for name, track in tracks.items():
+        yield _Stamped(f"/{names[name]}/path", ros_messages.path(track, start_ns), start_ns, True)
+    for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
+        for time_ns, fix in ros_messages.fixes(track):
+            yield _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
+
+
+def topic_names(sessions: dict[str, Any]) -> dict[str, str]:
+    """The names of sessions as ROS allows them in topics: letters, digits, single underscores, a
+    letter first; those that become alike get a number behind them."""
+    found: dict[str, str] = {}
+    for session in sessions:
+        plain = re.sub(r"[^A-Za-z0-9]+", "_", session).strip("_")
+        plain = plain if plain[:1].isalpha() else f"session_{plain}".rstrip("_")
+        name, number = plain, 2
+        while name in found.values():
+            name, number = f"{plain}_{number}", number + 1
+        found[session] = name
+    return found
+
+
+def _first_ns(track: Trajectory) -> int:
+    return int(track.time_ns[0]) if len(track) else 0
+
+
+def _rows(view: MapView, messages: int) -> tuple[tuple[str, str], ...]:
+    return (
+        ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
+        ("messages", str(messages)),
+    )

@@ -1,0 +1,53 @@
+"""What of a map is exported: a part of it, at a cell size, one layer, as of some moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.lattice import Bounds, check_inside
+from fieldgrid.mapfile import LAYERS, MapFile, MapView, Pieces, in_drive_order
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """`bounds` None for all that was observed; `cell_m` None for the map's own cell; `layer` one
+    of the map's layers; `at` a session or a date, None for now."""
+
+    bounds: Bounds | None = None
+    cell_m: float | None = None
+    layer: str = "density"
+    at: str | int | None = None
+
+    def __post_init__(self) -> None:
+        if self.layer not in ("density", *LAYERS):
+            known = ", ".join(dict.fromkeys(("density", *LAYERS)))
+            raise ConfigError(f"{self.layer!r} is no layer of a map; known are {known}.")
+
+    def view(self, universal: MapFile, layers: Sequence[str] = ()) -> MapView:
+        """The part of the map, with the layer asked for and `layers` beside it.
+
+        Raises ConfigError for bounds outside the map, a cell that the evidence cannot fill, and a
+        part that is too large for one view.
+        """
+        if self.bounds is not None:
+            check_inside(self.bounds, universal.bounds)
+        wanted = tuple(dict.fromkeys((self.layer, *layers)))
+        return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
+
+    @contextmanager
+    def pieces(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Pieces]:
+        """The same as `view` in pieces from the north, of one state of the map, however large."""
+        if self.bounds is not None:
+            check_inside(self.bounds, universal.bounds)
+        wanted = tuple(dict.fromkeys((self.layer, *layers)))
+        with universal.pieces(self.bounds, self.cell_m, layers=wanted, at=self.at) as pieces:
+            yield pieces
+
+    def sessions(self, universal: MapFile) -> list[str]:
+        """The names of the sessions that are in the part, in the order of their drives."""
+        if self.at is not None:
+            return universal.sessions_at(self.at)
+        return [info.name for info in in_drive_order(universal.sessions())]

@@ -1,0 +1,176 @@
+"""A map as a table of its observed cells: CSV and Parquet.
+
+A row a cell, piece by piece of the map: `east_m`, `north_m` of its centre in the map's plane,
+`lat_deg`, `lon_deg` of that point, the layer that was asked for, and `n`, how many frames observed
+the cell. Cells that nothing is known of have no row. What the columns mean, and the datum, stand
+beside a CSV as CSV on the Web says, and inside a Parquet file as metadata of its schema.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import write_together
+from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.publish import replacing
+
+_ROWS = 1 << 16
+"""Rows that are formatted at a time: 64 k of text are some MB."""
+
+_PLACES = {"east_m": 4, "north_m": 4, "lat_deg": 9, "lon_deg": 9}
+"""Decimals of a CSV: 0.1 mm."""
+
+Table = dict[str, npt.NDArray[Any]]
+
+
+def export_csv(
+    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+) -> Exported:
+    """Write the observed cells as CSV, and their metadata as `PATH-metadata.json` (CSVW)."""
+    beside = path.with_name(path.name + "-metadata.json")
+    rows = 0
+
+    def write_metadata(file: Path) -> None:
+        file.write_text(json.dumps(_csvw(path, universal, selection), indent=1) + "\n")
+
+    def write_cells(file: Path) -> None:
+        nonlocal rows
+        with file.open("w", encoding="ascii", newline="") as out:
+            for table in _tables(universal, selection):
+                if rows == 0:
+                    out.write(",".join(table) + "\r\n")
+                rows += len(table["n"])
+                for lines in _lines(table):
+                    out.write(lines)
+        _refuse_empty(rows, path)
+
+    write_together({beside: write_metadata, path: write_cells}, overwrite=overwrite)
+    return Exported((path, beside), (("cells", str(rows)),))
+
+
+def export_parquet(
+    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+) -> Exported:
+    """Write the observed cells as Parquet. Raises ConfigError when pyarrow is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ConfigError(
+            "Writing Parquet needs pyarrow, which is not installed; "
+            "run: pip install 'fieldgrid[tables]'"
+        ) from error
+    rows = 0
+    with replacing(path, overwrite=overwrite) as file, ExitStack() as open_things:
+        writer: Any = None
+        for table in _tables(universal, selection):
+            batch = pyarrow.table(table)
+            if writer is None:
+                about = {"fieldgrid": json.dumps(_about(universal, selection))}
+                schema = batch.schema.with_metadata(about)
+                writer = open_things.enter_context(
+                    pyarrow.parquet.ParquetWriter(file, schema, compression="zstd")
+                )
+            writer.write_table(batch.cast(writer.schema))
+            rows += len(batch)
+        _refuse_empty(rows, path)
+    return Exported((path,), (("cells", str(rows)),))
+
+
+def _refuse_empty(rows: int, path: Path) -> None:
+    if rows == 0:
+        raise ConfigError(
+            f"No cell was observed in what {path.name} would hold; give other bounds or another "
+            "--at."
+        )
+
+
+def _tables(universal: MapFile, selection: Selection) -> Iterator[Table]:
+    with selection.pieces(universal, ("count",)) as pieces:
+        for view in pieces.views:
+            yield _table(view, selection.layer)
+
+
+def _table(view: MapView, layer: str) -> Table:
+    """The observed cells of a view, a column each."""
+    j, i = np.nonzero(view.observed)
+    east_m, north_m = view.lattice.centres(view.window)
+    east_m, north_m = east_m[i], north_m[j]
+    lat_deg, lon_deg, _ = view.datum.to_geodetic(east_m, north_m, np.zeros(len(i)))
+    columns = {"east_m": east_m, "north_m": north_m, "lat_deg": lat_deg, "lon_deg": lon_deg}
+    if layer != "count":
+        columns[layer] = view.layer(layer)[j, i]
+    return {**columns, "n": view.layer("count")[j, i]}
+
+
+def _lines(table: Table) -> Iterator[str]:
+    """The rows as text, some at a time."""
+    columns = list(table.items())
+    for start in range(0, len(columns[0][1]), _ROWS):
+        cells = [_text(name, values[start : start + _ROWS]) for name, values in columns]
+        yield "\r\n".join(map(",".join, zip(*cells, strict=True))) + "\r\n"
+
+
+def _text(name: str, values: npt.NDArray[Any]) -> list[str]:
+    if name in _PLACES:
+        return list(map(f"%.{_PLACES[name]}f".__mod__, values.tolist()))
+    if values.dtype.kind == "f":
+        return [f"{value:.7g}" for value in values.tolist()]
+    return list(map(str, values.tolist()))
+
+
+def _about(universal: MapFile, selection: Selection) -> dict[str, Any]:
+    """What a table needs to be understood by itself."""
+    return {
+        "datum": datum_values(universal.datum),
+        "crs_wkt": universal.datum.crs_wkt("WKT2_2019"),
+        "cell_m": selection.cell_m or universal.cell_m,
+        "layer": selection.layer,
+        "at": selection.at,
+        "columns": {name: says for name, _, says in _columns(selection.layer)},
+    }
+
+
+def datum_values(datum: Datum) -> dict[str, float]:
+    """The datum as plain numbers: WGS84, degrees and metres above the ellipsoid."""
+    return {"lat_deg": datum.lat_deg, "lon_deg": datum.lon_deg, "height_m": datum.height_m}
+
+
+def _columns(layer: str) -> list[tuple[str, str, str]]:
+    """Name, type in XML Schema's words, and meaning of each column."""
+    found = [
+        ("east_m", "double", "centre of the cell, metres east of the datum"),
+        ("north_m", "double", "centre of the cell, metres north of the datum"),
+        ("lat_deg", "double", "WGS84 latitude of the centre, in the datum's plane"),
+        ("lon_deg", "double", "WGS84 longitude of the centre, in the datum's plane"),
+    ]
+    if layer != "count":
+        kind = "float" if LAYERS[layer].dtype.startswith("f") else "integer"
+        found.append((layer, kind, LAYERS[layer].says))
+    return [*found, ("n", "integer", LAYERS["count"].says)]
+
+
+def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any]:
+    """Metadata by the W3C's Model for Tabular Data, which a CSV itself has no room for."""
+    columns = [
+        {"name": name, "titles": name, "datatype": kind, "dc:description": says}
+        for name, kind, says in _columns(selection.layer)
+    ]
+    notes = {key: value for key, value in _about(universal, selection).items() if key != "columns"}
+    return {
+        "@context": "http://www.w3.org/ns/csvw",
+        "url": path.name,
+        "tableSchema": {"columns": columns},
+        "notes": [notes],
+    }

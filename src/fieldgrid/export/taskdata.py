@@ -1,0 +1,346 @@
+"""ISO 11783-10 task data, version 4.3, for tractor terminals and farm management.
+
+A field with its boundary, the obstacles as polygons, and each drive's forward stretches as guidance
+curves; and a task with a grid of zones, obstacle, in doubt, free, where a terminal would else take
+what nobody has seen for free. The boundary is that of the ground that was mapped, not of the land
+register.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.export.features import FeatureLayer, feature_layers, obstacle_settings
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.selection import Selection
+from fieldgrid.geodesy import Datum
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.publish import DraftFolder
+from fieldgrid.trajectory import Status
+
+_DECIMALS = 9
+"""0.1 mm; the standard allows no more."""
+
+_NAME = 32
+"""The most letters of a designator."""
+
+MAX_GRID_CELLS = 50_000_000
+"""A terminal that takes a grid at all takes one of some megabytes."""
+
+MIN_CURVE_M = 2.0
+"""A guidance curve that is shorter guides nobody."""
+
+_CURVE_TOLERANCE_M = 0.05
+_BOUNDARY_TOLERANCE_M = 0.5
+_SAMPLES = 3
+"""Each cell of the grid is the worst of 3 x 3 points in it: it lies askew to the map's cells."""
+
+
+_POINTS = 1 << 20
+"""Sample points that are placed at a time."""
+
+
+class Zone(NamedTuple):
+    """A zone of the grid: its code, and what a terminal shows."""
+
+    code: int
+    says: str
+
+
+UNSEEN = Zone(0, "not observed")
+FREE = Zone(1, "free")
+DOUBT = Zone(2, "in doubt")
+OBSTACLE = Zone(3, "obstacle")
+ZONES = (UNSEEN, FREE, DOUBT, OBSTACLE)
+
+
+def export_taskdata(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    *,
+    overwrite: bool = False,
+    obstacle_above: int | None = None,
+    min_area_m2: float | None = None,
+    simplify_m: float | None = None,
+) -> Exported:
+    """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA.
+
+    Options as of :func:`fieldgrid.export.vector.export_geopackage`. Raises ConfigError when isoxml
+    is not installed, and for a grid that is too large for a terminal.
+    """
+    _require_library()
+    settings = obstacle_settings(selection, obstacle_above, min_area_m2, simplify_m)
+    layers = feature_layers(universal, selection, settings, ("obstacle", "trajectory", "footprint"))
+    obstacles, drives, footprints = layers
+    view = selection.view(universal)
+    grid = zone_grid(view, settings.above)
+    field = _field(universal, obstacles, drives, footprints)
+    draft = DraftFolder(path, overwrite=overwrite, ours=_is_taskdata, what="task data")
+    try:
+        _write(draft.folder, field, grid)
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
+    rows, columns = grid.zones.shape
+    return Exported(
+        (path,),
+        (
+            ("obstacles", str(len(obstacles.geometry))),
+            ("guidance curves", str(_count_curves(field))),
+            ("grid of zones", f"{columns} x {rows}"),
+        ),
+    )
+
+
+def _require_library() -> None:
+    try:
+        import isoxml  # noqa: F401
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            "Writing task data needs isoxml, which is not installed; "
+            "run: pip install 'fieldgrid[isoxml]'"
+        ) from error
+
+
+def _is_taskdata(folder: Path) -> bool:
+    return (folder / "TASKDATA.XML").is_file()
+
+
+class ZoneGrid(NamedTuple):
+    """Codes of zones, uint8 [north, east], row 0 in the south, and where they lie in degrees."""
+
+    zones: npt.NDArray[np.uint8]
+    south_deg: float
+    west_deg: float
+    cell_north_deg: float
+    cell_east_deg: float
+
+
+def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
+    """The view's classes on a grid along meridians and parallels, of cells as large as its own.
+
+    A cell is the worst of what its nine sample points fall into; not observed is better than in
+    doubt, so that no obstacle is lost, and worse than free.
+    """
+    datum, bounds, cell_m = view.datum, view.bounds, view.lattice.cell_m
+    corners_east = np.array([bounds.west_m, bounds.east_m, bounds.west_m, bounds.east_m])
+    corners_north = np.array([bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m])
+    lat_deg, lon_deg, _ = datum.to_geodetic(corners_east, corners_north, np.zeros(4))
+    lat0, lon0, _ = datum.to_geodetic(
+        np.array([0.0, cell_m, 0.0]), np.array([0.0, 0.0, cell_m]), np.zeros(3)
+    )
+    step_north, step_east = float(lat0[2] - lat0[0]), float(lon0[1] - lon0[0])
+    south, west = round(float(lat_deg.min()), _DECIMALS), round(float(lon_deg.min()), _DECIMALS)
+    rows = int(np.ceil((lat_deg.max() - south) / step_north))
+    columns = int(np.ceil((lon_deg.max() - west) / step_east))
+    if rows * columns > MAX_GRID_CELLS:
+        raise ConfigError(
+            f"A grid of {columns} x {rows} cells is over {MAX_GRID_CELLS / 1e6:.0f} million, too "
+            "large for a terminal; give a larger --cell or smaller --bounds."
+        )
+    zones = np.empty((rows, columns), dtype=np.uint8)
+    severity = _severity(view, obstacle_above)
+    together = max(1, _POINTS // columns)
+    for first in range(0, rows, together):
+        part = np.arange(first, min(first + together, rows))[:, None]
+        worst = np.zeros((len(part), columns), dtype=np.uint8)
+        for a in range(_SAMPLES):
+            lat = south + (part + (a + 0.5) / _SAMPLES) * step_north
+            for b in range(_SAMPLES):
+                lon = west + (np.arange(columns) + (b + 0.5) / _SAMPLES) * step_east
+                np.maximum(worst, _sampled(view, severity, lat, lon), out=worst)
+        zones[first : first + len(part)] = _BY_SEVERITY[worst]
+    return ZoneGrid(zones, south, west, step_north, step_east)
+
+
+_BY_SEVERITY = np.array([FREE.code, UNSEEN.code, DOUBT.code, OBSTACLE.code], dtype=np.uint8)
+
+
+def _severity(view: MapView, obstacle_above: int) -> npt.NDArray[np.uint8]:
+    """0 free, 1 not observed, 2 in doubt, 3 obstacle."""
+    found = np.where(view.density > FREE_UP_TO, np.uint8(2), np.uint8(0))
+    found[view.density > obstacle_above] = 3
+    found[~view.observed] = 1
+    return found
+
+
+def _sampled(
+    view: MapView,
+    severity: npt.NDArray[np.uint8],
+    lat_deg: npt.NDArray[Any],
+    lon_deg: npt.NDArray[Any],
+) -> npt.NDArray[np.uint8]:
+    # The height matters by some micrometres: a point of the plane 1 km away is 8 cm above the
+    # datum's height, and its vertical is tilted by 0.16 mrad.
+    east, north, _ = view.datum.to_enu(lat_deg, lon_deg, view.datum.height_m)
+    i, j = view.lattice.index(east, north)
+    i, j = i - view.window.i0, j - view.window.j0
+    inside = (i >= 0) & (j >= 0) & (i < view.window.width) & (j < view.window.height)
+    found = np.ones(east.shape, dtype=np.uint8)
+    found[inside] = severity[j[inside], i[inside]]
+    return found
+
+
+def _field(
+    universal: MapFile, obstacles: FeatureLayer, drives: FeatureLayer, footprints: FeatureLayer
+) -> Any:
+    """The field as the library's value."""
+    import shapely
+    from isoxml.models.base import v4 as iso
+
+    datum = universal.datum
+    seen = footprints.geometry[footprints.columns["status"] == Status.OK.value]
+    mapped = shapely.simplify(shapely.union_all(seen), _BOUNDARY_TOLERANCE_M)
+    boundary = [
+        _polygon(part, iso.PolygonType.PartfieldBoundary, "mapped", datum)
+        for part in _parts(mapped)
+    ]
+    shapes = [
+        _polygon(part, iso.PolygonType.Obstacle, f"density {density:.0f}", datum)
+        for outline, density in zip(
+            obstacles.geometry, obstacles.columns["mean_density"], strict=True
+        )
+        for part in _parts(outline)
+    ]
+    curves = _curves(drives, datum)
+    groups = [iso.GuidanceGroup(id="GGP1", designator="drives", guidance_patterns=curves)]
+    return iso.Partfield(
+        id="PFD1",
+        designator=universal.path.stem[:_NAME],
+        area=round(mapped.area),
+        polygons=[*boundary, *shapes],
+        guidance_groups=groups if curves else [],
+    )
+
+
+def _count_curves(field: Any) -> int:
+    return sum(len(group.guidance_patterns) for group in field.guidance_groups)
+
+
+def _parts(shape: Any) -> list[Any]:
+    return [part for part in getattr(shape, "geoms", [shape]) if not part.is_empty]
+
+
+def _polygon(polygon: Any, kind: Any, says: str, datum: Datum) -> Any:
+    from isoxml.models.base import v4 as iso
+
+    rings = [
+        (polygon.exterior, iso.LineStringType.PolygonExterior),
+        *((ring, iso.LineStringType.PolygonInterior) for ring in polygon.interiors),
+    ]
+    return iso.Polygon(
+        type=kind,
+        designator=says[:_NAME],
+        area=round(polygon.area),
+        line_strings=[
+            iso.LineString(
+                type=ring_kind,
+                points=_points(ring, datum, [iso.PointType.Other] * len(ring.coords)),
+            )
+            for ring, ring_kind in rings
+        ],
+    )
+
+
+def _curves(drives: FeatureLayer, datum: Datum) -> list[Any]:
+    """The forward stretches of the drives as guidance curves from A to B."""
+    import shapely
+    from isoxml.models.base import v4 as iso
+
+    curves: list[Any] = []
+    columns = (drives.geometry, drives.columns["session"], drives.columns["gear"])
+    for line, session, gear in zip(*columns, strict=True):
+        if gear < 0 or line.length < MIN_CURVE_M:
+            continue
+        simple = shapely.simplify(line, _CURVE_TOLERANCE_M)
+        kinds = [iso.PointType.GuidancePoint] * len(simple.coords)
+        kinds[0], kinds[-1] = iso.PointType.GuidanceReferenceA, iso.PointType.GuidanceReferenceB
+        number = len(curves) + 1
+        curves.append(
+            iso.GuidancePattern(
+                id=f"GPN{number}",
+                designator=f"{session} {number}"[-_NAME:],
+                type=iso.GuidancePatternType.Curve,
+                line_strings=[
+                    iso.LineString(
+                        type=iso.LineStringType.GuidancePattern,
+                        points=_points(simple, datum, kinds),
+                    )
+                ],
+            )
+        )
+    return curves
+
+
+def _points(line: Any, datum: Datum, kinds: Sequence[Any]) -> list[Any]:
+    from isoxml.models.base import v4 as iso
+
+    places = np.asarray(line.coords)[:, :2]
+    lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
+    return [
+        iso.Point(type=kind, north=_decimal(lat), east=_decimal(lon))
+        for kind, lat, lon in zip(kinds, lat_deg.tolist(), lon_deg.tolist(), strict=True)
+    ]
+
+
+def _decimal(degrees: float) -> Decimal:
+    return Decimal(f"{degrees:.{_DECIMALS}f}")
+
+
+def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
+    from importlib.metadata import version
+
+    from isoxml.models.base import v4 as iso
+    from isoxml.util.isoxml_io import isoxml_to_dir
+
+    rows, columns = grid.zones.shape
+    content = grid.zones.tobytes()
+    task = iso.Task(
+        id="TSK1",
+        designator=field.designator,
+        partfield_id_ref=field.id,
+        status=iso.TaskStatus.Planned,
+        default_treatment_zone_code=UNSEEN.code,
+        position_lost_treatment_zone_code=UNSEEN.code,
+        out_of_field_treatment_zone_code=UNSEEN.code,
+        treatment_zones=[iso.TreatmentZone(code=zone.code, designator=zone.says) for zone in ZONES],
+        grids=[
+            iso.Grid(
+                minimum_north_position=_decimal(grid.south_deg),
+                minimum_east_position=_decimal(grid.west_deg),
+                # Without an exponent, which not every terminal reads.
+                cell_north_size=Decimal(f"{grid.cell_north_deg:.18f}"),
+                cell_east_size=Decimal(f"{grid.cell_east_deg:.18f}"),
+                maximum_column=columns,
+                maximum_row=rows,
+                filename="GRD00001",
+                filelength=len(content),
+                type=iso.GridType.GridType1,
+            )
+        ],
+    )
+    document = iso.Iso11783TaskData(
+        version_minor=iso.Iso11783TaskDataVersionMinor.VALUE_3,
+        management_software_manufacturer="fieldgrid",
+        management_software_version=version("fieldgrid")[:_NAME],
+        data_transfer_origin=iso.Iso11783TaskDataDataTransferOrigin.FMIS,
+        partfields=[field],
+        tasks=[task],
+    )
+    isoxml_to_dir(folder, document, {"GRD00001": content})

@@ -1,0 +1,273 @@
+"""A map's features for any GIS: GeoJSON, GeoPackage and Shapefile.
+
+GeoPackage and Shapefile are in the map's own plane, GeoJSON in longitude and latitude as RFC 7946
+asks. All are written by GDAL.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.export.features import LAYERS, FeatureLayer, feature_layers, obstacle_settings
+from fieldgrid.export.formats import Exported
+from fieldgrid.export.selection import Selection
+from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile import MapFile
+from fieldgrid.publish import DraftFolder, replacing
+
+_SHAPEFILE_NAMES = {
+    "mean_density": "mean_dens",
+    "max_density": "max_dens",
+    "heading_deg": "head_deg",
+    "heading_sigma_deg": "head_sig",
+    "position_sigma_m": "pos_sig_m",
+}
+"""Names of columns in a shapefile, which has ten letters for one."""
+
+
+def export_geojson(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    *,
+    overwrite: bool = False,
+    features: str | None = None,
+    obstacle_above: int | None = None,
+    min_area_m2: float | None = None,
+    simplify_m: float | None = None,
+) -> Exported:
+    """Write one FeatureCollection in WGS84, nine decimals; the property `layer` tells features of
+    different kinds apart. Options as in :func:`export_geopackage`."""
+    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
+    with replacing(path, overwrite=overwrite) as file:
+        _write_geojson(file, path, layers, universal.datum)
+    return Exported((path,), _rows(layers))
+
+
+def geojson_text(
+    universal: MapFile, target: Path, selection: Selection, *, features: str, above: int
+) -> str:
+    """The same as text, for a message in `target`."""
+    layers = _layers(universal, selection, features, above, None, None)
+    text = BytesIO()
+    _write_geojson(text, target, layers, universal.datum)
+    return text.getvalue().decode()
+
+
+def _write_geojson(
+    file: Path | BytesIO, target: Path, layers: Sequence[FeatureLayer], datum: Datum
+) -> None:
+    merged = _merged([_in_degrees(layer, datum) for layer in layers])
+    _write(file, target, merged, "GeoJSON", "EPSG:4326", RFC7946="YES", COORDINATE_PRECISION="9")
+
+
+def export_geopackage(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    *,
+    overwrite: bool = False,
+    features: str | None = None,
+    obstacle_above: int | None = None,
+    min_area_m2: float | None = None,
+    simplify_m: float | None = None,
+) -> Exported:
+    """Write a GeoPackage with a layer for each kind of feature.
+
+    `features` are the layers, separated by commas: obstacle, trajectory, pose, footprint; all when
+    it is not given. Obstacles are cells of a density above `obstacle_above` (100), of at least
+    `min_area_m2` together (0), with outlines simplified by `simplify_m` (a cell). Raises
+    ConfigError for a name that is no layer, or when pyogrio is not installed.
+    """
+    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
+    with replacing(path, overwrite=overwrite) as file:
+        file.unlink()  # SQLite takes no empty file for a GeoPackage
+        for layer in layers:
+            _write(
+                file,
+                path,
+                layer,
+                "GPKG",
+                universal.datum.crs_wkt("WKT1_GDAL"),
+                append=file.exists(),
+                dataset_metadata=_datum_tags(universal.datum),
+                # GDAL 3.6, of Debian stable, warns of newer versions.
+                dataset_options={"VERSION": "1.3"},
+            )
+    return Exported((path,), _rows(layers))
+
+
+def export_shapefile(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    *,
+    overwrite: bool = False,
+    features: str | None = None,
+    obstacle_above: int | None = None,
+    min_area_m2: float | None = None,
+    simplify_m: float | None = None,
+) -> Exported:
+    """Write a shapefile for each kind of feature: zipped into one file, which GDAL and QGIS open,
+    when `path` ends in .zip, else into a folder. Options as in :func:`export_geopackage`; names of
+    columns are cut to ten letters."""
+    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
+    if path.suffix.lower() == ".zip":
+        with (
+            replacing(path, overwrite=overwrite) as file,
+            tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        ):
+            _write_shapefiles(Path(folder), path, layers, universal.datum)
+            with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+                for part in sorted(Path(folder).iterdir()):
+                    archive.write(part, part.name)
+        return Exported((path,), _rows(layers))
+    draft = DraftFolder(path, overwrite=overwrite, ours=_is_shapefiles, what="shapefiles")
+    try:
+        _write_shapefiles(draft.folder, path, layers, universal.datum)
+        draft.publish()
+    finally:
+        draft.discard()
+    return Exported((path,), _rows(layers))
+
+
+def _write_shapefiles(
+    folder: Path, target: Path, layers: Sequence[FeatureLayer], datum: Datum
+) -> None:
+    for layer in layers:
+        short = {_SHAPEFILE_NAMES.get(key, key): v for key, v in layer.columns.items()}
+        _write(
+            folder / f"{layer.name}.shp",
+            target,
+            layer._replace(columns=short),
+            "ESRI Shapefile",
+            datum.crs_wkt("WKT1_GDAL"),
+        )
+
+
+def _is_shapefiles(folder: Path) -> bool:
+    endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
+    return all(entry.is_file() and entry.suffix in endings for entry in folder.iterdir())
+
+
+def _layers(
+    universal: MapFile,
+    selection: Selection,
+    features: str | None,
+    obstacle_above: int | None,
+    min_area_m2: float | None,
+    simplify_m: float | None,
+) -> list[FeatureLayer]:
+    try:
+        import pyogrio  # noqa: F401
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            "Writing features needs pyogrio and shapely, which are not installed; "
+            "run: pip install 'fieldgrid[gis]'"
+        ) from error
+    settings = obstacle_settings(selection, obstacle_above, min_area_m2, simplify_m)
+    names = LAYERS if features is None else tuple(name.strip() for name in features.split(","))
+    return feature_layers(universal, selection, settings, names)
+
+
+def _rows(layers: Sequence[FeatureLayer]) -> tuple[tuple[str, str], ...]:
+    return tuple((f"features in {layer.name}", str(len(layer.geometry))) for layer in layers)
+
+
+def _datum_tags(datum: Datum) -> dict[str, str]:
+    return {
+        "FIELDGRID_DATUM_LAT_DEG": repr(float(datum.lat_deg)),
+        "FIELDGRID_DATUM_LON_DEG": repr(float(datum.lon_deg)),
+        "FIELDGRID_DATUM_HEIGHT_M": repr(float(datum.height_m)),
+    }
+
+
+def _in_degrees(layer: FeatureLayer, datum: Datum) -> FeatureLayer:
+    """The layer in longitude and latitude, of points in the datum's plane."""
+    import shapely
+
+    def turned(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
+        return np.column_stack([lon_deg, lat_deg])
+
+    return layer._replace(geometry=shapely.transform(layer.geometry, turned))
+
+
+def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
+    """Features of all layers as one, which says of each where it is from."""
+    sizes = [len(layer.geometry) for layer in layers]
+    names = np.repeat(np.array([layer.name for layer in layers], dtype=np.object_), sizes)
+    columns: dict[str, npt.NDArray[Any]] = {"layer": names}
+    for key in dict.fromkeys(key for layer in layers for key in layer.columns):
+        parts = [
+            layer.columns.get(key, _nothing(size, _dtype(layers, key)))
+            for layer, size in zip(layers, sizes, strict=True)
+        ]
+        columns[key] = np.ma.MaskedArray(
+            np.concatenate([np.ma.getdata(part) for part in parts]),
+            np.concatenate([np.ma.getmaskarray(part) for part in parts]),
+        )
+    geometry = np.concatenate([layer.geometry for layer in layers])
+    return FeatureLayer("fieldgrid", "Unknown", geometry, columns)
+
+
+def _nothing(size: int, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    return np.ma.MaskedArray(np.zeros(size, dtype=dtype), np.ones(size, dtype=np.bool_))
+
+
+def _dtype(layers: Sequence[FeatureLayer], key: str) -> np.dtype[Any]:
+    return next(layer.columns[key].dtype for layer in layers if key in layer.columns)
+
+
+def _write(
+    file: Path | BytesIO,
+    target: Path,
+    layer: FeatureLayer,
+    driver: str,
+    crs: str,
+    *,
+    append: bool = False,
+    dataset_metadata: dict[str, str] | None = None,
+    dataset_options: dict[str, str] | None = None,
+    **options: str,
+) -> None:
+    """Write a layer by GDAL; MapWriteError names the target when that fails."""
+    import shapely
+    from pyogrio.errors import DataLayerError, DataSourceError
+    from pyogrio.raw import write
+
+    values = list(layer.columns.values())
+    try:
+        write(
+            file,
+            geometry=shapely.to_wkb(layer.geometry),
+            field_data=[np.ma.getdata(column) for column in values],
+            field_mask=[
+                np.ma.getmaskarray(column) if np.ma.isMaskedArray(column) else None
+                for column in values
+            ],
+            fields=list(layer.columns),
+            layer=layer.name,
+            driver=driver,
+            geometry_type=layer.geometry_type,
+            crs=crs,
+            encoding="UTF-8",
+            append=append,
+            dataset_metadata=dataset_metadata,
+            dataset_options=dataset_options,
+            **options,
+        )
+    except (DataSourceError, DataLayerError, RuntimeError) as error:
+        raise MapWriteError(
+            f"{target} could not be written ({error}); check the space on the disk."
+        ) from error

@@ -1,0 +1,174 @@
+"""`fieldgrid export`, for all formats."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from fieldgrid.export import FORMATS, Selection
+from fieldgrid.mapfile import LAYERS, open_map
+from tests.cli.conftest import Run
+from tests.export.asymmetric import write_asymmetric_map
+from tests.export.placed import faults, faults_at_centres, opened
+
+
+@pytest.fixture(scope="module")
+def f_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg")
+
+
+def test_a_part_of_a_real_map(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
+    out = tmp_path / "x.tif"
+    flags = ["--cell", "0.25", "--bounds", "-10", "50", "0", "60"]
+    lines = fieldgrid("export", two_lanes_map, out, *flags).output().splitlines()
+    table = dict(re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines)
+    assert table["format"] == "geotiff"
+    assert table["cells"] == "40 x 40 of 0.25 m"
+    assert table["west south east north"] == "-10.000 50.000 0.000 60.000 m"
+    assert table["x.tif"].endswith(("bytes", "MB"))
+    with open_map(two_lanes_map) as universal, rasterio.open(out) as raster:
+        assert table["datum"] == universal.datum.described()
+        view = universal.read(cell_m=0.25)
+        assert tuple(raster.bounds) == pytest.approx((-10.0, 50.0, 0.0, 60.0))
+        assert raster.res == (0.25, 0.25)
+        for east_m, north_m in [(-5.1, 55.3), (-2.2, 58.9), (-9.9, 50.1)]:
+            i, j = view.lattice.index(east_m, north_m)
+            place = j - view.window.j0, i - view.window.i0
+            (value, seen) = next(raster.sample([(east_m, north_m)]))
+            assert value == view.density[place]
+            assert (seen == 255) == view.observed[place]
+
+
+def test_the_ending_says_the_format(fieldgrid: Run, f_map: Path, tmp_path: Path) -> None:
+    for ending, name in ((".TIF", "geotiff"), (".png", "png"), (".kmz", "kmz"), (".npz", "npz")):
+        answer = json.loads(fieldgrid("export", f_map, tmp_path / f"x{ending}", "--json").output())
+        assert answer["format"] == name
+        assert answer["map"] == str(f_map)
+        for file in answer["files"]:
+            assert file["bytes"] == Path(file["path"]).stat().st_size > 0
+    named = fieldgrid("export", f_map, tmp_path / "odd.name", "--format", "geotiff")
+    assert named.output().splitlines()[0].split() == ["format", "geotiff"]
+    assert faults(opened(tmp_path / "odd.name")) == []
+
+
+def test_a_layer_as_of_a_session_in_another_system(
+    fieldgrid: Run, f_map: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "x.tif"
+    fieldgrid("export", f_map, out, "--layer", "max", "--epsg", "25830").output()
+    assert faults_at_centres(opened(out), "max") == []
+    fieldgrid("export", f_map, out, "--at", "spring", "--layer", "sessions", "--overwrite").output()
+    with rasterio.open(out) as raster:
+        assert set(np.unique(raster.read(1))) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("OUT/x.foo", r"x\.foo ends in none of \.tif, .*; choose one of them, or give --format"),
+        ("OUT/x.tif --format maps", "'maps' is no format; known are geotiff, png, kmz"),
+        ("OUT/x.tif --layer depth", "'depth' is no layer of a map; known are density, count"),
+        ("OUT/x.tif --mode raw", "geotiff has no option 'mode'; it takes epsg"),
+        ("OUT/x.kmz --epsg 4326", "kmz has no option 'epsg'; it takes none"),
+        ("OUT/x.tif --epsg 99999", "EPSG:99999 is not known"),
+        ("OUT/not/x.tif", "its folder does not exist; make it first"),
+        ("OUT/not/x.png", "its folder does not exist; make it first"),
+        ("OUT/not/x.kmz", "its folder does not exist; make it first"),
+        ("OUT", "is a folder; give the name of a file"),
+        ("/dev/null", "is a pipe or a device; give the name of a file"),
+        ("OUT/x.tif --cell 0.02", r"0\.02 m are smaller than the local cells"),
+        ("OUT/x.tif --cell -1", r"A cell of -1\.0 m is outside"),
+        ("OUT/x.tif --cell nan", "A cell of nan m is outside"),
+        ("OUT/x.tif --bounds 1 1 1 1", "are empty; give west south east north"),
+        ("OUT/x.kmz --bounds 1 1 0 0", "are empty; give west south east north"),
+        ("OUT/x.tif --bounds nan 0 1 1", "are empty; give west south east north"),
+        ("OUT/x.tif --bounds 900 0 999 9", "hold nothing of the map, which lies between -10 -7"),
+        ("OUT/x.tif --bounds 0 0 9e9 99", "over 10 thousand million; give smaller bounds"),
+        ("OUT/x.png --bounds 0 0 9e3 9", "A PNG of 180000 x 180 pixels is more than"),
+        ("OUT/x.kmz --bounds 0 0 9e3 99", r"88 pictures, .* or cells of 0\.1 m"),
+        ("OUT/x.png --layer count", "8 bits a pixel, too few for the layer 'count'"),
+        ("OUT/x.tif --at winter", "'winter' is neither a session of .* nor a date"),
+        ("OUT/x.tif --at 2019-01-01", "has no session up to 2019-01-01"),
+    ],
+)
+def test_exports_that_cannot_be(
+    flags: str, message: str, fieldgrid: Run, f_map: Path, tmp_path: Path
+) -> None:
+    words = flags.replace("OUT", str(tmp_path)).split()
+    if words[0] in (str(tmp_path), "/dev/null"):
+        words += ["--format", "geotiff"]
+    sentence = fieldgrid("export", f_map, *words).sentence()
+    assert re.search(message, sentence), sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x.tif", "x.png", "x.kmz"])
+def test_an_existing_export(name: str, fieldgrid: Run, f_map: Path, tmp_path: Path) -> None:
+    out = tmp_path / name
+    out.write_bytes(b"an older one")
+    sentence = fieldgrid("export", f_map, out).sentence()
+    assert "exists already; give another name, or --overwrite to replace it" in sentence
+    assert out.read_bytes() == b"an older one"
+    assert list(tmp_path.iterdir()) == [out]
+    fieldgrid("export", f_map, out, "--overwrite").output()
+    assert out.stat().st_size > 1000
+
+
+def test_the_map_itself_is_safe(fieldgrid: Run, f_map: Path) -> None:
+    before = f_map.read_bytes()
+    for name in FORMATS:
+        words = ("--format", name, "--overwrite")
+        assert "give another name" in fieldgrid("export", f_map, f_map, *words).sentence()
+    assert f_map.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["x.tif", "x.png", "x.kmz"])
+@pytest.mark.parametrize("limit", [0, 500, 5_000, 100_000, 524_600, 600_000])
+def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(
+    name: str, limit: int, fieldgrid_process: Run, f_map: Path, tmp_path: Path
+) -> None:
+    """Every file may grow to `limit` bytes and no further, as where a quota is used up."""
+    out = tmp_path / name
+    out.write_bytes(b"an older one")
+    before = (
+        "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
+    )
+    done = fieldgrid_process("export", f_map, out, "--overwrite", before=before)
+    if done.status == 0:
+        assert name == "x.kmz" or limit == 600_000
+        if name != "x.kmz":
+            assert faults(opened(out)) == []
+        return
+    assert (done.status, limit < 600_000) == (1, True)
+    assert "Traceback" not in done.err
+    # What libraries print themselves comes before.
+    assert done.err.splitlines()[-1].startswith("fieldgrid: ")
+    assert "disk" in done.err.splitlines()[-1]
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
+        (name, b"an older one")
+    ]
+
+
+def test_the_help_lists_what_there_is(fieldgrid: Run) -> None:
+    text = fieldgrid("export", "--help").output()
+    for name, known in FORMATS.items():
+        (line,) = (line for line in text.splitlines() if line.split()[:1] == [name])
+        assert all(ending in line for ending in known.endings)
+    words = re.sub(r"\s", "", text)
+    assert "|".join(LAYERS) in words
+    for known in FORMATS.values():
+        for option in known.options:
+            flag = option.removesuffix("_m2").removesuffix("_m").replace("_", "-")
+            assert f"--{flag} " in text
+
+
+def test_a_selection_is_the_same_in_python(f_map: Path) -> None:
+    with open_map(f_map) as universal:
+        assert Selection(layer="max").sessions(universal) == ["spring", "summer"]
+        assert Selection(at="spring").sessions(universal) == ["spring"]

@@ -1,0 +1,84 @@
+"""Arrays for scientists: NPZ and Zarr come back as the truth, with their plane."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+import xarray
+import zarr
+
+from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.mapfile import MapFile, open_map
+from tests.export.asymmetric import COARSE_M, DATUM, cells, geodetic, write_asymmetric_map
+
+
+@pytest.fixture(scope="module")
+def universal(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
+    return open_map(write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg"))
+
+
+def test_npz_is_the_truth_without_pickles(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "map.npz", Selection(cell_m=COARSE_M, layer="variance"))
+    east, north, true = cells(COARSE_M)
+    with np.load(tmp_path / "map.npz", allow_pickle=False) as arrays:
+        np.testing.assert_allclose(arrays["east_m"], east)
+        np.testing.assert_allclose(arrays["north_m"], north)
+        np.testing.assert_array_equal(arrays["density"], true.density)
+        np.testing.assert_array_equal(arrays["observed"], true.observed)
+        np.testing.assert_array_equal(arrays["count"], true.sessions)
+        np.testing.assert_allclose(arrays["variance"], true.variance, rtol=1e-6)
+        assert arrays["cell_m"] == COARSE_M
+        datum = [float(arrays[f"datum_{name}"]) for name in ("lat_deg", "lon_deg", "height_m")]
+        assert datum == [DATUM.lat_deg, DATUM.lon_deg, DATUM.height_m]
+        assert str(arrays["crs_wkt"]).startswith("PROJCRS[")
+
+
+def test_zarr_is_the_truth(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "map.zarr", Selection(cell_m=COARSE_M, layer="persistence"))
+    east, north, true = cells(COARSE_M)
+    with xarray.open_zarr(tmp_path / "map.zarr") as dataset:
+        at = dataset.sel(east_m=east[7], north_m=north[30], method="nearest")
+        assert int(at.density) == true.density[30, 7]
+        np.testing.assert_allclose(dataset.north_m, north)
+        np.testing.assert_array_equal(dataset.density, true.density)
+        np.testing.assert_array_equal(dataset.observed, true.observed)
+        np.testing.assert_allclose(dataset.persistence, true.persistence)
+
+
+def test_zarr_places_its_cells_on_earth(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "map.zarr", Selection(cell_m=COARSE_M))
+    store = zarr.open_group(tmp_path / "map.zarr", mode="r")
+    crs = pyproj.CRS.from_wkt(store["crs"].attrs["crs_wkt"])
+    to_wgs84 = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    assert store["density"].attrs["grid_mapping"] == "crs"
+    east, north = store["east_m"][:], store["north_m"][:]
+    lon, lat = to_wgs84.transform(east[[0, -1]], north[[0, -1]])
+    true_lat, true_lon, _ = geodetic(east[[0, -1]], north[[0, -1]])
+    np.testing.assert_allclose(lat, true_lat, atol=1e-9)  # 0.1 mm
+    np.testing.assert_allclose(lon, true_lon, atol=1e-9)
+
+
+def test_only_a_zarr_store_is_overwritten(universal: MapFile, tmp_path: Path) -> None:
+    out = tmp_path / "map.zarr"
+    out.mkdir()
+    (out / "thesis.txt").write_text("mine")
+    with pytest.raises(MapExistsError, match="holds other things than a Zarr store"):
+        export_map(universal, out, overwrite=True)
+    (out / "thesis.txt").unlink()
+    export_map(universal, out, overwrite=True)
+    with pytest.raises(MapExistsError, match="--overwrite"):
+        export_map(universal, out)
+    export_map(universal, out, Selection(cell_m=COARSE_M), overwrite=True)
+    assert zarr.open_group(out, mode="r")["density"].shape == (64, 96)
+    assert [path.name for path in tmp_path.iterdir()] == ["map.zarr"]
+
+
+@pytest.mark.parametrize("name", ["map.npz", "map.zarr"])
+def test_an_unknown_layer(universal: MapFile, tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match="'heigth' is no layer"):
+        export_map(universal, tmp_path / name, Selection(layer="heigth"))
+    assert list(tmp_path.iterdir()) == []

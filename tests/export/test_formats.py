@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.export import FORMATS, Selection, export_map, format_of
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import LAYERS, MapFile, open_map
+from tests.mapfile.maps import drive, write_map
+
+
+@pytest.fixture(scope="module")
+def universal(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
+    path = tmp_path_factory.mktemp("map") / "m.gpkg"
+    return open_map(write_map(path, [drive(2), drive(2, heading_deg=90.0)]))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_says_what_it_is_and_has_a_writer(name: str) -> None:
+    known = FORMATS[name]
+    assert known.endings
+    assert known.says
+    assert (known.writer().__doc__ or "").startswith("Write")
+    for ending in known.endings:
+        assert format_of(Path(f"field/My.Map{ending.upper()}")) == name
+    assert format_of(Path("x.unknown"), name) == name
+
+
+def test_no_two_formats_share_an_ending() -> None:
+    endings = [ending for known in FORMATS.values() for ending in known.endings]
+    assert len(set(endings)) == len(endings)
+
+
+def test_a_name_wins_over_an_ending_and_a_longer_ending_over_a_shorter() -> None:
+    assert format_of(Path("x.tif"), "png") == "png"
+    assert format_of(Path("x.png.tif")) == "geotiff"
+
+
+@pytest.mark.parametrize(
+    ("path", "name", "message"),
+    [
+        ("x.foo", None, r"x\.foo ends in none of \.tif"),
+        ("tif", None, "tif ends in none of"),
+        ("x.tif", "GeoTIFF", "'GeoTIFF' is no format; known are geotiff"),
+    ],
+)
+def test_formats_that_are_none(path: str, name: str | None, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        format_of(Path(path), name)
+
+
+def test_options_that_are_not_given_are_left_to_the_format(
+    universal: MapFile, tmp_path: Path
+) -> None:
+    export_map(universal, tmp_path / "x.tif", options={"epsg": None, "mode": None})
+    with pytest.raises(ConfigError, match="geotiff has no option 'mode'; it takes epsg"):
+        export_map(universal, tmp_path / "y.tif", options={"mode": "raw"})
+    assert [file.name for file in tmp_path.iterdir()] == ["x.tif"]
+
+
+def test_no_export_replaces_a_map(universal: MapFile, tmp_path: Path) -> None:
+    other = write_map(tmp_path / "other.gpkg", [drive(1)])
+    for target in (universal.path, other):
+        before = target.read_bytes()
+        with pytest.raises(MapExistsError, match="which no export replaces"):
+            export_map(universal, target, format="geotiff", overwrite=True)
+        assert target.read_bytes() == before
+
+
+# --- what is selected
+
+
+def test_a_selection_of_no_layer_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'depth' is no layer of a map; known are density"):
+        Selection(layer="depth")
+    for layer in LAYERS:
+        assert Selection(layer=layer).layer == layer
+
+
+def test_a_selection_names_its_sessions(universal: MapFile) -> None:
+    assert Selection().sessions(universal) == ["0", "1"]
+    assert Selection(at="0").sessions(universal) == ["0"]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        (Bounds(1.0, 1.0, 1.0, 2.0), "are empty"),
+        (Bounds(float("nan"), 1.0, 1.0, 2.0), "are empty"),
+        (Bounds(500.0, 0.0, 510.0, 10.0), "hold nothing of the map"),
+        (Bounds(0.0, -90.0, 10.0, -80.0), "hold nothing of the map"),
+    ],
+)
+def test_bounds_that_select_nothing(universal: MapFile, bounds: Bounds, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Selection(bounds).view(universal)
+    with pytest.raises(ConfigError, match=message), Selection(bounds).pieces(universal):
+        pass

@@ -1,0 +1,375 @@
+from __future__ import annotations
+
+import builtins
+import errno
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import rasterio
+import rasterio.errors
+import rasterio.shutil
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from rasterio.enums import ColorInterp
+from rasterio.warp import transform
+
+from fieldgrid import publish
+from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.export import Selection, export_change, export_geotiff
+from fieldgrid.export.overviews import halve
+from fieldgrid.export.raster import check_whole, layout_of
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map
+from tests.export import asymmetric
+from tests.export.asymmetric import COARSE_M, write_asymmetric_map
+from tests.export.placed import faults, faults_at_centres, mutants, opened
+from tests.mapfile.maps import CELL_M, DATUM, drive, one_cell, write_map
+from tests.mapfile.test_geopackage import CENTIMETRE, POINTS, geodetic, tool
+
+CELLS = ((12.35, -45.65, 173), (-30.25, 41.75, 9), (50.05, 20.05, 0))
+ALL = Selection()
+
+
+@pytest.fixture
+def universal(tmp_path: Path) -> MapFile:
+    return open_map(write_map(tmp_path / "map.gpkg", [drive(9)]))
+
+
+@pytest.fixture(scope="module")
+def asymmetric_map(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
+    return open_map(write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg"))
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A GeoTIFF of three single cells."""
+    folder = tmp_path_factory.mktemp("cells")
+    frames = [one_cell(*cell) for cell in CELLS]
+    export_geotiff(open_map(write_map(folder / "map.gpkg", [frames])), folder / "map.tif", ALL)
+    return folder / "map.tif"
+
+
+# --- the asymmetric map comes back through PROJ and GDAL
+
+
+@pytest.mark.parametrize("cell_m", [None, COARSE_M])
+@pytest.mark.parametrize("layer", ["density", "count", "sessions", "max", "variance"])
+def test_every_layer_lands_in_its_place(
+    layer: str, cell_m: float | None, asymmetric_map: MapFile, tmp_path: Path
+) -> None:
+    path = tmp_path / "f.tif"
+    done = export_geotiff(asymmetric_map, path, Selection(cell_m=cell_m, layer=layer))
+    assert done.paths == (path,)
+    if layer != "count" or cell_m is None:  # larger cells are seen from neighbouring frames too
+        assert faults(opened(path), layer) == []
+
+
+@pytest.mark.parametrize("epsg", [25830, 32631, 4326, 3857])
+@pytest.mark.parametrize("layer", ["density", "persistence"])
+def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
+    epsg: int, layer: str, asymmetric_map: MapFile, tmp_path: Path
+) -> None:
+    path = tmp_path / "f.tif"
+    export_geotiff(asymmetric_map, path, Selection(layer=layer), epsg=epsg)
+    picture = opened(path)
+    assert faults_at_centres(picture, layer) == []
+    with rasterio.open(path) as dataset:
+        assert dataset.crs.to_epsg() == epsg
+        # As large as a cell where the map is: neighbouring centres are that far apart.
+        lon, lat = transform(
+            dataset.crs, "EPSG:4326", *np.array([dataset.xy(9, 9), dataset.xy(10, 9)]).T
+        )
+        east, north, _ = asymmetric.enu(lat, lon)
+        assert np.hypot(*np.diff([east, north])) == pytest.approx(0.05, rel=2e-3)
+        assert float(dataset.tags()["FIELDGRID_DATUM_HEIGHT_M"]) == 742.0
+
+
+def test_mistakes_do_not_go_unnoticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
+    export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL)
+    picture = opened(tmp_path / "f.tif")
+    assert faults(picture) == []
+    for mistake, wrong in mutants(picture).items():
+        assert faults(wrong), mistake
+    export_geotiff(asymmetric_map, tmp_path / "g.tif", ALL, epsg=25830)
+    projected = opened(tmp_path / "g.tif")
+    for mistake, wrong in mutants(projected).items():
+        if mistake != "another datum":
+            assert faults_at_centres(wrong), mistake
+
+
+def test_a_picture_without_its_plane_is_noticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
+    path = tmp_path / "f.tif"
+    export_geotiff(asymmetric_map, path, ALL)
+    rasterio.shutil.copy(path, tmp_path / "bare.png", driver="PNG")
+    (tmp_path / "bare.png.aux.xml").unlink()
+    with (
+        pytest.warns(rasterio.errors.NotGeoreferencedWarning),
+        pytest.raises(AssertionError, match="no reference system"),
+    ):
+        opened(tmp_path / "bare.png")
+
+
+def test_the_height_is_that_of_the_ground_under_the_vehicle(
+    asymmetric_map: MapFile, tmp_path: Path
+) -> None:
+    path = tmp_path / "f.tif"
+    export_geotiff(asymmetric_map, path, Selection(layer="height"))
+    with rasterio.open(path) as dataset:
+        height, tags = dataset.read(1), dataset.tags()
+        assert np.isnan(dataset.nodata)
+    observed = asymmetric_map.read().observed[::-1]
+    np.testing.assert_array_equal(np.isnan(height), ~observed)
+    np.testing.assert_allclose(height[observed], 0.3, atol=1e-6)
+    assert "FIELDGRID_DATUM_HEIGHT_M + value" in tags["FIELDGRID_HEIGHT"]
+
+
+def test_the_tags_say_what_it_is(asymmetric_map: MapFile, tmp_path: Path) -> None:
+    spring = Selection(Bounds(-1.0, -2.0, 3.0, 4.0), 0.25, "variance", "spring")
+    export_geotiff(asymmetric_map, tmp_path / "f.tif", spring)
+    with rasterio.open(tmp_path / "f.tif") as dataset:
+        assert tuple(dataset.bounds) == pytest.approx((-1.0, -2.0, 3.0, 4.0))
+        tags = dataset.tags()
+    assert tags["FIELDGRID_LAYER"] == "variance"
+    assert tags["FIELDGRID_SAYS"] == LAYERS["variance"].says
+    assert float(tags["FIELDGRID_CELL_M"]) == 0.25
+    assert (tags["FIELDGRID_SESSIONS"], tags["FIELDGRID_AS_OF_SESSION"]) == ("1", "spring")
+    assert tags["FIELDGRID_AS_OF_TIME"].startswith("2026-04-03T")
+
+
+# --- what a GeoTIFF is
+
+
+def test_the_geotiff_holds_the_view(tmp_path: Path, universal: MapFile) -> None:
+    path = tmp_path / "map.tif"
+    export_geotiff(universal, str(path), ALL)
+    view = universal.read()
+    with rasterio.open(path) as dataset:
+        assert dataset.driver == "GTiff"
+        assert tuple(dataset.bounds) == pytest.approx(tuple(view.bounds))
+        assert dataset.res == pytest.approx((CELL_M, CELL_M))
+        assert dataset.colorinterp == (ColorInterp.gray, ColorInterp.alpha)
+        assert dataset.nodata is None
+        density, alpha = dataset.read()
+        np.testing.assert_array_equal(dataset.dataset_mask(), alpha)
+        tags = dataset.tags()
+        structure = dataset.tags(ns="IMAGE_STRUCTURE")
+    np.testing.assert_array_equal(density[::-1], view.density)
+    np.testing.assert_array_equal(alpha[::-1], view.observed * 255)
+    assert tags["AREA_OR_POINT"] == "Area"
+    assert float(tags["FIELDGRID_DATUM_LAT_DEG"]) == DATUM.lat_deg
+    assert float(tags["FIELDGRID_DATUM_LON_DEG"]) == DATUM.lon_deg
+    assert float(tags["FIELDGRID_DATUM_HEIGHT_M"]) == DATUM.height_m
+    assert float(tags["FIELDGRID_CELL_M"]) == CELL_M
+    assert structure["LAYOUT"] == "COG"
+
+
+def test_what_changed_is_a_geotiff_too(asymmetric_map: MapFile, tmp_path: Path) -> None:
+    view = asymmetric_map.diff("spring", "summer")
+    export_change(view, tmp_path / "c.tif")
+    with rasterio.open(tmp_path / "c.tif") as dataset:
+        assert dataset.nodata == 0
+        np.testing.assert_array_equal(dataset.read(1)[::-1], view.change)
+        assert dataset.tags()["FIELDGRID_CHANGE_1"] == MEANING[Change(1)]
+        assert tuple(dataset.bounds) == pytest.approx(tuple(view.bounds))
+    assert [file.name for file in tmp_path.iterdir()] == ["c.tif"]
+
+
+@pytest.mark.parametrize("layer", ["density", "max", "count", "variance", "height"])
+def test_overviews_are_made_of_what_was_seen(tmp_path: Path, layer: str) -> None:
+    frames = [*drive(7), one_cell(61.05, 40.05, 200), one_cell(-40.35, -30.15, 90)]
+    source = open_map(write_map(tmp_path / "map.gpkg", [frames]))
+    path = tmp_path / "map.tif"
+    export_geotiff(source, path, Selection(layer=layer))
+    with rasterio.open(path) as dataset:
+        assert dataset.overviews(1) == [2]
+        whole = dataset.read()
+    with rasterio.open(path, overview_level=0) as dataset:
+        halved = dataset.read()
+    assert halved.shape[1:] == (-(-whole.shape[1] // 2), -(-whole.shape[2] // 2))
+    np.testing.assert_allclose(halved, in_fours(whole, layer), rtol=1e-6)
+
+
+def in_fours(pixels: npt.NDArray[Any], layer: str) -> npt.NDArray[Any]:
+    """The overview, cell by cell."""
+    layout = layout_of(layer)
+    shape = (len(pixels), -(-pixels.shape[1] // 2), -(-pixels.shape[2] // 2))
+    halved = np.full(shape, layout.nodata or 0, dtype=pixels.dtype)
+    for j in range(shape[1]):
+        for i in range(shape[2]):
+            four = pixels[:, 2 * j : 2 * j + 2, 2 * i : 2 * i + 2]
+            if layout.alpha:
+                seen = four[0][four[1] > 0]
+            elif layout.dtype.startswith("f"):
+                seen = four[0][~np.isnan(four[0])]
+            else:
+                seen = four[0][four[0] > 0]
+            if seen.size == 0:
+                continue
+            if layout.alpha:
+                halved[1, j, i] = 255
+            mean = seen.astype(np.float64).mean()
+            whole = np.floor(mean + 0.5) if layout.dtype.startswith("u") else mean
+            halved[0, j, i] = seen.max() if layout.highest else whole
+    return halved
+
+
+@given(
+    arrays(np.uint8, array_shapes(min_dims=2, max_dims=2, max_side=7)),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["density", "max", "sessions", "persistence"]),
+)
+@settings(deadline=None)  # the kernel is compiled in the first runs
+def test_halving_is_what_it_says(values: npt.NDArray[np.uint8], seed: int, layer: str) -> None:
+    layout = layout_of(layer)
+    seen = np.random.default_rng(seed).random(values.shape) < 0.4
+    pixels = np.where(seen, values, layout.nodata or 0).astype(layout.dtype)[None]
+    if layout.alpha:
+        pixels = np.concatenate([pixels, seen[None] * np.uint8(255)])
+    halved, expected = halve(pixels, layout), in_fours(pixels, layer)
+    if halved is None:
+        halved = np.full_like(expected, layout.nodata or 0)
+    np.testing.assert_allclose(halved, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_cell_is_where_it_belongs(cells: Path, cell: tuple[float, float, int]) -> None:
+    east, north, density = cell
+    with rasterio.open(cells) as dataset:
+        assert list(next(dataset.sample([(east, north)]))) == [density, 255]
+        assert list(next(dataset.sample([(east - 2 * CELL_M, north)]))) in ([0, 0], [])
+        assert np.count_nonzero(dataset.read(2)) == len(CELLS)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_the_gdal_of_the_system_finds_it_too(cells: Path, cell: tuple[float, float, int]) -> None:
+    east, north, density = cell
+    lat, lon = geodetic(east, north)
+    out = tool("gdallocationinfo", "-valonly", "-wgs84", str(cells), repr(lon), repr(lat))
+    assert [int(value) for value in out.split()] == [density, 255]
+
+
+@pytest.mark.parametrize("epsg", [25830, 4326, 3035])
+def test_a_cell_far_from_the_datum_is_found_in_another_system(epsg: int, tmp_path: Path) -> None:
+    east, north = 1500.05, 2200.05
+    universal = open_map(write_map(tmp_path / "map.gpkg", [[one_cell(east, north, 255)]]))
+    near = Selection(Bounds(east - 9.0, north - 9.0, east + 9.0, north + 9.0))
+    export_geotiff(universal, tmp_path / "p.tif", near, epsg=epsg)
+    with rasterio.open(tmp_path / "p.tif") as dataset:
+        rows, columns = np.nonzero(dataset.read(2))
+        assert 1 <= len(rows) <= 2  # a cell may hold the centres of two smaller pixels
+        x, y = dataset.xy(rows, columns)
+        lon, lat = transform(dataset.crs, "EPSG:4326", x, y)
+    found = DATUM.to_enu(lat, lon, DATUM.to_geodetic(east, north, 0.0)[2])
+    assert np.abs(found[0] - east).max() <= CELL_M / 2 + CENTIMETRE
+    assert np.abs(found[1] - north).max() <= CELL_M / 2 + CENTIMETRE
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_the_plane_of_the_geotiff_is_the_tangent_plane(
+    cells: Path, point: tuple[float, float, float]
+) -> None:
+    lat, lon = geodetic(*point)
+    with rasterio.open(cells) as dataset:
+        (east,), (north,) = transform("EPSG:4326", dataset.crs, [lon], [lat])
+    assert (east, north) == pytest.approx(point[:2], abs=CENTIMETRE)
+    wkt = tool("gdalsrsinfo", "-o", "wkt1", "--single-line", str(cells)).strip()
+    out = tool("gdaltransform", "-s_srs", "EPSG:4326", "-t_srs", wkt, stdin=f"{lon!r} {lat!r}\n")
+    assert [float(v) for v in out.split()[:2]] == pytest.approx(point[:2], abs=CENTIMETRE)
+
+
+def test_a_part_at_a_larger_cell_keeps_its_place(tmp_path: Path) -> None:
+    frames = [one_cell(-830.25, 410.75, 77), one_cell(1500.05, 2200.05, 255)]
+    universal = open_map(write_map(tmp_path / "map.gpkg", [frames]))
+    part = Selection(Bounds(-900.0, 400.0, -800.0, 500.0), 2.5)
+    export_geotiff(universal, tmp_path / "part.tif", part)
+    with rasterio.open(tmp_path / "part.tif") as dataset:
+        assert tuple(dataset.bounds) == pytest.approx((-900.0, 400.0, -800.0, 500.0))
+        assert list(next(dataset.sample([(-830.25, 410.75)]))) == [77, 255]
+        rows, columns = np.nonzero(dataset.read(2))
+        assert (len(rows), dataset.xy(rows[0], columns[0])) == (1, (-831.25, 411.25))
+
+
+def test_the_system_opens_it_without_complaint(cells: Path) -> None:
+    out = tool("gdalinfo", str(cells))
+    assert re.search(r"Band 2 .*ColorInterp=Alpha", out)
+
+
+# --- whole, or not at all
+
+
+def test_an_existing_file_is_replaced_only_when_asked(tmp_path: Path, universal: MapFile) -> None:
+    path = tmp_path / "map.tif"
+    path.write_text("mine")
+    with pytest.raises(MapExistsError, match=r"another name, or --overwrite"):
+        export_geotiff(universal, path, ALL)
+    assert path.read_text() == "mine"
+    export_geotiff(universal, path, ALL, overwrite=True)
+    with rasterio.open(path) as dataset:
+        assert dataset.count == 2
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["map.gpkg", "map.tif"]
+
+
+def test_an_export_that_fails_leaves_nothing(
+    tmp_path: Path, universal: MapFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(publish.os, "fsync", full)
+    with pytest.raises(MapWriteError, match="disk is full"):
+        export_geotiff(universal, tmp_path / "map.tif", ALL)
+    monkeypatch.undo()
+
+    def broken(*_: object, **__: object) -> None:
+        raise rasterio.errors.RasterioIOError("write error")
+
+    monkeypatch.setattr(rasterio, "open", broken)
+    with pytest.raises(MapWriteError, match="write error"):
+        export_geotiff(universal, tmp_path / "map.tif", ALL)
+    with pytest.raises(MapWriteError, match="folder does not exist"):
+        export_geotiff(universal, tmp_path / "no" / "map.tif", ALL)
+    assert [file.name for file in tmp_path.iterdir()] == ["map.gpkg"]
+
+
+def test_without_rasterio_it_says_what_to_install(
+    tmp_path: Path, universal: MapFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.partition(".")[0] == "rasterio":
+            raise ImportError(name)
+        return original(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "rasterio"]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(ConfigError, match=r"pip install 'fieldgrid\[gis\]'"):
+        export_geotiff(universal, tmp_path / "map.tif", ALL)
+
+
+@pytest.mark.parametrize(
+    ("epsg", "message"),
+    [(99999, "EPSG:99999 is not known"), (4978, "neither a projected nor a geographic")],
+)
+def test_systems_that_cannot_be(
+    epsg: int, message: str, asymmetric_map: MapFile, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL, epsg=epsg)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_whose_end_is_missing_is_noticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
+    path = tmp_path / "f.tif"
+    export_geotiff(asymmetric_map, path, ALL)
+    check_whole(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(MapWriteError, match="disk is full"):
+        check_whole(path)

@@ -1,0 +1,618 @@
+from __future__ import annotations
+
+import builtins
+import copy
+import dataclasses
+import errno
+import json
+import math
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyproj
+import pytest
+import shapely
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoder
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+
+from fieldgrid import publish
+from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.export.rosbag import export_mcap, export_rosbag2, topic_names
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import MapFile, create_map, open_map
+from tests.export.asymmetric import (
+    CELL_M,
+    DATUM,
+    SPRING,
+    START_NS,
+    SUMMER,
+    enu,
+    geodetic,
+    probes,
+    track,
+    truth,
+    write_asymmetric_map,
+)
+from tests.mapfile.maps import drive, write_session
+from tests.mapfile.maps import write_map as write_plain_map
+
+Messages = dict[str, list[Any]]
+LATCHED = ("/tf_static", "/datum", "/georeference", "/map", "/grid_map", "/spring/path")
+CENTIMETRE = 0.01
+
+
+@pytest.fixture(scope="module")
+def universal(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
+    return open_map(write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg"))
+
+
+@pytest.fixture(scope="module")
+def mcap(universal: MapFile, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mcap") / "field.mcap"
+    assert export_mcap(universal, path).paths == (path,)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(universal: MapFile, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bag") / "field"
+    assert export_rosbag2(universal, path).paths == (path,)
+    return path
+
+
+def messages_of_mcap(path: Path) -> Messages:
+    found: Messages = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[Ros2Decoder(), ProtobufDecoder()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            found[channel.topic].append(message)
+    return found
+
+
+def messages_of_bag(path: Path) -> Messages:
+    """By the definitions within the bag, not by ours."""
+    found: Messages = defaultdict(list)
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            found[connection.topic].append(reader.deserialize(data, connection.msgtype))
+    return found
+
+
+READERS: dict[str, Callable[[Path], Messages]] = {"mcap": messages_of_mcap, "bag": messages_of_bag}
+
+
+@pytest.fixture(scope="module", params=list(READERS))
+def messages(request: pytest.FixtureRequest) -> Messages:
+    return READERS[request.param](request.getfixturevalue(request.param))
+
+
+@pytest.fixture(scope="module")
+def bag_messages(bag: Path) -> Messages:
+    return messages_of_bag(bag)
+
+
+def occupancy_at(
+    message: Any, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+) -> npt.NDArray[np.int64]:
+    """What nav_msgs/OccupancyGrid says at points: row-major from its origin; -1 outside."""
+    info = message.info
+    turn = info.origin.orientation
+    assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
+    column = np.floor((x - info.origin.position.x) / info.resolution).astype(int)
+    row = np.floor((y - info.origin.position.y) / info.resolution).astype(int)
+    inside = (column >= 0) & (column < info.width) & (row >= 0) & (row < info.height)
+    assert len(message.data) == info.width * info.height
+    data = np.array(message.data).reshape(info.height, info.width)
+    found = np.full(x.shape, -1, dtype=np.int64)
+    found[inside] = data[row[inside], column[inside]]
+    return found
+
+
+def check_map(message: Any) -> None:
+    assert message.header.frame_id == "map"
+    east, north = probes()
+    true = truth(east, north)
+    density = true.density.astype(float)
+    doubt = np.clip(np.rint(100.0 * (density - 50.0) / 51.0), 1, 99)
+    known = np.where(density <= 50, 0, np.where(density > 100, 100, doubt))
+    wanted = np.where(true.observed, known, -1).astype(int)
+    np.testing.assert_array_equal(occupancy_at(message, east, north), wanted)
+
+
+def layer_at(
+    message: Any, name: str, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """What a layer of grid_map_msgs/GridMap says at points, by the rules of that library: the
+    first index falls with x, the second with y; NaN outside."""
+    info = message.info
+    rows, columns = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
+    array = message.data[list(message.layers).index(name)]
+    outer, inner = array.layout.dim
+    assert (outer.label, inner.label) == ("column_index", "row_index")
+    assert (outer.size, inner.size) == (columns, rows)
+    assert (outer.stride, inner.stride, array.layout.data_offset) == (rows * columns, rows, 0)
+    assert (message.outer_start_index, message.inner_start_index) == (0, 0)
+    centre = info.pose.position
+    first = np.floor((centre.x + info.length_x / 2 - x) / info.resolution).astype(int)
+    second = np.floor((centre.y + info.length_y / 2 - y) / info.resolution).astype(int)
+    inside = (first >= 0) & (first < rows) & (second >= 0) & (second < columns)
+    found = np.full(x.shape, np.nan)
+    found[inside] = np.array(array.data)[second[inside] * rows + first[inside]]
+    return found
+
+
+def check_grid_map(message: Any) -> None:
+    assert message.header.frame_id == "map"
+    assert list(message.basic_layers) == ["density"]
+    east, north = probes()
+    true = truth(east, north)
+    for name, values in (
+        ("density", true.density.astype(float)),
+        ("count", true.sessions.astype(float)),
+        ("variance", true.variance),
+        ("persistence", true.persistence),
+    ):
+        wanted = np.where(true.observed, values, np.nan)
+        np.testing.assert_allclose(layer_at(message, name, east, north), wanted, rtol=1e-6)
+
+
+def check_path(message: Any, session: str) -> None:
+    driven = track(session)
+    rows = np.flatnonzero(driven.accepted)
+    assert message.header.frame_id == "map"
+    assert len(message.poses) == len(rows)
+    for k, stamped in zip(rows, message.poses, strict=True):
+        place, turn = stamped.pose.position, stamped.pose.orientation
+        assert (place.x, place.y, place.z) == pytest.approx(
+            (driven.east_m[k], driven.north_m[k], driven.up_m[k]), abs=1e-9
+        )
+        # The nose, of a body whose x is forward, turned from east counter-clockwise.
+        assert (turn.x, turn.y) == (0.0, 0.0)
+        nose = (1 - 2 * turn.z**2, 2 * turn.w * turn.z)
+        heading = math.radians(driven.heading_deg[k])
+        assert nose == pytest.approx((math.sin(heading), math.cos(heading)), abs=1e-9)
+        assert stamp_ns(stamped.header) == driven.time_ns[k]
+        assert stamped.header.frame_id == "map"
+
+
+def check_fixes(found: list[Any], session: str) -> None:
+    driven = track(session)
+    rows = np.flatnonzero(driven.accepted)
+    assert [stamp_ns(fix.header) for fix in found] == driven.time_ns[rows].tolist()
+    east, north, up = enu(
+        [fix.latitude for fix in found],
+        [fix.longitude for fix in found],
+        [fix.altitude for fix in found],
+    )
+    np.testing.assert_allclose(east, driven.east_m[rows], atol=CENTIMETRE)
+    np.testing.assert_allclose(north, driven.north_m[rows], atol=CENTIMETRE)
+    np.testing.assert_allclose(up, driven.up_m[rows], atol=CENTIMETRE)
+    for fix in found:
+        variances = np.diag(np.array(fix.position_covariance).reshape(3, 3))
+        np.testing.assert_allclose(variances, [4e-4, 4e-4, 16e-4])
+        assert (fix.position_covariance_type, fix.status.status) == (1, 2)
+
+
+def check_datum(fix: Any) -> None:
+    assert (fix.latitude, fix.longitude, fix.altitude) == (
+        DATUM.lat_deg,
+        DATUM.lon_deg,
+        DATUM.height_m,
+    )
+    assert fix.position_covariance_type == 0
+
+
+def check_earth(message: Any) -> None:
+    """Points of the map, turned and moved, are where PROJ has them on Earth."""
+    (stamped,) = message.transforms
+    assert (stamped.header.frame_id, stamped.child_frame_id) == ("earth", "map")
+    turn, move = stamped.transform.rotation, stamped.transform.translation
+    points = np.array([[0.0, 0.0, 0.0], [14.0, -7.0, 0.0], [-10.0, 9.0, 2.0], [500.0, 900.0, -3.0]])
+    axis, w = np.array([turn.x, turn.y, turn.z]), turn.w
+    spun = points + 2.0 * np.cross(axis, np.cross(axis, points) + w * points)
+    found = spun + np.array([move.x, move.y, move.z])
+    lat, lon, height = geodetic(*points.T)
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    np.testing.assert_allclose(found.T, to_ecef.transform(lon, lat, height), atol=1e-6)
+
+
+def check_foxglove_grid(message: Any) -> None:
+    """By the definition: the cell at byte k begins at y = k / row_stride, x = rest / cell_stride
+    cells from the pose."""
+    assert message.frame_id == "map"
+    turn, origin, size = message.pose.orientation, message.pose.position, message.cell_size
+    assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
+    offsets = {field.name: field.offset for field in message.fields}
+    assert all(field.type == 1 for field in message.fields)  # UINT8
+    east, north = probes()
+    true = truth(east, north)
+    column = np.floor((east - origin.x) / size.x).astype(int)
+    row = np.floor((north - origin.y) / size.y).astype(int)
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    rows = len(data) // message.row_stride
+    inside = (column >= 0) & (column < message.column_count) & (row >= 0) & (row < rows)
+    start = row[inside] * message.row_stride + column[inside] * message.cell_stride
+    assert not true.observed[~inside].any()
+    np.testing.assert_array_equal(data[start + offsets["density"]], true.density[inside])
+    alpha = np.where(true.observed[inside], 255, 0)
+    np.testing.assert_array_equal(data[start + offsets["alpha"]], alpha)
+    for colour in ("red", "green", "blue"):
+        np.testing.assert_array_equal(data[start + offsets[colour]], 255 - true.density[inside])
+
+
+def check_geojson(message: Any) -> None:
+    features = json.loads(message.geojson)["features"]
+    shapes = [
+        (one["properties"], shapely.from_geojson(json.dumps(one["geometry"]))) for one in features
+    ]
+    obstacles = shapely.union_all([s for about, s in shapes if about["layer"] == "obstacle"])
+    east, north = probes()
+    lat, lon, _ = geodetic(east, north)
+    inside = shapely.contains_xy(obstacles, lon, lat)
+    np.testing.assert_array_equal(inside, truth(east, north).density > 100)
+    (line, *_) = [s for about, s in shapes if about["layer"] == "trajectory"]
+    lon, lat = shapely.get_coordinates(line).T
+    found = enu(lat, lon)
+    driven = track(SPRING)
+    count = len(lon)
+    np.testing.assert_allclose(found[0], driven.east_m[:count], atol=CENTIMETRE)
+    np.testing.assert_allclose(found[1], driven.north_m[:count], atol=CENTIMETRE)
+
+
+def stamp_ns(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def test_the_occupancy_grid_is_the_map(messages: Messages) -> None:
+    (grid,) = messages["/map"]
+    check_map(grid)
+    assert stamp_ns(grid.header) == START_NS[SPRING]
+
+
+def test_the_grid_map_is_the_map(messages: Messages) -> None:
+    (grid,) = messages["/grid_map"]
+    check_grid_map(grid)
+
+
+@pytest.mark.parametrize("session", [SPRING, SUMMER])
+def test_paths_and_fixes_are_where_the_vehicle_was(messages: Messages, session: str) -> None:
+    (path,) = messages[f"/{session}/path"]
+    check_path(path, session)
+    check_fixes(messages[f"/{session}/fix"], session)
+
+
+def test_the_datum_is_in_it_three_times(messages: Messages) -> None:
+    (fix,) = messages["/datum"]
+    check_datum(fix)
+    (transforms,) = messages["/tf_static"]
+    check_earth(transforms)
+    (text,) = messages["/georeference"]
+    about = json.loads(text.data)
+    assert about["datum"]["lat_deg"] == DATUM.lat_deg
+    assert about["bounds_m"] == {"west": -10.0, "south": -7.0, "east": 14.0, "north": 9.0}
+
+
+def test_foxglove_has_a_grid_and_shapes(mcap: Path) -> None:
+    messages = messages_of_mcap(mcap)
+    (grid,) = messages["/foxglove/grid"]
+    check_foxglove_grid(grid)
+    (shapes,) = messages["/foxglove/geojson"]
+    check_geojson(shapes)
+
+
+def test_a_bag_for_ros_has_ros_messages_only(bag: Path) -> None:
+    with AnyReader([bag]) as reader:
+        assert {c.ext.serialization_format for c in reader.connections} == {"cdr"}
+        durable = {
+            connection.topic
+            for connection in reader.connections
+            for qos in connection.ext.offered_qos_profiles
+            if qos.durability is QosDurability.TRANSIENT_LOCAL
+        }
+    assert durable == {*LATCHED, "/summer/path"}
+
+
+def test_messages_are_in_the_order_of_their_times(mcap: Path) -> None:
+    with mcap.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_start_time == START_NS[SPRING]
+        times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
+        latched = {
+            channel.topic for channel in summary.channels.values()
+            if "durability: 1" in channel.metadata.get("offered_qos_profiles", "")
+        }  # fmt: skip
+    assert times == sorted(times)
+    assert latched == {*LATCHED, "/summer/path"}
+
+
+def transposed(message: Any) -> None:
+    info = message.info
+    data = np.array(message.data).reshape(info.height, info.width)
+    message.data = np.ascontiguousarray(data.T).reshape(-1)
+    info.width, info.height = info.height, info.width
+
+
+def reordered(change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Callable[[Any], None]:
+    def mutate(message: Any) -> None:
+        info = message.info
+        data = np.array(message.data).reshape(info.height, info.width)
+        message.data = np.ascontiguousarray(change(data)).reshape(-1)
+
+    return mutate
+
+
+def moved(x: float, y: float) -> Callable[[Any], None]:
+    def mutate(message: Any) -> None:
+        info = message.info
+        place = info.origin.position if hasattr(info, "origin") else info.pose.position
+        place.x, place.y = place.x + x, place.y + y
+
+    return mutate
+
+
+def layers_changed(change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Callable[[Any], None]:
+    """Changes each layer, seen as [second index, first index]."""
+
+    def mutate(message: Any) -> None:
+        for array in message.data:
+            outer, inner = array.layout.dim
+            data = np.array(array.data).reshape(outer.size, inner.size)
+            array.data = np.ascontiguousarray(change(data)).reshape(-1)
+
+    return mutate
+
+
+def unknown_is_free(message: Any) -> None:
+    message.data = np.maximum(np.array(message.data), 0)
+
+
+def compass_yaw(message: Any) -> None:
+    """The heading taken for a yaw."""
+    for stamped, heading in zip(message.poses, track(SPRING).heading_deg, strict=True):
+        half = math.radians(heading) / 2
+        stamped.pose.orientation.z, stamped.pose.orientation.w = math.sin(half), math.cos(half)
+
+
+def course_for_nose(message: Any) -> None:
+    """Where it moves for where it points: the other way round in reverse."""
+    for stamped in message.poses[-20:]:
+        turn = stamped.pose.orientation
+        turn.z, turn.w = turn.w, -turn.z
+
+
+def swapped(message: Any) -> None:
+    for stamped in message.poses:
+        place = stamped.pose.position
+        place.x, place.y = place.y, place.x
+
+
+def turned_frame(message: Any) -> None:
+    message.transforms[0].transform.rotation.z *= -1
+
+
+def at_sea_level(message: Any) -> None:
+    message.altitude = 0.0
+
+
+def map_of(
+    change: Callable[[Any], None],
+) -> tuple[str, Callable[[Any], None], Callable[[Any], None]]:
+    return "/map", change, check_map
+
+
+def grid_map_of(
+    change: Callable[[Any], None],
+) -> tuple[str, Callable[[Any], None], Callable[[Any], None]]:
+    return "/grid_map", change, check_grid_map
+
+
+def spring_path(message: Any) -> None:
+    check_path(message, SPRING)
+
+
+HALF = CELL_M / 2
+MISTAKES: dict[str, tuple[str, Callable[[Any], None], Callable[[Any], None]]] = {
+    "map transposed": map_of(transposed),
+    "map column-major": map_of(reordered(lambda a: a.T)),
+    "map north first": map_of(reordered(lambda a: a[::-1])),
+    "map east first": map_of(reordered(lambda a: a[:, ::-1])),
+    "map half a cell east": map_of(moved(HALF, 0.0)),
+    "map half a cell north": map_of(moved(0.0, HALF)),
+    "map of the centre": map_of(moved(12.0, 8.0)),
+    "map without unknown": map_of(unknown_is_free),
+    "grid map north last": grid_map_of(layers_changed(lambda a: a[::-1])),
+    "grid map east last": grid_map_of(layers_changed(lambda a: a[:, ::-1])),
+    "grid map row-major": grid_map_of(layers_changed(lambda a: a.T)),
+    "grid map half a cell west": grid_map_of(moved(-HALF, 0.0)),
+    "grid map of the corner": grid_map_of(moved(-12.0, -8.0)),
+    "grid map without unknown": grid_map_of(layers_changed(np.nan_to_num)),
+    "path with compass yaws": ("/spring/path", compass_yaw, spring_path),
+    "path with courses": ("/spring/path", course_for_nose, spring_path),
+    "path north east": ("/spring/path", swapped, spring_path),
+    "earth turned": ("/tf_static", turned_frame, check_earth),
+    "datum without height": ("/datum", at_sea_level, check_datum),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_the_checks_find_a_mistake(bag_messages: Messages, mistake: str) -> None:
+    topic, change, check = MISTAKES[mistake]
+    message = copy.deepcopy(bag_messages[topic][0])
+    check(message)
+    change(message)
+    with pytest.raises(AssertionError):
+        check(message)
+
+
+FOXGLOVE_MISTAKES: dict[str, Callable[[Any], None]] = {
+    "half a cell east": lambda m: setattr(m.pose.position, "x", m.pose.position.x + HALF),
+    "half a cell south": lambda m: setattr(m.pose.position, "y", m.pose.position.y - HALF),
+    "north first": lambda m: setattr(
+        m, "data", np.frombuffer(m.data, np.uint8).reshape(-1, m.row_stride)[::-1].tobytes()
+    ),
+    "turned round": lambda m: setattr(
+        m, "data", np.frombuffer(m.data, np.uint8).reshape(-1, m.cell_stride)[::-1].tobytes()
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", FOXGLOVE_MISTAKES)
+def test_the_check_of_foxglove_finds_a_mistake(mcap: Path, mistake: str) -> None:
+    (message,) = messages_of_mcap(mcap)["/foxglove/grid"]
+    FOXGLOVE_MISTAKES[mistake](message)
+    with pytest.raises((AssertionError, IndexError)):
+        check_foxglove_grid(message)
+
+
+def test_a_part_by_another_curve(universal: MapFile, tmp_path: Path) -> None:
+    part = Selection(bounds=Bounds(5.0, -1.0, 10.5, 4.0), cell_m=0.25, at=SPRING)
+    export_rosbag2(universal, tmp_path / "part", part, free_up_to=60, obstacle_above=74)
+    messages = messages_of_bag(tmp_path / "part")
+    (grid,) = messages["/map"]
+    assert (grid.info.width, grid.info.height) == (22, 20)
+    assert grid.info.resolution == pytest.approx(0.25)
+    east = 6.125 + 0.25 * np.arange(10)
+    found = occupancy_at(grid, east, np.full(10, 2.5))
+    # 49, 50, 51, 52 and 60 are free, 74 is 100 * 14 / 15, 99 and more are obstacles.
+    assert found.tolist() == [0, 0, 0, 0, 0, 93, 100, 100, 100, 100]
+    assert "/spring/path" in messages
+    assert "/summer/path" not in messages
+
+
+def test_a_map_without_trajectories_has_its_grids(tmp_path: Path) -> None:
+    write_plain_map(tmp_path / "m.gpkg", [drive(3)])
+    with open_map(tmp_path / "m.gpkg") as plain:
+        export_rosbag2(plain, tmp_path / "bag")
+        export_mcap(plain, tmp_path / "m.mcap")
+    shapes = json.loads(messages_of_mcap(tmp_path / "m.mcap")["/foxglove/geojson"][0].geojson)
+    assert {one["properties"]["layer"] for one in shapes["features"]} == {"obstacle"}
+    found = messages_of_bag(tmp_path / "bag")
+    assert set(found) == {"/tf_static", "/datum", "/georeference", "/map", "/grid_map"}
+    assert stamp_ns(found["/map"][0].header) == 17
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".rosbag2"])
+def test_it_is_a_format_by_its_ending(universal: MapFile, tmp_path: Path, ending: str) -> None:
+    part = Selection(bounds=Bounds(-4.0, 0.0, 0.0, 2.0))
+    path = tmp_path / f"part{ending}"
+    export_map(universal, path, part, options={"obstacle_above": 219})
+    messages = messages_of_bag(path) if ending == ".rosbag2" else messages_of_mcap(path)
+    (grid,) = messages["/map"]
+    # The middle arm of 160 is in doubt by this curve, the stem of 220 an obstacle.
+    assert occupancy_at(grid, np.array([-1.0, -2.5]), np.array([1.5, 1.5])).tolist() == [65, 100]
+
+
+def test_times_beyond_those_of_ros_are_refused(tmp_path: Path) -> None:
+    late = dataclasses.replace(track(SUMMER), time_ns=track(SUMMER).time_ns + 2**31 * 10**9)
+    with create_map(tmp_path / "m.gpkg", DATUM, cell_m=0.1) as new:
+        write_session(new, "late", drive(2), late)
+    refused = pytest.raises(ConfigError, match="'late' has times before 1970 or after 2038")
+    with open_map(tmp_path / "m.gpkg") as late_map, refused:
+        export_mcap(late_map, tmp_path / "m.mcap")
+
+
+def test_a_bag_may_be_stored_as_mcap(universal: MapFile, tmp_path: Path) -> None:
+    part = Selection(bounds=Bounds(-4.0, 0.0, 0.0, 2.0))
+    export_rosbag2(universal, tmp_path / "part", part, storage="mcap")
+    names = {file.name for file in (tmp_path / "part").iterdir()}
+    assert names == {"metadata.yaml", "part.mcap"}
+    (grid,) = messages_of_bag(tmp_path / "part")["/map"]
+    assert occupancy_at(grid, np.array([-2.5]), np.array([1.5])).tolist() == [100]
+    with pytest.raises(ConfigError, match="'db4' is no storage"):
+        export_rosbag2(universal, tmp_path / "other", part, storage="db4")
+
+
+def test_sessions_get_names_that_ros_allows() -> None:
+    names = ["june-03", "2026-06-03", "Parzelle Süd", "june 03", "__", "a/b", "session_2"]
+    assert topic_names(dict.fromkeys(names)) == {
+        "june-03": "june_03",
+        "2026-06-03": "session_2026_06_03",
+        "Parzelle Süd": "Parzelle_S_d",
+        "june 03": "june_03_2",
+        "__": "session",
+        "a/b": "a_b",
+        "session_2": "session_2",
+    }
+
+
+@pytest.mark.parametrize("export", [export_mcap, export_rosbag2])
+@pytest.mark.parametrize(
+    ("selection", "options", "message"),
+    [
+        ({"layer": "count"}, {}, "'count' is none"),
+        ({"bounds": Bounds(0.0, 0.0, 900.0, 900.0)}, {}, "give --bounds or a larger --cell"),
+        ({"bounds": Bounds(50.0, 50.0, 60.0, 60.0)}, {}, "hold nothing of the map"),
+        ({}, {"obstacle_above": 20}, "no curve"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_sentence(
+    universal: MapFile,
+    tmp_path: Path,
+    export: Callable[..., Any],
+    selection: dict[str, Any],
+    options: dict[str, Any],
+    message: str,
+) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        export(universal, tmp_path / "out.mcap", Selection(**selection), **options)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("export", [export_mcap, export_rosbag2])
+def test_what_exists_is_replaced_only_when_asked(
+    universal: MapFile, tmp_path: Path, export: Callable[..., Any]
+) -> None:
+    path = tmp_path / "out"
+    small = Selection(bounds=Bounds(-1.0, -1.0, 1.0, 1.0))
+    export(universal, path, small)
+    with pytest.raises(MapExistsError, match="--overwrite"):
+        export(universal, path, small)
+    export(universal, path, small, overwrite=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("export", [export_mcap, export_rosbag2])
+def test_an_export_that_fails_leaves_nothing(
+    universal: MapFile,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    export: Callable[..., Any],
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(publish.os, "fsync", full)
+    with pytest.raises(MapWriteError, match="disk is full"):
+        export(universal, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_foxglove_it_says_what_to_install(
+    universal: MapFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.partition(".")[0] == "foxglove_schemas_protobuf":
+            raise ImportError(name)
+        return original(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    for name in [name for name in sys.modules if name.startswith("foxglove_schemas_protobuf")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(ConfigError, match=r"pip install 'fieldgrid\[foxglove\]'"):
+        export_mcap(universal, tmp_path / "field.mcap")
+    assert list(tmp_path.iterdir()) == []
