@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import math
 import shutil
 from collections.abc import Callable, Iterator
@@ -16,7 +17,9 @@ from fieldgrid.build import build_map
 from fieldgrid.build.tracking import track_drive
 from fieldgrid.errors import CalibrationError, ConfigError, GnssError, RecordingError
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import Mounting, Recording, open_recording
+from fieldgrid.recording import Mounting, Options, Recording, open_recording
+from fieldgrid.recording.bag import BagRecording, open_drive
+from fieldgrid.recording.bare import BareDrive
 from fieldgrid.recording.files import parse_time_ns
 from fieldgrid.recording.protocol import StereoFrame, pair_of
 from fieldgrid.rig import Carrier, StereoCamera
@@ -133,6 +136,9 @@ def test_a_map_has_the_same_bits(
     build_map([drive], tmp_path / "folder.gpkg", settings)
     frames, inputs = content(tmp_path / "bag.gpkg")
     frames_wanted, inputs_wanted = content(tmp_path / "folder.gpkg")
+    with open_map(tmp_path / "bag.gpkg") as universal, open_recording(bag) as recording:
+        assert isinstance(recording, BagRecording)
+        assert universal.sessions()[0].source_sha256 == recording.gnss_sha256
     assert len(frames) == 3
     assert inputs == inputs_wanted
     # The example counts its frames from its first one, the bag from the first it holds.
@@ -265,6 +271,54 @@ def test_a_bag_without_images_is_tracked_by_its_fixes_and_motion(
     assert accepted.sum() > 700
     with pytest.raises(RecordingError, match=r"no pair of a left .*/fix \(sensor_msgs/NavSatFix"):
         open_recording(shared_data("husky_gps_rosbag") / "test1.bag")
+
+
+def test_every_topic_of_a_bag_without_images_is_a_stream(drive: Path, tmp_path: Path) -> None:
+    def without_left(_: Maker, said: list[Said]) -> list[Said]:
+        return [one for one in said if one.topic != bags.LEFT]
+
+    bare = open_drive(rebuilt(drive, tmp_path, without_left), Options())
+    assert isinstance(bare, BareDrive)
+    roles = {stream.name: stream.role for stream in bare.streams}
+    assert roles[bags.NMEA] == "nmea"
+    assert roles[bags.IMU] == "imu"
+    assert roles[bags.RIGHT] == ""
+
+
+def test_the_hash_of_the_fixes_is_that_of_their_messages_or_their_log(
+    drive: Path, tmp_path: Path
+) -> None:
+    def moved(_: Maker, said: list[Said]) -> list[Said]:
+        return [one._replace(receive_ns=one.receive_ns + 7) for one in said]
+
+    def changed(maker: Maker, said: list[Said]) -> list[Said]:
+        first = next(one for one in said if one.topic == bags.NMEA)
+        return [*said, first]
+
+    def hash_of(change: Callable[[Maker, list[Said]], list[Said]], gnss: str | None = None) -> str:
+        with open_recording(rebuilt(drive, tmp_path, change), gnss) as recording:
+            assert isinstance(recording, BagRecording)
+            return recording.gnss_sha256
+
+    plain = hash_of(lambda _, said: said)
+    assert len(plain) == 64
+    assert hash_of(moved) == plain
+    assert hash_of(changed) != plain
+    log = drive / "gnss" / RTK
+    assert hash_of(changed, str(log)) == hashlib.sha256(log.read_bytes()).hexdigest()
+
+
+def test_a_bag_of_several_files_is_one_drive(drive: Path, tmp_path: Path) -> None:
+    maker = Maker("bag")
+    said = sorted(said_of(maker, drive), key=lambda one: one.receive_ns)
+    for k in range(3):
+        part = said[k * len(said) // 3 : (k + 1) * len(said) // 3]
+        bags.write_bag(tmp_path / "split" / f"drive_{9 + k}", "bag", maker, part)
+    with open_recording(settle(tmp_path / "split")) as recording, open_recording(drive) as folder:
+        assert list(recording.fixes()) == list(folder.fixes())
+        assert recording.frame_times_ns().tolist() == folder.frame_times_ns().tolist()
+        note = "3 files are read as one drive: drive_9.bag to drive_11.bag."
+        assert note in recording.notes
 
 
 def test_a_bag_is_tracked_like_its_folder(mcap: Path, drive: Path) -> None:

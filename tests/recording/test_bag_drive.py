@@ -20,7 +20,7 @@ from fieldgrid.recording import CloudFrame, DepthFrame, Recording, open_recordin
 from fieldgrid.recording.bag.readings import fix_of
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.protocol import pair_of
-from fieldgrid.rig import DepthCamera, Lidar, Mount, StereoCamera
+from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, StereoCamera
 from tests.conftest import TWO_LANES
 from tests.recording import bags
 from tests.recording.bags import CONTAINERS, Container, Maker, Said
@@ -198,6 +198,17 @@ def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened
         assert gyro.rate_rad_s.tolist() == [-0.1] * 5
 
 
+def test_an_imu_in_an_optical_frame_turns_about_its_second_axis(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        return [*stereo_said(maker), *imu_said(maker, "camera_imu_optical_frame")]
+
+    with opened(said) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [0.2] * 5  # y points down
+        assert "/imu/data: axes taken as rdf." in recording.notes
+
+
 def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
         yield from stereo_said(maker)
@@ -219,7 +230,12 @@ def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
 # Mount by transforms
 
 
-def tree_said(maker: Maker, camera: Any, sensor: str = "cam_optical") -> Iterator[Said]:
+def tree_said(
+    maker: Maker,
+    camera: Any,
+    sensor: str = "cam_optical",
+    axle_m: tuple[float, float, float] | None = None,
+) -> Iterator[Said]:
     """A vehicle whose camera is 1.2 m ahead and 1.5 m up, and antenna 0.3 m behind, 2 m up."""
     yield Said(
         UTC,
@@ -229,6 +245,7 @@ def tree_said(maker: Maker, camera: Any, sensor: str = "cam_optical") -> Iterato
             maker.transform("base_link", "mast", (1.0, 0.1, 1.0)),
             maker.transform("mast", sensor, (0.2, 0.0, 0.0), camera),
             maker.transform("base_link", "gps", (-0.3, 0.0, 1.5)),
+            *([] if axle_m is None else [maker.transform("base_link", "rear_axle", axle_m)]),
         ),
     )
 
@@ -251,6 +268,20 @@ def test_static_transforms_stand_for_a_mounting(container: Container, opened: Op
     assert arm.forward_m == pytest.approx(-1.5)
     assert arm.right_m == pytest.approx(0.0, abs=1e-9)
     assert arm.up_m == pytest.approx(2.0)
+
+
+def test_a_frame_tells_where_the_axle_is_that_does_not_steer(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        tree = tree_said(maker, OPTICAL, axle_m=(-0.35, 0.2, 0.1))
+        return [*stereo_said(maker), *fixes_said(maker), *tree]
+
+    with opened(said, mounting=False) as recording:
+        assert recording.rig.rear_axle_forward_m == -1.55  # of the camera, 1.2 m ahead
+        # What rounding errors of quaternions add is taken off.
+        assert recording.rig.mount == Mount(1.5, 0.0)
+        assert recording.rig.antenna == LeverArm(0.0, -1.5, 2.0)
+    with opened(lambda m: [*said(m)[:-1], *tree_said(m, OPTICAL)], mounting=False) as recording:
+        assert recording.rig.rear_axle_forward_m is None
 
 
 def test_the_mount_is_that_of_the_rectified_camera(opened: Opened) -> None:
@@ -289,8 +320,19 @@ def test_a_tree_without_the_antenna_or_the_ground_is_told(opened: Opened) -> Non
 
     with pytest.raises(CalibrationError, match=r"not the antenna \('mars'\)"):
         opened(lost_antenna, mounting=False)
-    with pytest.raises(CalibrationError, match="fieldgrid mount"):
+    with pytest.raises(
+        CalibrationError,
+        match=r"fieldgrid mount \S+ --write --antenna .* or write \S+bag\.mounting",
+    ):
         opened(lambda m: [*stereo_said(m), *fixes_said(m)], mounting=False)
+
+    def lost_ground(maker: Maker) -> list[Said]:
+        said = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
+        del said[-1].message.transforms[0]
+        return said
+
+    with pytest.raises(CalibrationError, match="from base_footprint to base_link, or write"):
+        opened(lost_ground, mounting=False)
 
 
 def test_transforms_in_a_circle_are_told(opened: Opened) -> None:

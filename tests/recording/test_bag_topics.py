@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.bag.topics import Choice, choose
+from fieldgrid.recording.bag.topics import Choice, choose, is_rectified, static_transforms
 from fieldgrid.ros import Topic
 
 BAG = Path("drive.mcap")
@@ -62,6 +62,12 @@ def stereo(place: str, image: str = "image_rect", kind: str = "image") -> str:
             "/kitti/camera_gray_right/image_raw",
             "/kitti/camera_gray_left/camera_info",
             "/kitti/camera_gray_right/camera_info",
+        ),
+        (
+            "/zed/zed_node/left/color/rect/image",
+            "/zed/zed_node/right/color/rect/image",
+            "/zed/zed_node/left/color/rect/camera_info",
+            "/zed/zed_node/right/color/rect/camera_info",
         ),
         ("/left_image", "/right_image", "/left_camera_info", "/right_camera_info"),
         (
@@ -149,6 +155,32 @@ def test_the_sensor_is_stereo_then_disparity_then_depth_then_cloud_or_the_given_
     assert "give those of one" in str(problem)
 
 
+def test_the_depth_of_a_camera_may_be_called_stereo() -> None:
+    text = "image /oak/stereo/image_raw\ninfo /oak/stereo/camera_info\nimage /oak/rgb/image_raw\n"
+    found = chosen(text)
+    assert (found.kind, found.roles["depth"]) == ("depth", "/oak/stereo/image_raw")
+    assert found.roles["depth_info"] == "/oak/stereo/camera_info"
+    assert chosen(text + stereo("/oak")).kind == "stereo"
+    assert chosen("image /stereo/label/image_raw\nimage /mystereo/image_raw\n").kind == ""
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [
+        ("/left/image_rect", True),
+        ("/left/image_rect_color/compressed", True),
+        ("/camera/infra1/image_rect_raw", True),
+        ("/left/color/rect/image", True),
+        ("/left/color/raw/image", False),
+        ("/left/image_raw", False),
+        ("/direct/image", False),
+        ("/rect_cam/left/image_raw", False),
+    ],
+)
+def test_names_tell_whether_images_are_rectified(topic: str, rectified: bool) -> None:
+    assert is_rectified(topic) is rectified
+
+
 def test_a_bag_without_frames_has_no_problem_yet() -> None:
     found = chosen("fix /fix\nother /chatter\nimage /front/image_raw\n")
     assert (found.kind, found.problem) == ("", None)
@@ -160,6 +192,9 @@ def test_a_bag_without_frames_has_no_problem_yet() -> None:
     ("role", "text", "expected"),
     [
         ("imu", "imu /zed/imu/data\nimu /imu/data\nimu /imu/data_raw", "/imu/data"),
+        ("imu", "imu /camera/accel/sample\nimu /camera/gyro/sample", "/camera/gyro/sample"),
+        ("odometry", "odometry /odometry/gps\nodometry /odometry/filtered", "/odometry/filtered"),
+        ("odometry", "odometry /filtered/global\nodometry /filtered/local", "/filtered/local"),
         ("odometry", "odometry /odometry/filtered\nodometry /wheel/odom", "/wheel/odom"),
         ("fix", "fix /gps/filtered\nfix /gps/fix", "/gps/fix"),
     ],
@@ -173,6 +208,17 @@ def test_several_alike_are_an_error_that_names_them_and_the_flag(role: str) -> N
     with pytest.raises(RecordingError, match=rf"for {role}: /a, /b; .*--topic {role}=/a"):
         chosen(f"{role} /b\n{role} /a")
     assert chosen(f"{role} /b\n{role} /a", {role: "/b"}).roles[role] == "/b"
+
+
+def test_static_transforms_are_those_of_the_namespaces_in_use() -> None:
+    tf = "tf2_msgs/msg/TFMessage"
+    names = ("/tf_static", "/a/tf_static", "/b/tf_static", "/a/tf")
+    topics = {name: Topic(name, tf, 1) for name in names}
+    topics["/b/x/tf_static"] = Topic("/b/x/tf_static", "std_msgs/msg/String", 1)
+    assert static_transforms(topics, {"fix": "/fix"}) == ["/tf_static"]
+    assert static_transforms(topics, {"fix": "fix"}) == ["/tf_static"]
+    assert static_transforms(topics, {"fix": "/a/fix"}) == ["/a/tf_static", "/tf_static"]
+    assert static_transforms(topics, {"fix": "/ab/fix"}) == ["/tf_static"]
 
 
 def test_topics_without_messages_are_not_taken() -> None:

@@ -165,7 +165,7 @@ def test_what_is_no_bag(tmp_path: Path) -> None:
         assert not is_bag(path), path
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n")
     assert is_bag(folder)
-    with pytest.raises(RecordingError, match=r"holds no \.db3 or \.mcap file"):
+    with pytest.raises(RecordingError, match=r"holds no \.db3, \.mcap or \.bag file"):
         open_bag(folder)
     with pytest.raises(RecordingError, match="no ROS 2 bag: it has no tables"):
         open_bag(database)
@@ -258,6 +258,22 @@ def test_files_follow_their_numbers_without_description(
     if content is not None:
         description.write_bytes(content)
     assert read(tmp_path / "bag") == (wanted, "")
+
+
+def test_the_files_of_a_split_ros1_bag_follow_their_numbers(tmp_path: Path) -> None:
+    made, folder = samples(ROS1), tmp_path / "drive"
+    folder.mkdir()
+    for k, suffix in enumerate((".bag", ".bag", ".bag.active")):
+        write_rosbag1(folder / f"drive_{9 + k}.bag", made[20 * k : 20 * k + 20])
+        (folder / f"drive_{9 + k}.bag").rename(folder / f"drive_{9 + k}{suffix}")
+    assert is_bag(folder)
+    assert read(folder) == (expected(made, ROS1), "")
+    with open_bag(folder) as bag:
+        assert bag.files == ("drive_9.bag", "drive_10.bag", "drive_11.bag.active")
+    # What a bag was converted from, or to, is not read twice.
+    write_mcap(folder / "drive.mcap", samples(ROS2))
+    with open_bag(folder) as bag:
+        assert bag.files == ("drive.mcap",)
 
 
 def test_a_missing_file_is_said(tmp_path: Path) -> None:

@@ -171,12 +171,13 @@ def test_what_exists_is_replaced_only_when_asked(
     assert [file.name for file in tmp_path.iterdir()] == ["out.mcap"]
 
 
-def test_a_folder_of_other_things_is_not_replaced(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["thesis.txt", "drive.bag"])
+def test_a_folder_of_other_things_is_not_replaced(name: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "thesis.txt").write_text("mine")
+    (tmp_path / "out" / name).write_text("mine")
     with pytest.raises(MapExistsError, match="holds other things than a ROS 2 bag"):
         BagFolderWriter(tmp_path / "out", overwrite=True)
-    assert [file.name for file in tmp_path.rglob("*")] == ["out", "thesis.txt"]
+    assert [file.name for file in tmp_path.rglob("*")] == ["out", name]
 
 
 @pytest.mark.parametrize("kind", [McapWriter, BagFolderWriter])

@@ -134,7 +134,9 @@ def open_recording(
     except OSError as problem:
         raise _unreadable(problem, path) from problem
     kinds = "; ".join(f"{backend.looks_for} ({kind})" for kind, backend in _BACKENDS.items())
-    raise RecordingError(f"{path} is no recording; looked for {kinds}.")
+    raise RecordingError(
+        f"{path} is no recording; looked for {kinds}; give the folder of one of these, or a bag."
+    )
 
 
 def _unreadable(problem: OSError, path: Path) -> RecordingError:

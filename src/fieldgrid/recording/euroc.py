@@ -44,18 +44,22 @@ def recognises(path: Path) -> bool:
     return _mav(path) is not None
 
 
+def mounting_path(path: Path) -> Path:
+    """The mounting of a recording, or where one would be: in calibration/, in mav0 or beside it."""
+    folder, mav = _folders(path)
+    inside = folder / "calibration" / MOUNTING
+    return inside if inside.exists() else _beside(folder, mav, MOUNTING)
+
+
 def open_euroc(path: Path, options: Options) -> StoredRecording:
     """The recording at a path; what EuRoC's format has no place for lies beside or in mav0:
     `mounting.json`, `gnss/`, `recording.toml`."""
     options.refuse_topics(path)
-    mav = _mav(path)
-    if mav is None:
-        raise RecordingError(f"{path} has no {LOOKS_FOR}; give the folder that holds them.")
-    folder = mav.parent if mav.name == _TOP else mav
+    folder, mav = _folders(path)
     settings = read_settings(_beside(folder, mav, SETTINGS))
     rectification = _rectification(mav)
     camera = rectification.camera
-    mounting = options.find_mounting(_mounting_path(folder, mav), path)
+    mounting = options.find_mounting(mounting_path(path), path)
     shots, frame_notes = _shots(folder, mav)
     stored, image_notes = image_format(folder, shots, settings)
     log_path = _log_path(folder, mav, options)
@@ -87,14 +91,17 @@ def _mav(path: Path) -> Path | None:
     return None
 
 
+def _folders(path: Path) -> tuple[Path, Path]:
+    """The folder of the recording, and that of the sensors in it, which may be the same."""
+    mav = _mav(path)
+    if mav is None:
+        raise RecordingError(f"{path} has no {LOOKS_FOR}; give the folder that holds them.")
+    return mav.parent if mav.name == _TOP else mav, mav
+
+
 def _beside(folder: Path, mav: Path, name: str) -> Path:
     """A file in mav0 or beside it."""
     return mav / name if (mav / name).exists() else folder / name
-
-
-def _mounting_path(folder: Path, mav: Path) -> Path:
-    inside = folder / "calibration" / MOUNTING
-    return inside if inside.exists() else _beside(folder, mav, MOUNTING)
 
 
 def _log_path(folder: Path, mav: Path, options: Options) -> Path | None:

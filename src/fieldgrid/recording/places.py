@@ -23,7 +23,5 @@ def mounting_place(recording: Path) -> Path:
     if folder.recognises(recording):
         return recording / "calibration" / MOUNTING
     if euroc.recognises(recording):
-        top = recording.parent if recording.name == "mav0" else recording
-        candidates = (top / "calibration" / MOUNTING, top / "mav0" / MOUNTING)
-        return next((place for place in candidates if place.exists()), top / MOUNTING)
+        return euroc.mounting_path(recording)
     return recording / MOUNTING

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from fieldgrid.errors import ConfigError, GnssError, RecordingError
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.recording.bag.mounts import is_optical, vertical_row
 from fieldgrid.recording.bag.readings import Readings
-from fieldgrid.recording.bag.rigs import vertical_row
 from fieldgrid.recording.bag.topics import FIX, NMEA, listing, short
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.fix_log import FixLog
@@ -25,6 +25,8 @@ from fieldgrid.recording.stream_log import nmea_notes
 from fieldgrid.ros import Bag
 
 _Float64 = npt.NDArray[np.float64]
+
+_OPTICAL_AXES = "rdf"
 
 _FIX_ROLES = {NMEA: "nmea", FIX: "fix"}
 
@@ -109,7 +111,7 @@ def find_motion(
     readings: Readings, roles: Mapping[str, str], mounting: Mounting | None
 ) -> tuple[Motion, tuple[str, ...]]:
     """Gyro and wheels, and remarks. Of a mounting the axes of the IMU are taken if it names
-    others than the usual, else those of the static transforms."""
+    others than the usual, else those of the static transforms, else of the name of its frame."""
     notes: list[str] = []
     gyro = wheels = None
     if readings.turns is not None:
@@ -128,9 +130,12 @@ def find_motion(
 def _upwards(readings: Readings, mounting: Mounting | None) -> tuple[_Float64, str]:
     axes = AXES if mounting is None else mounting.imu_axes
     if axes == AXES:
-        row = vertical_row(readings.frame_ids.get("imu", ""), readings)
+        frame = readings.frame_ids.get("imu", "")
+        row = vertical_row(frame, readings)
         if row is not None:
             return row, "axes by the static transforms"
+        if is_optical(frame):
+            axes = _OPTICAL_AXES
     return np.array(
         [up for _, _, up in directions(axes)], dtype=np.float64
     ), f"axes taken as {axes}"

@@ -17,7 +17,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.gnss import Fix, NmeaLog, NmeaStream
 from fieldgrid.recording.bag.messages import decoded
 from fieldgrid.recording.bag.order import clock
-from fieldgrid.recording.bag.topics import FIXES, TF, TF_STATIC
+from fieldgrid.recording.bag.topics import FIXES, static_transforms
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.qualities import by_sigma
 from fieldgrid.ros import Bag, Message
@@ -76,8 +76,8 @@ def read_readings(bag: Bag, roles: Mapping[str, str]) -> Readings:
     for role, take in one_pass.takers().items():
         if role in roles:
             of_topic.setdefault(roles[role], []).append((role, take))
-    if TF_STATIC in bag.topics and bag.topics[TF_STATIC].type in TF:
-        of_topic[TF_STATIC] = [("", lambda tree, *_: one_pass.found.transforms.add(tree))]
+    for topic in static_transforms(bag.topics, roles):
+        of_topic[topic] = [("", lambda tree, *_: one_pass.found.transforms.add(tree))]
     places: Counter[str] = Counter()
     for message in bag.messages(tuple(of_topic)):
         place = places[message.topic]

@@ -18,8 +18,8 @@ from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording.bag.drive import find_motion
 from fieldgrid.recording.bag.frames import Plan, Taken, read_frames
+from fieldgrid.recording.bag.mounts import find_mounting
 from fieldgrid.recording.bag.opened import Opened, read_bag
-from fieldgrid.recording.bag.rigs import find_mounting
 from fieldgrid.recording.bag.sensed import find_lidar, frame_maker, sense
 from fieldgrid.recording.bag.topics import short
 from fieldgrid.recording.bare import BareDrive

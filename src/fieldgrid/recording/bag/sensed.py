@@ -12,19 +12,14 @@ import numpy.typing as npt
 
 from fieldgrid.cloud import points_per_sr
 from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.recording.bag.cameras import depth_camera, disparity_camera, stereo_pair
 from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.frames import Plan, Taken, plan_pairs, plan_single, read_frames
 from fieldgrid.recording.bag.images import CompressedImage, DepthImage, DisparityImage, RawImage
 from fieldgrid.recording.bag.messages import decoded
+from fieldgrid.recording.bag.mounts import SensorFrame, optical
 from fieldgrid.recording.bag.opened import Opened
 from fieldgrid.recording.bag.readings import Readings
-from fieldgrid.recording.bag.rigs import (
-    SensorFrame,
-    depth_camera,
-    disparity_camera,
-    optical,
-    stereo_pair,
-)
 from fieldgrid.recording.bag.topics import COMPRESSED, no_frames
 from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.pixels import BITS, significant_bits

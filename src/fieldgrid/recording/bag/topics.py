@@ -23,7 +23,7 @@ CLOUD, FIX, NMEA = (
 IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
-TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_TF_STATIC, _TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _TYPES: dict[str, tuple[str, ...]] = {
     **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
@@ -117,6 +117,18 @@ def short(kind: str) -> str:
     return kind.replace("/msg/", "/")
 
 
+def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> list[str]:
+    """The topics of static transforms: the usual one, and those of the namespaces that the
+    topics in use are in."""
+    used = [f"/{name.lstrip('/')}" for name in roles.values()]
+    return [
+        name
+        for name in _of_types(topics, _TF)
+        if name.endswith(_TF_STATIC)
+        and any(other.startswith(name.removesuffix("tf_static")) for other in used)
+    ]
+
+
 def is_rectified(topic: str) -> bool:
     """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
     return any(_RECTIFIED.search(word) for word in _base(topic).lower().split("/")[-2:])
@@ -126,7 +138,7 @@ def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, .
     used = ", ".join(f"{role} {topic}" for role, topic in roles.items())
     notes = [f"Topics: {used}."] if used else []
     left = [topic for name, topic in topics.items() if name not in roles.values()]
-    left = [topic for topic in left if topic.type not in TF and topic.type in _KNOWN_TYPES]
+    left = [topic for topic in left if topic.type in _KNOWN_TYPES]
     if left:
         notes.append(f"Not used: {listing(left)}.")
     return tuple(notes)
@@ -297,15 +309,19 @@ _MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|d
 
 def _driven(name: str) -> int:
     """Wheels before whatever else estimates a speed; estimates that contain the fixes last."""
-    if _MADE.search(name.lower()) or re.search(r"gps|gnss|ekf|visual|vio|vo\b", name.lower()):
+    if re.search(r"gps|gnss|navsat|global|map", name.lower()):
+        return 3
+    if _MADE.search(name.lower()) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
         return 2
     return 0 if re.search(r"wheel|controller|drive|encoder", name.lower()) else 1
 
 
-def _imu_rank(name: str) -> tuple[bool, bool, bool]:
-    """The vehicle's own before one inside a camera, calibrated before raw."""
+def _imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
+    """With a gyro before without, the vehicle's own before one inside a camera, calibrated before
+    raw."""
     inside = re.search(r"camera|zed|oak|realsense|d4\d\d|ouster|livox|velodyne", name.lower())
-    return inside is not None, "raw" in name.lower(), not name.endswith("data")
+    is_raw = "raw" in name.lower()
+    return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
 
 
 _WORTH: dict[str, Callable[[str], object]] = {

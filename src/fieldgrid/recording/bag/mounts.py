@@ -1,37 +1,24 @@
-"""The rig of a bag: its sensor by camera_info, its mount by mounting.json or static transforms."""
+"""How things sit on the vehicle of a bag: by its mounting, else by static transforms."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.clouds import R_OPTICAL_FLU
-from fieldgrid.recording.bag.images import baseline_m
-from fieldgrid.recording.bag.messages import field
 from fieldgrid.recording.bag.readings import Readings
-from fieldgrid.recording.bag.topics import INFO, is_rectified, listing
 from fieldgrid.recording.bag.transforms import Place, Transforms
 from fieldgrid.recording.kitti_calibration import mount_angles_deg
 from fieldgrid.recording.motion_files import directions
 from fieldgrid.recording.mounting import Mounting, estimating, missing_mounting
 from fieldgrid.recording.options import Options
 from fieldgrid.recording.places import mounting_place
-from fieldgrid.rectify import (
-    Rectifier,
-    camera_from_projections,
-    lens_model,
-    raw_camera,
-    rectify_by_projections,
-)
-from fieldgrid.rig import DepthCamera, LeverArm, Mount, StereoCamera
-from fieldgrid.ros import Topic
+from fieldgrid.rig import LeverArm, Mount
 
 _Float64 = npt.NDArray[np.float64]
 
@@ -45,151 +32,6 @@ _VEHICLE_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
 _SAME = 1e-9
 _DIGITS = 9
 """A nanometre and less than a microradian; beyond are the rounding errors of quaternions."""
-
-_MOST_COEFFICIENTS = 64
-
-
-class Pair(NamedTuple):
-    """A stereo camera, how raw pairs become rectified ones (None where they are), the rotation
-    from the frame of the raw left camera to the rectified one's, and remarks."""
-
-    camera: StereoCamera
-    rectifier: Rectifier | None
-    R_rect_left: _Float64
-    notes: tuple[str, ...]
-
-
-class _Info(NamedTuple):
-    """A sensor_msgs/CameraInfo of either ROS; `source` is what errors call it."""
-
-    size_px: tuple[int, int]
-    K: _Float64
-    D: _Float64
-    R: _Float64
-    P: _Float64
-    model: str
-    source: str
-
-
-def stereo_pair(
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-    said: bool | None,
-) -> Pair:
-    """The camera of the pair by its two calibrations. Raises CalibrationError.
-
-    Whether the images are rectified is `said`, or by None told by the names of their topics.
-    """
-    left = _info(readings, "left_info", roles, topics, path)
-    right = _info(readings, "right_info", roles, topics, path)
-    if left.size_px != right.size_px:
-        raise CalibrationError(
-            f"{left.source} is for images of {left.size_px} px, {right.source} for "
-            f"{right.size_px} px; give the calibration of one pair."
-        )
-    named = is_rectified(roles["left"]), is_rectified(roles["right"])
-    if said is None and named[0] != named[1]:
-        raise CalibrationError(
-            f"{path}: of {roles['left']} and {roles['right']} one is rectified and one is not; "
-            "choose two alike with --topic left= and --topic right=."
-        )
-    if named[0] if said is None else said:
-        camera = camera_from_projections(left.P, right.P, left.size_px, right.source)
-        return Pair(camera, None, left.R, ())
-    first, second = (
-        raw_camera(one.size_px, one.K, one.D, lens_model(one.model, one.source), one.source)
-        for one in (left, right)
-    )
-    found = rectify_by_projections(
-        first, second, (left.R, right.R), (left.P, right.P), right.source
-    )
-    if found.rectifier is None:
-        return Pair(found.camera, None, found.R_rect_left, ())
-    note = f"The images are raw, and rectified by {left.source} and {right.source}."
-    return Pair(found.camera, found.rectifier, found.R_rect_left, (note,))
-
-
-def depth_camera(
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-    baseline: float | None,
-) -> DepthCamera:
-    """The camera of depth images by their calibration; `baseline` is that of the pair they come
-    from, metres, None where nobody says it."""
-    info = _info(readings, "depth_info", roles, topics, path)
-    return _depth_camera(info, info.P if info.P[0, 0] > 0.0 else info.K, baseline)
-
-
-def disparity_camera(
-    image: Any,
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-) -> DepthCamera:
-    """The camera of disparity images, of which the first is given: f and T are its own."""
-    info = _info(readings, "left_info", roles, topics, path)
-    P = info.P.copy()
-    P[0, 0] = P[1, 1] = float(image.f)
-    return _depth_camera(info, P, baseline_m(image))
-
-
-def _depth_camera(info: _Info, P: _Float64, baseline: float | None) -> DepthCamera:
-    values = (float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
-    try:
-        return DepthCamera(*info.size_px, *values, baseline)
-    except CalibrationError as problem:
-        raise CalibrationError(f"{info.source}: {problem}") from problem
-
-
-def _info(
-    readings: Readings,
-    role: str,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-) -> _Info:
-    message = readings.infos.get(role)
-    if message is None:
-        infos = [topic for topic in topics.values() if topic.type == INFO]
-        raise CalibrationError(
-            f"{path} has no readable camera_info for {role}; record that of the camera, or name "
-            f"it with --topic {role}=NAME, of {listing(infos or topics.values())}."
-        )
-    source = f"{path.name}: {roles[role]}"
-    info = _Info(
-        (int(message.width), int(message.height)),
-        _matrix(message, "k", (3, 3), source),
-        _matrix(message, "d", (-1,), source),
-        _matrix(message, "r", (3, 3), source),
-        _matrix(message, "p", (3, 4), source),
-        str(message.distortion_model),
-        source,
-    )
-    if info.K[0, 0] == 0.0:
-        raise CalibrationError(
-            f"{source}: K[0] = 0 means that the camera was never calibrated; calibrate it."
-        )
-    if message.binning_x > 1 or message.binning_y > 1 or message.roi.width or message.roi.height:
-        raise CalibrationError(
-            f"{source}: binning or a region of interest is set, which is not read; record whole "
-            "images with the calibration of their size."
-        )
-    return info if info.R.any() else info._replace(R=np.eye(3))
-
-
-def _matrix(message: Any, name: str, shape: tuple[int, ...], source: str) -> _Float64:
-    matrix = np.asarray(field(message, name), dtype=np.float64)
-    fits = matrix.size <= _MOST_COEFFICIENTS if -1 in shape else matrix.size == math.prod(shape)
-    if not (fits and np.isfinite(matrix).all()):
-        raise CalibrationError(
-            f"{source}: {name.upper()} is no matrix of numbers; calibrate the camera again."
-        )
-    return matrix.reshape(shape)
 
 
 class Mounted(NamedTuple):
@@ -292,6 +134,11 @@ def _place(transforms: Transforms, frame: str, base: str) -> Place | None:
     return transforms.place(frame, base) if frame and transforms.has(frame) else None
 
 
+def is_optical(frame: str) -> bool:
+    """Whether a frame is named as one whose axes point right, down and forward."""
+    return "optical" in frame.lower()
+
+
 def optical(frame: str, readings: Readings, axes: str | None = None) -> _Float64:
     """Turns directions of a sensor's frame into right, down, forward.
 
@@ -301,7 +148,7 @@ def optical(frame: str, readings: Readings, axes: str | None = None) -> _Float64
     """
     if axes is not None:
         return R_OPTICAL_FLU @ np.array(directions(axes), dtype=np.float64).T
-    if "optical" in frame.lower():
+    if is_optical(frame):
         return np.eye(3)
     for base in (GROUND, BASE):
         placed = _place(readings.transforms, frame, base)

@@ -1,0 +1,220 @@
+"""Values as messages of ROS 2."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.gnss import Fix
+from fieldgrid.gnss.fix import position_sigma_m
+from fieldgrid.rig import DepthCamera, StereoCamera
+from fieldgrid.ros import types
+
+_Float64 = npt.NDArray[np.float64]
+
+MAP, BASE = "map", "base_footprint"
+LEFT, RIGHT, DEPTH, LIDAR = "left_optical", "right_optical", "depth_optical", "lidar_optical"
+ANTENNA, IMU, AXLE = "gnss_antenna", "imu", "rear_axle"
+
+_SECOND = 1_000_000_000
+
+# GGA's qualities as NavSatStatus: no fix, a fix, with satellite-based, with ground-based
+# corrections. What no satellites gave (estimated, manual, simulated) is no fix.
+_STATUS = {1: 0, 9: 1, 2: 2, 3: 2, 4: 2, 5: 2}
+_NO_FIX, _ALL_SERVICES = -1, 15
+_UNKNOWN, _APPROXIMATED, _DIAGONAL = 0, 1, 2
+_RTK = (4, 5)
+UP_SHARE = 2.0
+"""How much less sure a receiver's height is than its position."""
+
+_NOT_SAID = 1e6
+
+
+def new(name: str, /, **fields: Any) -> Any:
+    """A message of a type, which ROS calls package/msg/Name."""
+    package, short = name.split("/")
+    return types().types[f"{package}/msg/{short}"](**fields)
+
+
+def header_of(time_ns: int, frame: str) -> Any:
+    """A std_msgs/Header."""
+    stamp = new("builtin_interfaces/Time", sec=time_ns // _SECOND, nanosec=time_ns % _SECOND)
+    return new("std_msgs/Header", stamp=stamp, frame_id=frame)
+
+
+def vector(x: float, y: float, z: float, *, name: str = "Vector3") -> Any:
+    """Three numbers as a message: a Vector3 or a Point."""
+    return new(f"geometry_msgs/{name}", x=float(x), y=float(y), z=float(z))
+
+
+def quaternion(R: _Float64) -> Any:
+    """A rotation [3, 3] as a geometry_msgs/Quaternion."""
+    # The eigenvector to the greatest eigenvalue, which is good for all rotations.
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    K = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(K)[1][:, -1].tolist()
+    sign = 1.0 if w >= 0.0 else -1.0
+    return new("geometry_msgs/Quaternion", x=sign * x, y=sign * y, z=sign * z, w=sign * w)
+
+
+def transform(time_ns: int, parent: str, child: str, at_m: _Float64, turn: Any) -> Any:
+    """A geometry_msgs/TransformStamped: where the child is, and its turn, seen from the parent."""
+    placed = new("geometry_msgs/Transform", translation=vector(*at_m.tolist()), rotation=turn)
+    return new(
+        "geometry_msgs/TransformStamped",
+        header=header_of(time_ns, parent),
+        child_frame_id=child,
+        transform=placed,
+    )
+
+
+def nav_sat_fix(fix: Fix) -> Any:
+    """A sensor_msgs/NavSatFix: altitude above the ellipsoid, what the message can hold."""
+    status = _STATUS.get(fix.quality, _NO_FIX)
+    if fix.sigma_m is not None and fix.sigma_m > 0.0 and math.isfinite(fix.sigma_m):
+        sigma_m, known = fix.sigma_m, _DIAGONAL
+    elif fix.quality in _RTK:
+        # Without it nothing in the message would tell it from a plain differential fix.
+        sigma_m, known = position_sigma_m(fix), _APPROXIMATED
+    else:
+        sigma_m, known = 0.0, _UNKNOWN
+    variances = sigma_m**2 * np.array([1.0, 1.0, UP_SHARE**2])
+    return new(
+        "sensor_msgs/NavSatFix",
+        header=header_of(fix.time_ns, ANTENNA),
+        status=new("sensor_msgs/NavSatStatus", status=status, service=_ALL_SERVICES),
+        latitude=fix.lat_deg,
+        longitude=fix.lon_deg,
+        altitude=fix.height_m,
+        position_covariance=np.diag(variances).reshape(-1),
+        position_covariance_type=known,
+    )
+
+
+def imu_message(time_ns: int, rate_rad_s: float) -> Any:
+    """Of the three rates that about the vertical, upwards; the message says what it has not."""
+    missing = np.array([-1.0, *[0.0] * 8])
+    return new(
+        "sensor_msgs/Imu",
+        header=header_of(time_ns, IMU),
+        orientation=new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=missing,
+        angular_velocity=vector(0.0, 0.0, -rate_rad_s),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(0.0, 0.0, 0.0),
+        linear_acceleration_covariance=missing,
+    )
+
+
+def odometry_message(time_ns: int, speed_mps: float) -> Any:
+    """A nav_msgs/Odometry of the speed alone: its pose is said to be unknown."""
+    pose = new(
+        "geometry_msgs/Pose",
+        position=vector(0.0, 0.0, 0.0, name="Point"),
+        orientation=new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    twist = new(
+        "geometry_msgs/Twist",
+        linear=vector(speed_mps, 0.0, 0.0),
+        angular=vector(0.0, 0.0, 0.0),
+    )
+    return new(
+        "nav_msgs/Odometry",
+        header=header_of(time_ns, "odom"),
+        child_frame_id=BASE,
+        pose=new(
+            "geometry_msgs/PoseWithCovariance",
+            pose=pose,
+            covariance=np.diag([_NOT_SAID] * 6).reshape(-1),
+        ),
+        twist=new("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def image_message(pixels: npt.NDArray[Any], encoding: str, header: Any) -> Any:
+    """A sensor_msgs/Image of pixels [row, column]."""
+    height, width = pixels.shape
+    return new(
+        "sensor_msgs/Image",
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=pixels.strides[0],
+        data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
+    )
+
+
+def camera_info(camera: StereoCamera, cx_px: float, shift_px_m: float, header: Any) -> Any:
+    """A sensor_msgs/CameraInfo of one side of a rectified pair; `shift_px_m` is P[3]."""
+    size_px, f = (camera.width_px, camera.height_px), camera.focal_px
+    return _info(size_px, (f, f), (cx_px, camera.cy_px), shift_px_m, header)
+
+
+def depth_info(camera: DepthCamera, header: Any) -> Any:
+    """A sensor_msgs/CameraInfo of depth images."""
+    size_px, focal_px = (camera.width_px, camera.height_px), (camera.fx_px, camera.fy_px)
+    return _info(size_px, focal_px, (camera.cx_px, camera.cy_px), 0.0, header)
+
+
+def _info(
+    size_px: tuple[int, int],
+    focal_px: tuple[float, float],
+    centre_px: tuple[float, float],
+    shift_px_m: float,
+    header: Any,
+) -> Any:
+    (fx, fy), (cx, cy) = focal_px, centre_px
+    return new(
+        "sensor_msgs/CameraInfo",
+        header=header,
+        height=size_px[1],
+        width=size_px[0],
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
+        r=np.eye(3).reshape(-1),
+        p=np.array([fx, 0.0, cx, shift_px_m, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        binning_x=0,
+        binning_y=0,
+        roi=new(
+            "sensor_msgs/RegionOfInterest",
+            x_offset=0,
+            y_offset=0,
+            height=0,
+            width=0,
+            do_rectify=False,
+        ),
+    )
+
+
+def cloud_message(points_m: npt.NDArray[np.float32], header: Any) -> Any:
+    """A sensor_msgs/PointCloud2 of points [n, 3], metres."""
+    fields = [
+        new("sensor_msgs/PointField", name=axis, offset=4 * k, datatype=7, count=1)
+        for k, axis in enumerate("xyz")
+    ]
+    data = np.ascontiguousarray(points_m, dtype="<f4")
+    return new(
+        "sensor_msgs/PointCloud2",
+        header=header,
+        height=1,
+        width=len(data),
+        fields=fields,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(data),
+        data=data.view(np.uint8).reshape(-1),
+        is_dense=True,
+    )
