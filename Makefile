@@ -35,6 +35,7 @@ bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks.parsing
 	$(PY) -m benchmarks.odometry
 	$(PY) -m benchmarks.track_hour
+	$(PY) -m benchmarks.reading
 
 crash: .venv/installed ## Kill writers and break their disk, hundreds of times (some minutes)
 	$(PY) -m tests.crash.kills 250
@@ -43,8 +44,11 @@ crash: .venv/installed ## Kill writers and break their disk, hundreds of times (
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
 	$(PY) -m benchmarks.heading
 
-accuracy: .venv/installed ## Measure the accuracy of the maps
+accuracy: .venv/installed ## Measure the accuracy of maps, mounts and clocks
 	$(PY) -m benchmarks.accuracy
+	$(PY) -m benchmarks.rectified
+	$(PY) -m benchmarks.mounting
+	$(PY) -m benchmarks.clock
 
 fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each)
 	$(PY) -m fuzz --seconds $(or $(SECONDS),30)

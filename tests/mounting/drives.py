@@ -100,9 +100,8 @@ def rendered(
     sway_deg: float = 0.25,
     walls: bool = False,
     textured: bool = True,
-    stated: Mount = NO_MOUNT,
 ) -> Drive:
-    """A drive of a camera that really hangs as `mount` says, while its rig says `stated`.
+    """A drive of a camera that really hangs as `mount` says, while its rig says `NO_MOUNT`.
 
     A negative step is reverse. The drive is made once: copy what you change.
     """
@@ -122,7 +121,7 @@ def rendered(
         middle = heading + step_m * curvature_per_m / 2.0
         x, y = x + step_m * math.sin(middle), y + step_m * math.cos(middle)
         heading += step_m * curvature_per_m
-    return Drive(Rig(CAMERA, stated, LeverArm(0.0, 0.0, 2.0)), shots)
+    return Drive(Rig(CAMERA, NO_MOUNT, LeverArm(0.0, 0.0, 2.0)), shots)
 
 
 def _texture() -> Image:
