@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = ROOT / ".." / "shared" / "data"
 TWO_LANES = ROOT / "examples" / "two_lanes"
+
+# Beside other programs the threads of BLAS wait for each other longer than they work on bands as
+# narrow as the smoother's. It is read when NumPy is imported, which comes after this.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture

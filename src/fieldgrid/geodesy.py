@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.errors import DatumError
+from fieldgrid.errors import ConfigError, DatumError
 
 _Float64 = npt.NDArray[np.float64]
 
@@ -22,6 +22,9 @@ SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY_SQ = FLATTENING * (2.0 - FLATTENING)
 SEMI_MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)
+
+FAR_BEYOND_DEG = 10.0
+"""How far from its area of use a reference system is certainly not meant."""
 
 MAX_DISTANCE_M = 50_000.0
 """How far from its datum an LTP coordinate is accepted: beyond, "up" is tilted by over 0.45°."""
@@ -110,6 +113,28 @@ class Datum:
     def _axes(self) -> tuple[float, float, float, float]:
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
         return math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+
+
+def check_area_of_use(epsg: int, datum: Datum) -> None:
+    """Raise ConfigError for a reference system that is made for another part of the Earth.
+
+    The neighbouring zones of a projection are used by many, so it is far beyond its area only.
+    """
+    from pyproj import CRS  # late, as above
+
+    crs = CRS.from_epsg(epsg)
+    area = crs.area_of_use
+    if area is None:
+        return
+    width_deg = (area.east - area.west) % 360.0 or 360.0  # it may cross the antimeridian
+    beyond_deg = (datum.lon_deg - area.west) % 360.0 - width_deg
+    beyond_deg = min(beyond_deg, 360.0 - width_deg - beyond_deg)
+    beyond_deg = max(beyond_deg, area.south - datum.lat_deg, datum.lat_deg - area.north)
+    if beyond_deg > FAR_BEYOND_DEG:
+        raise ConfigError(
+            f"EPSG:{epsg} ({crs.name}) is made for {area.name}, and the map lies at "
+            f"{datum.lat_deg:.2f}, {datum.lon_deg:.2f}; choose a system that is used there."
+        )
 
 
 def geodetic_to_ecef(

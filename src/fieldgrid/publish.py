@@ -34,7 +34,26 @@ def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         if isinstance(error, FieldgridError):
             raise
         raise MapWriteError(
-            f"{path} could not be written ({error.strerror}); check the space on the disk."
+            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
+        ) from error
+    finally:
+        draft.discard()
+
+
+@contextmanager
+def replacing_folder(
+    path: Path, *, overwrite: bool, ours: Callable[[Path], bool], what: str
+) -> Iterator[Path]:
+    """The same for a folder, as :class:`DraftFolder` says."""
+    draft = DraftFolder(path, overwrite=overwrite, ours=ours, what=what)
+    try:
+        yield draft.folder
+        draft.publish()
+    except OSError as error:
+        if isinstance(error, FieldgridError):
+            raise
+        raise MapWriteError(
+            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
         ) from error
     finally:
         draft.discard()

@@ -303,7 +303,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no mounting": (
         lambda drive: (drive / MOUNTING).unlink(),
-        r"run `fieldgrid mount .* --write`",
+        r"run `fieldgrid mount .* --write --antenna FORWARD LEFT UP`",
     ),
     "no overlap in time": (
         lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),

@@ -89,6 +89,7 @@ def test_a_layer_as_of_a_session_in_another_system(
         ("OUT/x.tif --bounds nan 0 1 1", "are empty; give west south east north"),
         ("OUT/x.tif --bounds 900 0 999 9", "hold nothing of the map, which lies between -10 -7"),
         ("OUT/x.tif --bounds 0 0 9e9 99", "over 10 thousand million; give smaller bounds"),
+        ("OUT/x.tif --bounds 0 0 1e300 1e300", r"^2e\+301 x 2e\+301 cells of"),
         ("OUT/x.png --bounds 0 0 9e3 9", "A PNG of 180000 x 180 pixels is more than"),
         ("OUT/x.kmz --bounds 0 0 9e3 99", r"88 pictures, .* or cells of 0\.1 m"),
         ("OUT/x.png --layer count", "8 bits a pixel, too few for the layer 'count'"),
@@ -104,6 +105,15 @@ def test_exports_that_cannot_be(
         words += ["--format", "geotiff"]
     sentence = fieldgrid("export", f_map, *words).sentence()
     assert re.search(message, sentence), sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_has_a_name(
+    fieldgrid: Run, f_map: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = fieldgrid("export", f_map, "-", "--format", "csv").usage()
+    assert "it is the name of a file or a folder" in " ".join(told.split())
     assert list(tmp_path.iterdir()) == []
 
 

@@ -102,6 +102,7 @@ def test_a_figure(fieldgrid: Run, few: Path, tmp_path: Path) -> None:
         (("--topic", "left"), "'left' is not ROLE=TOPIC"),
         (("--topic", "left=/a", "--topic", "left=/b"), "left is given twice"),
         (("--time-offset", "nan"), "is no number of seconds"),
+        (("--time-offset", "1e300"), "is no number of seconds"),
     ],
 )
 def test_options_that_are_wrong(
@@ -132,6 +133,24 @@ def test_a_log_takes_no_mounting(fieldgrid: Run, few: Path, tmp_path: Path) -> N
     log = TWO_LANES / "gnss" / RTK
     result = fieldgrid("track", log, "-o", tmp_path / "t.csv", "--time-offset", "1")
     assert "no recording with images; leave --time-offset out" in result.sentence()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--time-offset", "1"), ("no recording with images.", "Leave --time-offset out.")),
+        (("--mounting", "m.json"), ("no recording with images.", "Leave --mounting out.")),
+        (("--topic", "fix=/fix"), ("no bag and has no topics.", "Leave --topic fix out.")),
+    ],
+)
+def test_inspect_refuses_for_a_log_what_track_does(
+    fieldgrid: Run, options: tuple[str, ...], told: tuple[str, str]
+) -> None:
+    result = fieldgrid("inspect", TWO_LANES / "gnss" / RTK, *options, "--json")
+    assert (result.status, result.err) == (1, "")
+    (one,) = json.loads(result.out)["findings"]
+    assert one["message"].endswith(told[0])
+    assert one["remedy"] == told[1]
 
 
 def test_build_says_what_would_bring_images_and_fixes_together(

@@ -72,6 +72,10 @@ def test_only_a_zarr_store_is_overwritten(universal: MapFile, tmp_path: Path) ->
     export_map(universal, out, overwrite=True)
     with pytest.raises(MapExistsError, match="--overwrite"):
         export_map(universal, out)
+    (out / "thesis.txt").write_text("mine")
+    with pytest.raises(MapExistsError, match="holds other things than a Zarr store"):
+        export_map(universal, out, overwrite=True)
+    (out / "thesis.txt").unlink()
     export_map(universal, out, Selection(cell_m=COARSE_M), overwrite=True)
     assert zarr.open_group(out, mode="r")["density"].shape == (64, 96)
     assert [path.name for path in tmp_path.iterdir()] == ["map.zarr"]

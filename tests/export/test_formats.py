@@ -31,9 +31,11 @@ def test_a_format_says_what_it_is_and_has_a_writer(name: str) -> None:
 def test_no_two_formats_share_an_ending() -> None:
     endings = [ending for known in FORMATS.values() for ending in known.endings]
     assert len(set(endings)) == len(endings)
+    for ending in endings:
+        assert [one for one in endings if ending.endswith(one)] == [ending]
 
 
-def test_a_name_wins_over_an_ending_and_a_longer_ending_over_a_shorter() -> None:
+def test_a_name_wins_over_an_ending_and_the_last_ending_counts() -> None:
     assert format_of(Path("x.tif"), "png") == "png"
     assert format_of(Path("x.png.tif")) == "geotiff"
 

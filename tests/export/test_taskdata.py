@@ -231,9 +231,11 @@ def test_what_cannot_be(
             export_map(universal, out)
     assert list(tmp_path.iterdir()) == []
     out.mkdir()
-    (out / "photo.jpg").write_text("mine")
-    with pytest.raises(MapExistsError, match="holds other things than task data"):
+    (out / "TASKDATA.XML").write_text("<a/>")
+    (out / "TLG00001.bin").write_text("the log of a terminal")
+    with pytest.raises(MapExistsError, match="holds other things than exported task data"):
         export_map(universal, out, overwrite=True)
+    assert (out / "TLG00001.bin").read_text() == "the log of a terminal"
 
 
 def test_a_full_disk_leaves_nothing(

@@ -278,9 +278,12 @@ def test_a_folder_of_shapefiles(universal: MapFile, tmp_path: Path) -> None:
     assert {path.suffix for path in out.iterdir()} == {".shp", ".shx", ".dbf", ".prj", ".cpg"}
     check_obstacles(read_shapefiles(out)["obstacle"])
     export_map(universal, out, format="shapefile", overwrite=True)
-    (out / "notes.docx").write_text("mine")
-    with pytest.raises(MapExistsError, match="holds other things than shapefiles"):
-        export_map(universal, out, format="shapefile", overwrite=True)
+    for name in ("notes.docx", "roads.shp"):
+        (out / name).write_text("mine")
+        with pytest.raises(MapExistsError, match="holds other things than exported shapefiles"):
+            export_map(universal, out, format="shapefile", overwrite=True)
+        assert (out / name).read_text() == "mine"
+        (out / name).unlink()
 
 
 def test_an_older_gdal_reads_it_without_a_warning(universal: MapFile, tmp_path: Path) -> None:

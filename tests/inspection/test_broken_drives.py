@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,6 +68,26 @@ def test_a_poorer_log_is_told_and_no_more() -> None:
     assert serious(found) == {"fix-gaps"}
     assert found.clock is not None
     assert abs(found.clock.offset_s) < 3.0 * found.clock.sigma_s
+
+
+@pytest.mark.parametrize("pose", [{"visual_odometry": False}, {"heading": "course"}])
+def test_a_build_that_does_not_follow_the_camera(drive: Make, pose: dict[str, Any]) -> None:
+    settings = BuildSettings.model_validate({"pose": pose})
+    found = inspect_recording(drive(frames=FEW), settings)
+    assert found.builds
+    assert codes(found, Severity.ERROR) == set()
+    assert (found.looked, found.followed, found.camera_pairs) == (len(FEW), 0, 0)
+    assert found.ground is not None
+
+
+def test_a_drive_none_of_whose_poses_is_good_enough(drive: Make) -> None:
+    settings = BuildSettings.model_validate({"pose": {"max_heading_sigma_deg": 0.001}})
+    found = inspect_recording(drive(frames=FEW), settings)
+    assert not found.builds
+    message, _ = finding(found, "no-pose")
+    assert "poses of the drive can be used, mostly because: heading sigma" in message
+    assert found.sync is None
+    assert "images-without-fix" not in codes(found)
 
 
 def test_kitti_is_sound_but_for_its_first_fixes(shared_data: Callable[[str], Path]) -> None:
@@ -161,7 +182,7 @@ def test_another_drive_s_log(drive: Make) -> None:
 
 
 def test_backward_stamps(drive: Make) -> None:
-    folder = drive(frames=FEW, imu=False)
+    folder = drive(frames=FEW)
     fixes_as_table(folder, 0.0, backward=True)
     found = inspect_recording(folder)
     assert serious(found) == {"backward-stamps"}
@@ -307,6 +328,18 @@ def test_one_and_two_frames(drive: Make) -> None:
 # --- rigs
 
 
+def test_a_drive_that_does_not_say_how_its_camera_is_mounted(drive: Make) -> None:
+    """Everything else of it is shown."""
+    folder = drive(frames=FEW)
+    (folder / "calibration" / "mounting.json").unlink()
+    found = inspect_recording(folder)
+    assert not found.builds
+    assert serious(found) == {"calibration"}
+    assert "fieldgrid mount" in finding(found, "calibration")[1]
+    assert {stream.role for stream in found.streams} >= {"left", "right", "fix"}
+    assert found.rig is None
+
+
 def test_a_forgotten_lever_arm(drive: Make) -> None:
     folder = drive(frames=FEW)
     change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=[0, 0, 0])
@@ -355,7 +388,7 @@ def test_a_build_fails_where_the_inspection_says_so(
     drive: Make, tmp_path: Path, fault: str
 ) -> None:
     moved_s = {"zone": 3600.0, "gps": 15.0}.get(fault, 0.0)
-    frames = range(50) if fault == "gps" else FEW
+    frames = range(24) if fault == "gps" else FEW  # neighbours: their steps tell the clock
     folder = drive(frames=frames, moved_s=moved_s)
     if fault == "swapped":
         exchange(folder)

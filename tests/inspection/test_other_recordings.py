@@ -66,6 +66,7 @@ def test_a_bag_without_a_topic_that_is_needed(tmp_path: Path) -> None:
     path = bag_of(tmp_path, said, maker)
     found = inspect_recording(path, mounting=MOUNTING)
     assert not found.builds
+    assert {stream.name for stream in found.streams} == {one.topic for one in said}
     assert "no-images" in codes(found)
     assert found.fixes is not None
     assert found.fixes.log.accepted == 437

@@ -119,3 +119,5 @@ def test_clocks_that_differ_by_their_receipt() -> None:
     assert finding.code == "stamp-delays"
     assert "--time-offset 0.350" in finding.remedy
     assert codes(stream(stamps, jitter(len(stamps))), fixes) == []
+    # Stamps that count from the start of the sensor are mended by no offset.
+    assert codes(stream(stamps, jitter(len(stamps)) + 1.3e9), fixes) == []

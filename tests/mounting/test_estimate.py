@@ -55,9 +55,9 @@ def test_the_mount_of_a_rendered_drive_is_found(mount: Mount, drive: dict[str, f
 
 
 def test_what_is_stated_of_the_mount_does_not_enter() -> None:
-    mount = Mount(2.0, 18.0, 2.5, -3.0)
+    drive = rendered(Mount(2.0, 18.0), frames=12)
     one, other = (
-        estimate_mount(rendered(mount, frames=13, stated=stated))
+        estimate_mount(replace(drive, rig=replace(drive.rig, mount=stated)))
         for stated in (Mount(1.0, 0.0), Mount(3.0, 50.0, -15.0, 20.0))
     )
     assert one.measured() == other.measured()

@@ -184,9 +184,16 @@ def test_what_is_told_of_clouds(tmp_path: Path) -> None:
     assert not any("steradian" in note for note in recording.notes)
 
 
-def test_a_cloud_of_few_points_says_nothing_of_the_lidar(tmp_path: Path) -> None:
+def test_clouds_of_few_points_say_nothing_of_the_lidar(tmp_path: Path) -> None:
     drive = folder(tmp_path, ("clouds",))
     np.save(drive / "clouds" / f"{START_S + 1}000000000.npy", np.ones((50, 3)))
+    with open_recording(drive) as recording:  # by another cloud, then
+        sensor = recording.rig.sensor
+        assert isinstance(sensor, Lidar)
+        assert sensor.points_per_sr == pytest.approx(np.radians(1.0) ** -2, rel=0.2)
+        assert any(f"by clouds/{START_S}000000000.npy" in note for note in recording.notes)
+    for k in (0, 2):
+        np.save(drive / "clouds" / f"{START_S + k}000000000.npy", np.zeros((0, 3)))
     fails(drive, r"1308133816000000000\.npy: A cloud of 50 points", CalibrationError)
 
 

@@ -26,6 +26,7 @@ from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
 _T = TypeVar("_T")
+_Item = TypeVar("_Item")
 
 
 class Perceived(NamedTuple):
@@ -87,6 +88,11 @@ class CameraMotion:
         """How many pairs gave no step."""
         return sum(isinstance(one, Refusal) for one in self._found)
 
+    @property
+    def tried(self) -> int:
+        """How many pairs of neighbours there were."""
+        return len(self._found)
+
     def steps(self) -> Steps:
         """The steps between the frames so far."""
         return steps_of(self._times_ns, self._found)
@@ -105,16 +111,17 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     return motion.steps()
 
 
-def side_by_side(work: Callable[[Frame], _T], frames: Iterable[Frame], jobs: int) -> Iterator[_T]:
-    """The work on frames, in their order, `jobs` at a time."""
+def side_by_side(work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int) -> Iterator[_T]:
+    """The work on frames, or on what else there is one of a frame, in their order, `jobs` at a
+    time."""
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
     cv2.setNumThreads(1)
     pool = ThreadPoolExecutor(jobs, thread_name_prefix="fieldgrid")
     pending: deque[Future[_T]] = deque()
     try:
-        for frame in frames:
-            pending.append(pool.submit(work, frame))
+        for item in items:
+            pending.append(pool.submit(work, item))
             if len(pending) > jobs + 1:
                 yield pending.popleft().result()
         while pending:
@@ -130,7 +137,7 @@ def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Percei
     start = time.thread_time()
     to_grid: Callable[[npt.NDArray[np.float32]], tuple[LocalGrid, FrameGround]]
     if isinstance(frame, DepthFrame):
-        seen, to_grid = _depths(frame), gridder.from_depth
+        seen, to_grid = checked_depth_m(frame), gridder.from_depth
     else:
         seen, to_grid = frame.cloud.read(), gridder.from_cloud
     hashes = tuple(source.sha256() for source in frame.sources)
@@ -164,8 +171,11 @@ def _perceive_pair(frame: StereoFrame, gridder: LocalGridder, odometry: bool) ->
     )
 
 
-def _depths(frame: DepthFrame) -> npt.NDArray[np.float32]:
-    """The depths of a frame, once it is sure that they are of the calibrated size."""
+def checked_depth_m(frame: DepthFrame) -> npt.NDArray[np.float32]:
+    """The depths of a frame, once it is sure that they are of the calibrated size.
+
+    Raises CalibrationError when they are not.
+    """
     depth_m = frame.depth.read()
     width, height = frame.size_px
     if depth_m.shape != (height, width):
@@ -186,7 +196,7 @@ def local_grid(frame: Frame, rig: Rig, settings: BuildSettings | None = None) ->
     matched and gridded here."""
     gridder = _gridder(rig, settings or BuildSettings())
     if isinstance(frame, DepthFrame):
-        grid, _ = gridder.from_depth(_depths(frame))
+        grid, _ = gridder.from_depth(checked_depth_m(frame))
     elif isinstance(frame, CloudFrame):
         grid, _ = gridder.from_cloud(frame.cloud.read())
     else:

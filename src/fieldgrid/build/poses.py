@@ -124,8 +124,8 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
     if not trajectory.accepted.any():
         commonest = Counter(trajectory.reason).most_common(1)[0][0]
         raise GnssError(
-            f"None of the {len(trajectory)} fixes gives a pose, mostly because: {commonest}; "
-            "choose another log with --gnss or another --heading."
+            f"None of the {len(trajectory)} poses of the drive can be used, mostly because: "
+            f"{commonest}; choose another log with --gnss or another --heading."
         )
     poses = (trajectory.at(time_ns) for time_ns in images.tolist())
     reasons: Counter[str] = Counter()

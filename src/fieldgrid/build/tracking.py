@@ -74,7 +74,7 @@ def track_drive(
         ) as recording:
             estimate = estimate_drive(recording, settings, datum)
             return TrackedDrive(recording.name, recording.gnss_source, estimate, recording.notes)
-    _refuse_options(path, options)
+    refuse_options(path, options)
     if recognises(path):
         bare = open_bare(path, gnss, columns)
         if bare.rig is not None:
@@ -108,7 +108,7 @@ def _tracked_bag(
         return TrackedDrive(drive.name, drive.gnss_source, estimate, notes)
 
 
-def _refuse_options(path: Path, options: Options) -> None:
+def refuse_options(path: Path, options: Options) -> None:
     """Raise ConfigError for what is said of images or topics where there are none."""
     options.refuse_topics(path)
     if options.mounting is not None or options.image_time_offset_ns is not None:

@@ -7,11 +7,16 @@ data, 2 a wrong use of the command.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import signal
 import sys
 from typing import Annotated
 
 import typer
+
+# Before NumPy is imported: the banded systems of a drive are too small for the threads of BLAS,
+# which then wait for each other, four times as long as one thread takes.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from fieldgrid.cli import (
     build,

@@ -112,6 +112,8 @@ def command(
     from fieldgrid.export import Selection, export_map, format_of
     from fieldgrid.mapfile import open_map
 
+    if str(out) == "-":
+        raise typer.BadParameter("it is the name of a file or a folder", param_hint="OUT")
     name = format_of(out, format_)
     selection = Selection(parse.bounds(bounds), cell, layer, at)
     options = {

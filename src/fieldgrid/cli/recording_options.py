@@ -80,6 +80,6 @@ def given(topics: list[str] | None, mounting: Path | None, offset_s: float | Non
         if match[1] in by_role:
             raise typer.BadParameter(f"{match[1]} is given twice", param_hint="--topic")
         by_role[match[1]] = match[2]
-    if offset_s is not None and not math.isfinite(offset_s):
+    if offset_s is not None and not math.isfinite(offset_s * 1e9):  # as nanoseconds below
         raise typer.BadParameter(f"{offset_s} is no number of seconds", param_hint="--time-offset")
     return Given(by_role, mounting, None if offset_s is None else round(offset_s * 1e9))

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.errors import ConfigError
 from fieldgrid.export.formats import Exported
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.mapfile import MapFile, MapView
-from fieldgrid.publish import DraftFolder, replacing
+from fieldgrid.publish import replacing, replacing_folder
 
 
 def export_npz(
@@ -59,24 +59,16 @@ def export_zarr(
             "run: pip install 'fieldgrid[tables]'"
         ) from error
     view = selection.view(universal, ("count",))
-    draft = DraftFolder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store")
-    try:
+    with replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft:
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
-        view.to_xarray().to_zarr(draft.folder, mode="w", zarr_format=2, consolidated=True)
-        draft.publish()
-    except OSError as error:
-        if isinstance(error, MapWriteError):
-            raise
-        raise MapWriteError(
-            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
-        ) from error
-    finally:
-        draft.discard()
+        view.to_xarray().to_zarr(draft, mode="w", zarr_format=2, consolidated=True)
     return Exported((path,), _size(view))
 
 
 def _is_zarr(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (".zgroup", "zarr.json"))
+    return (folder / ".zgroup").is_file() and all(
+        entry.name.startswith(".z") or (entry / ".zarray").is_file() for entry in folder.iterdir()
+    )
 
 
 def _size(view: MapView) -> tuple[tuple[str, str], ...]:

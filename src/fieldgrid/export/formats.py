@@ -131,24 +131,18 @@ FORMATS: dict[str, Format] = {
 
 
 def format_of(path: Path, name: str | None = None) -> str:
-    """The format by its name, or by the ending of a path; ConfigError for neither."""
+    """The format by its name, or else by the ending of a path; ConfigError for neither."""
     if name is not None:
         if name not in FORMATS:
             raise ConfigError(f"{name!r} is no format; known are {', '.join(FORMATS)}.")
         return name
-    # The longest ending wins: .nav2.yaml before .yaml.
-    found = [
-        (len(ending), key)
-        for key, known in FORMATS.items()
-        for ending in known.endings
-        if path.name.lower().endswith(ending)
-    ]
-    if not found:
-        endings = ", ".join(e for known in FORMATS.values() for e in known.endings)
-        raise ConfigError(
-            f"{path.name} ends in none of {endings}; choose one of them, or give --format."
-        )
-    return max(found)[1]
+    for key, known in FORMATS.items():
+        if path.name.lower().endswith(known.endings):
+            return key
+    endings = ", ".join(e for known in FORMATS.values() for e in known.endings)
+    raise ConfigError(
+        f"{path.name} ends in none of {endings}; choose one of them, or give --format."
+    )
 
 
 def _refuse_map(path: Path) -> None:

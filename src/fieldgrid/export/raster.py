@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum
+from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
 from fieldgrid.publish import Draft
@@ -128,7 +128,7 @@ def painted(
         with selection.pieces(universal) as pieces:
             tags = _tags(universal, selection)
             plane = plane_of(universal.datum, pieces.lattice, pieces.window)
-            other = None if epsg is None else _reprojected(plane, epsg)
+            other = None if epsg is None else _reprojected(plane, epsg, universal.datum)
             if check is not None:
                 check(other or plane)
             file = scratch.file("pixels")
@@ -304,12 +304,13 @@ def _rows(
     )
 
 
-def _reprojected(source: Plane, epsg: int) -> Plane:
+def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
     """Square pixels north up that cover a raster, as large as its cells in the middle."""
     from rasterio.transform import Affine
     from rasterio.warp import transform, transform_bounds
 
     crs = _crs_of(epsg)
+    check_area_of_use(epsg, datum)
     west, north = source.at(0, 0)
     east, south = source.at(source.width, source.height)
     half_m = source.transform.a * 0.5

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import FeatureLayer, feature_layers, obstacle_settings
 from fieldgrid.export.formats import Exported
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.mapfile import MapFile, MapView
-from fieldgrid.publish import DraftFolder
+from fieldgrid.publish import replacing_folder
 from fieldgrid.trajectory import Status
 
 _DECIMALS = 9
@@ -84,18 +84,10 @@ def export_taskdata(
     view = selection.view(universal)
     grid = zone_grid(view, settings.above)
     field = _field(universal, obstacles, drives, footprints)
-    draft = DraftFolder(path, overwrite=overwrite, ours=_is_taskdata, what="task data")
-    try:
-        _write(draft.folder, field, grid)
-        draft.publish()
-    except OSError as error:
-        if isinstance(error, MapWriteError):
-            raise
-        raise MapWriteError(
-            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
-        ) from error
-    finally:
-        draft.discard()
+    with replacing_folder(
+        path, overwrite=overwrite, ours=_is_taskdata, what="exported task data"
+    ) as draft:
+        _write(draft, field, grid)
     rows, columns = grid.zones.shape
     return Exported(
         (path,),
@@ -119,7 +111,8 @@ def _require_library() -> None:
 
 
 def _is_taskdata(folder: Path) -> bool:
-    return (folder / "TASKDATA.XML").is_file()
+    # A terminal's own task data hold more: the logs of its work, which are nowhere else.
+    return {entry.name for entry in folder.iterdir()} == {"TASKDATA.XML", "GRD00001.bin"}
 
 
 class ZoneGrid(NamedTuple):

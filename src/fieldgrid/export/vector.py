@@ -22,7 +22,7 @@ from fieldgrid.export.formats import Exported
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
-from fieldgrid.publish import DraftFolder, replacing
+from fieldgrid.publish import replacing, replacing_folder
 
 _SHAPEFILE_NAMES = {
     "mean_density": "mean_dens",
@@ -131,12 +131,10 @@ def export_shapefile(
                 for part in sorted(Path(folder).iterdir()):
                     archive.write(part, part.name)
         return Exported((path,), _rows(layers))
-    draft = DraftFolder(path, overwrite=overwrite, ours=_is_shapefiles, what="shapefiles")
-    try:
-        _write_shapefiles(draft.folder, path, layers, universal.datum)
-        draft.publish()
-    finally:
-        draft.discard()
+    with replacing_folder(
+        path, overwrite=overwrite, ours=_is_shapefiles, what="exported shapefiles"
+    ) as draft:
+        _write_shapefiles(draft, path, layers, universal.datum)
     return Exported((path,), _rows(layers))
 
 
@@ -156,7 +154,8 @@ def _write_shapefiles(
 
 def _is_shapefiles(folder: Path) -> bool:
     endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
-    return all(entry.is_file() and entry.suffix in endings for entry in folder.iterdir())
+    # Shapefiles of other names are somebody's own.
+    return all(entry.stem in LAYERS and entry.suffix in endings for entry in folder.iterdir())
 
 
 def _layers(

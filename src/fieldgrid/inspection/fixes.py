@@ -90,10 +90,10 @@ def summarise_fixes(
     )
 
 
-def synchronisation(images_ns: _Int64, times_ns: _Int64) -> Sync:
-    """How near images are to accepted fixes; both in order of time."""
+def synchronisation(images_ns: _Int64, times_ns: _Int64) -> Sync | None:
+    """How near images are to accepted fixes, both in order of time; None without either."""
     if not len(times_ns) or not len(images_ns):
-        return Sync(float("inf"), float("inf"), 1.0)
+        return None
     after = np.searchsorted(times_ns, images_ns)
     inside = (after > 0) & (after < len(times_ns))
     later = times_ns[np.minimum(after, len(times_ns) - 1)]

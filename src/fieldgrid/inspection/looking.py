@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -79,10 +79,9 @@ def _pairs(
     run_of = {index: k for k, run in enumerate(runs) for index in run}
     close = set(range(0, recording.frame_count, every))
     wanted = sorted(run_of.keys() | close)
-    index_of: dict[str, int] = {}
 
-    def work(frame: Frame) -> _Found | Unread:
-        index = index_of[frame.frame_id]
+    def work(item: tuple[int, Frame]) -> _Found | Unread:
+        index, frame = item
         try:
             return _found(pair_of(frame), gridder, index in run_of, index in close)
         except FieldgridError as problem:
@@ -93,7 +92,8 @@ def _pairs(
     looks: list[Look] = []
     unread: list[Unread] = []
     followed = 0
-    made = side_by_side(work, _chosen(recording, set(wanted), index_of), os.cpu_count() or 1)
+    chosen = ((k, frame) for k, frame in enumerate(recording.frames()) if k in run_of or k in close)
+    made = side_by_side(work, chosen, os.cpu_count() or 1)
     for done, found in enumerate(made):
         if tell is not None:
             tell(done + 1, len(wanted))
@@ -105,24 +105,16 @@ def _pairs(
         if found.features is not None:  # what is made of the frames comes in their order
             motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
             followed += 1
-    steps = _joined([motion.steps() for motion in motions])
+    steps = _joined([motion.steps() for motion in motions]) if motions else None
     return Seen(
         looks=tuple(looks),
         grounds=tuple(look.ground for look in looks),
         observed_shares=tuple(look.observed_share for look in looks),
         unread=tuple(unread),
         steps=steps,
-        tried=len(steps.start_ns) + sum(motion.refused for motion in motions),
+        tried=sum(motion.tried for motion in motions),
         followed=followed,
     )
-
-
-def _chosen(recording: Recording, wanted: set[int], index_of: dict[str, int]) -> Iterator[Frame]:
-    """The wanted frames in order; where each stands is put down as it is given."""
-    for index, frame in enumerate(recording.frames()):
-        if index in wanted:
-            index_of[frame.frame_id] = index
-            yield frame
 
 
 def _found(frame: StereoFrame, gridder: LocalGridder, follow: bool, close: bool) -> _Found:

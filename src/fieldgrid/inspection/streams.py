@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.recording import Stream
+from fieldgrid.recording.options import MAX_OFFSET_S
 
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]
@@ -238,7 +239,9 @@ def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
         return
     (image, image_s), (fix, fix_s) = images, fixes
     apart_s = image_s - fix_s
-    if abs(apart_s) > APART_S:
+    # Beyond what an offset can be, stamps count from when a sensor was switched on; the recorder's
+    # times stand for them.
+    if APART_S < abs(apart_s) <= MAX_OFFSET_S:
         yield info(
             "stamp-delays",
             f"From stamp to being written down it takes {image_s:+.3f} s in {image.name} and "

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from fieldgrid.errors import ConfigError, FieldgridError, RecordingError
+from fieldgrid.build.tracking import refuse_options
+from fieldgrid.errors import CalibrationError, ConfigError, FieldgridError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
@@ -25,6 +26,7 @@ from fieldgrid.recording import (
     kind_of,
     open_log,
     open_recording,
+    open_unmounted,
 )
 from fieldgrid.recording.bare import BareDrive, open_bare, recognises
 from fieldgrid.recording.isoxml import is_time_log
@@ -78,7 +80,8 @@ def open_subject(path: Path, options: Options) -> Subject:
             return _of_bare(path, "ROS bag without frames", drive, options)
         return of_recording(drive, str(path), kind_of(path))
     if is_recording(path):
-        return of_recording(_open(path, options), str(path), kind_of(path))
+        return _of_frames(path, options)
+    refuse_options(path, options)
     if recognises(path):
         bare = open_bare(path, options.gnss, options.columns)
         return _of_bare(path, "folder without images", bare, options)
@@ -117,14 +120,34 @@ def of_recording(recording: Recording, path: str = "", kind: str = "recording") 
 
 
 def _open(path: Path, options: Options) -> Recording:
-    return open_recording(
-        path,
-        options.gnss,
-        options.columns,
-        topics=options.topics,
-        mounting=options.mounting,
-        image_time_offset_ns=options.image_time_offset_ns,
-    )
+    return open_recording(path, **_opening(options))
+
+
+def _opening(options: Options) -> dict[str, Any]:
+    return {
+        "gnss": options.gnss,
+        "columns": options.columns,
+        "topics": options.topics,
+        "mounting": options.mounting,
+        "image_time_offset_ns": options.image_time_offset_ns,
+    }
+
+
+def _of_frames(path: Path, options: Options) -> Subject:
+    """A folder with frames; where it lacks a mounting only, all of it but a rig."""
+    try:
+        return of_recording(_open(path, options), str(path), kind_of(path))
+    except CalibrationError as problem:
+        with open_unmounted(path, **_opening(options))[0] as recording:
+            found = of_recording(recording)
+            return replace(
+                found,
+                path=str(path),
+                kind=kind_of(path),
+                recording=None,
+                rig=None,
+                refusal=problem,
+            )
 
 
 def _refusal(path: Path, options: Options) -> FieldgridError | None:

@@ -48,8 +48,8 @@ def read_pieces(evidence: Evidence, header: Header, request: Request) -> Pieces:
     window = request.window
     if window.width * window.height > MAX_CELLS:
         raise ConfigError(
-            f"{window.width} x {window.height} cells of {request.lattice.cell_m} m are over "
-            f"{MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
+            f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
+            f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
     level = stored_level(evidence, header, request)
     if level is not None:

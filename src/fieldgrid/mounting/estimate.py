@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.build.perception import side_by_side
-from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.errors import RecordingError
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.looks import Look, Looker
 from fieldgrid.mounting.measured import Measured, mean_of
@@ -23,14 +23,10 @@ from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
 from fieldgrid.odometry import Motion3, Refusal, camera_motion
-from fieldgrid.recording import Frame, Mounting, Recording, open_recording
-from fieldgrid.recording.places import mounting_place
+from fieldgrid.recording import Frame, Recording, open_unmounted
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 
 _Float64 = npt.NDArray[np.float64]
-
-NO_MOUNTING = Mounting(Mount(1.0, 0.0), LeverArm(0.0, 0.0, 0.0), source="no mounting")
-"""Opens a recording that states none; nothing of it is used."""
 
 FEWEST_STANDS = 8
 """With fewer frames under which the ground was seen, the planes ahead have to do."""
@@ -193,20 +189,6 @@ def estimate_mount(
     drive, states = open_unmounted(Path(recording), **opening)
     with drive:
         return _estimated(drive, drive.rig if states else None, every, jobs, progress)
-
-
-def open_unmounted(path: Path, **opening: Any) -> tuple[Recording, bool]:
-    """A recording that need not say how its sensor is mounted, and whether it does.
-
-    Where it does not, its rig has a mount that stands for none. `opening` as `open_recording`.
-    """
-    try:
-        return open_recording(path, **opening), True
-    except CalibrationError:
-        if opening.get("mounting") is not None or mounting_place(path).exists():
-            raise
-        # Any mounting will do; if there is another fault, this raises it.
-        return open_recording(path, **{**opening, "mounting": NO_MOUNTING}), False
 
 
 def _estimated(

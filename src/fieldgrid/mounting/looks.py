@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.build.perception import checked_depth_m
 from fieldgrid.errors import RecordingError
 from fieldgrid.mounting.passed import REACH_M, Patches
 from fieldgrid.mounting.plane import (
@@ -65,7 +66,7 @@ class Looker:
             seen = features(self._sensor, left, right)
             points_m, sigma_m = self._of_pair(self._sensor, left, right)
         elif isinstance(self._sensor, DepthCamera) and isinstance(frame, DepthFrame):
-            points_m, sigma_m = self._of_depth(self._sensor, frame.depth.read())
+            points_m, sigma_m = self._of_depth(self._sensor, checked_depth_m(frame))
         else:
             points_m, sigma_m = _of_cloud(frame)
         range_m = np.linalg.norm(points_m, axis=1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry
 from fieldgrid.recording.columns import Columns, columns_from_text
 from fieldgrid.recording.fix_log import FixLog
@@ -14,6 +14,7 @@ from fieldgrid.recording.images import ImageFile
 from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.options import ROLES, Options
+from fieldgrid.recording.places import mounting_place
 from fieldgrid.recording.protocol import (
     CloudFrame,
     CloudSource,
@@ -27,6 +28,7 @@ from fieldgrid.recording.protocol import (
     StereoFrame,
     Stream,
 )
+from fieldgrid.rig import LeverArm, Mount
 
 __all__ = [
     "ROLES",
@@ -52,7 +54,11 @@ __all__ = [
     "kind_of",
     "open_log",
     "open_recording",
+    "open_unmounted",
 ]
+
+
+_NO_MOUNTING = Mounting(Mount(1.0, 0.0), LeverArm(0.0, 0.0, 0.0), source="no mounting")
 
 
 class _Backend(NamedTuple):
@@ -137,6 +143,21 @@ def open_recording(
     raise RecordingError(
         f"{path} is no recording; looked for {kinds}; give the folder of one of these, or a bag."
     )
+
+
+def open_unmounted(path: Path, **opening: Any) -> tuple[Recording, bool]:
+    """A recording that need not say how its sensor is mounted, and whether it does.
+
+    Where it does not, its rig has a mount that stands for none. `opening` as of
+    :func:`open_recording`.
+    """
+    try:
+        return open_recording(path, **opening), True
+    except CalibrationError:
+        if opening.get("mounting") is not None or mounting_place(path).exists():
+            raise
+        # Any mounting will do; if there is another fault, this raises it.
+        return open_recording(path, **{**opening, "mounting": _NO_MOUNTING}), False
 
 
 def _unreadable(problem: OSError, path: Path) -> RecordingError:

@@ -26,6 +26,9 @@ from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Rig
 CALIBRATION = "calibration"
 DEPTH_INFO = "depth_camera_info.yaml"
 
+_MEASURED_AT = (0.5, 0.25, 0.75)
+"""Parts of the way through a drive at which clouds tell how dense they are."""
+
 _LAYOUTS = {"stereo": PAIRS, "depth": DEPTHS, "disparity": DISPARITIES, "cloud": CLOUDS}
 
 
@@ -158,11 +161,21 @@ def _clouds(
         return Seen(
             mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, CloudKind(axes), notes
         )
-    (name,) = shots[len(shots) // 2].files
-    source = CloudFile(path / name, axes)
-    try:
-        density = points_per_sr(source.read())
-    except CalibrationError as problem:
-        raise CalibrationError(f"{source.name}: {problem}") from problem
+    density, name = _measured_density(path, shots, axes)
     note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
     return Seen(mounting.rig(Lidar(density), offset_ns), shots, CloudKind(axes), (*notes, note))
+
+
+def _measured_density(path: Path, shots: tuple[Shot, ...], axes: str) -> tuple[float, str]:
+    """Points per steradian of the middle cloud, or of another where that one is next to empty;
+    and the name of its file."""
+    refusal: CalibrationError | None = None
+    for part in _MEASURED_AT:
+        (name,) = shots[int(part * len(shots))].files
+        source = CloudFile(path / name, axes)
+        try:
+            return points_per_sr(source.read()), name
+        except CalibrationError as problem:
+            refusal = refusal or CalibrationError(f"{source.name}: {problem}")
+    assert refusal is not None
+    raise refusal

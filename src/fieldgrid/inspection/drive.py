@@ -1,0 +1,266 @@
+"""What an inspection says of a drive, step by step in the order of a build.
+
+Each step gives the report with what it has found out, and adds to the findings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fieldgrid.build.doubt import check_cameras, swapped
+from fieldgrid.build.perception import follows_camera
+from fieldgrid.build.poses import check_images, check_poses, estimate_drive
+from fieldgrid.build.report import SessionReport
+from fieldgrid.errors import CalibrationError
+from fieldgrid.gnss import condition
+from fieldgrid.inspection.clocks import clock_findings, clock_unknown, with_gyro
+from fieldgrid.inspection.coverage import coverage, coverage_findings
+from fieldgrid.inspection.findings import Finding, stop, warning
+from fieldgrid.inspection.fixes import (
+    fix_findings,
+    pose_findings,
+    rejections,
+    summarise_fixes,
+    sync_findings,
+    synchronisation,
+)
+from fieldgrid.inspection.images import (
+    image_findings,
+    misalignment,
+    misalignment_findings,
+    unread_findings,
+)
+from fieldgrid.inspection.looking import Seen, Tell, look_at
+from fieldgrid.inspection.refusals import noted, refusal
+from fieldgrid.inspection.report import Inspection
+from fieldgrid.inspection.rigs import ground_seen, mount_findings, scale, scale_findings
+from fieldgrid.inspection.sampling import sample_every, stretches
+from fieldgrid.inspection.subject import Subject
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.pose import ClockOffset, Estimate
+from fieldgrid.pose.clock import clock_offset
+from fieldgrid.pose.placed import place
+from fieldgrid.recording import Recording
+from fieldgrid.rig import StereoCamera
+from fieldgrid.settings import BuildSettings
+
+GROUND_SHARE = 0.7
+"""Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
+
+
+def with_fixes(
+    found: Inspection, estimate: Estimate, subject: Subject, findings: list[Finding]
+) -> Inspection:
+    """The report with the fixes of a drive, judged, and the poses from them."""
+    fixes = sorted(subject.fixes, key=lambda fix: fix.time_ns)
+    accepted = estimate.trajectory.accepted[estimate.fix_row].tolist()
+    summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
+    findings += fix_findings(summary)
+    return replace(found, fixes=summary, trajectory=estimate.trajectory)
+
+
+def with_frames(
+    subject: Subject,
+    recording: Recording,
+    settings: BuildSettings,
+    found: Inspection,
+    findings: list[Finding],
+    tell: Tell | None,
+) -> Inspection:
+    """A whole recording, in the order of a build."""
+    found = replace(
+        found,
+        frames=recording.frame_count,
+        declared_offset_s=recording.rig.image_time_offset_ns / 1e9,
+    )
+    fixes_alone: Estimate | None = None
+    with noted(findings):
+        fixes_alone = estimate_drive(recording, settings)
+        found = with_fixes(found, fixes_alone, subject, findings)
+        with noted(findings, "no-overlap"):
+            check_images(recording, fixes_alone.trajectory)
+    with noted(findings):
+        gridder = LocalGridder(
+            recording.rig, settings.grid.spec(), settings.stereo, settings.density
+        )
+        seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
+        if fixes_alone is not None:
+            found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
+        found = _with_mount(recording, seen, found, findings)
+    return found
+
+
+def _looked(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    fixes_alone: Estimate | None,
+    found: Inspection,
+    findings: list[Finding],
+    tell: Tell | None,
+) -> tuple[Seen, Inspection]:
+    """The one pass over the frames, and what it says of images and cameras."""
+    every = sample_every(recording.frame_count)
+    times_ns, heading_deg = np.zeros(0, dtype=np.int64), np.zeros(0)
+    if fixes_alone is not None:
+        track = fixes_alone.trajectory
+        times_ns, heading_deg = track.time_ns, track.heading_deg
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    follow = follows_camera(recording.rig, settings)
+    runs = stretches(images_ns, times_ns, heading_deg) if follow else []
+    seen = look_at(recording, gridder, every, runs, tell)
+    looked = len(seen.grounds)
+    findings += unread_findings(seen.unread, looked + len(seen.unread))
+    findings += image_findings(seen.looks)
+    rows = None
+    if isinstance(recording.rig.sensor, StereoCamera):
+        camera = recording.rig.sensor
+        rows = misalignment(seen.looks, (camera.width_px, camera.height_px))
+        findings += misalignment_findings(rows)
+    if not seen.unread and looked:
+        findings += _camera_findings(recording, seen, every)
+    return seen, replace(
+        found,
+        looked=looked,
+        followed=seen.followed,
+        camera_steps=0 if seen.steps is None else len(seen.steps.start_ns),
+        camera_pairs=seen.tried,
+        looks=seen.looks,
+        misalignment=rows,
+    )
+
+
+def _camera_findings(recording: Recording, seen: Seen, every: int) -> Iterator[Finding]:
+    """What a build would refuse these cameras for, were all frames like those looked at."""
+    ground = sum(one.refined for one in seen.grounds)
+    steps = 0 if seen.steps is None else len(seen.steps.start_ns)
+    report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
+    try:
+        check_cameras(recording, report, ground, every)
+    except CalibrationError as problem:
+        pair = isinstance(recording.rig.sensor, StereoCamera)
+        exchanged = pair and swapped(recording, len(seen.grounds), every)
+        yield refusal(problem, "cameras-swapped" if exchanged else "cameras-unfit")
+        return
+    if ground == 0:
+        yield stop(
+            "no-ground",
+            f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
+            "heights above it are not known.",
+            "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
+        )
+    elif ground < GROUND_SHARE * len(seen.grounds):
+        mount = recording.rig.mount
+        yield warning(
+            "ground-missing",
+            f"The ground was found in {ground} of {len(seen.grounds)} frames that were looked at.",
+            f"Check the height of {mount.height_m:g} m and the tilt of {mount.tilt_deg:g}° in "
+            "mounting.json; `fieldgrid mount` measures them.",
+        )
+
+
+def _with_poses(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    fixes_alone: Estimate,
+    seen: Seen,
+    found: Inspection,
+    findings: list[Finding],
+) -> Inspection:
+    """The poses that frames will have, and the clocks that they depend on."""
+    clock = _clock(recording, settings, fixes_alone, seen)
+    off = clock is not None and clock.is_certain
+    by_way = None
+    if seen.steps is not None:
+        off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
+        by_way = scale(seen.steps, fixes_alone.trajectory, off_ns)
+        findings += scale_findings(by_way, recording.rig)
+    if clock is not None and off:
+        gyro = recording.motion().gyro
+        findings += clock_findings(
+            clock,
+            recording.rig.image_time_offset_ns,
+            fixes_alone.trajectory,
+            fixes_off=with_gyro(seen.steps, gyro, clock.offset_s),
+        )
+    elif clock is None and seen.followed and not (by_way is not None and by_way.is_off):
+        findings.append(clock_unknown(seen.followed))
+    estimate = fixes_alone
+    if seen.steps is not None and len(seen.steps.start_ns) and not off:
+        # Else the camera's motion would be laid beside that of other moments.
+        estimate = estimate_drive(recording, settings, steps=seen.steps)
+    track = estimate.trajectory
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
+    found = replace(
+        found,
+        sync=synchronisation(images_ns, track.time_ns[at_fixes]),
+        clock=clock,
+        scale=by_way,
+        trajectory=track,
+    )
+    if any(finding.code == "no-overlap" for finding in findings):
+        return found
+    return _with_map(recording, settings, gridder, found, findings, clocks_agree=not off)
+
+
+def _with_map(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    found: Inspection,
+    findings: list[Finding],
+    *,
+    clocks_agree: bool,
+) -> Inspection:
+    """The frames that will be used, and what they cover; of clocks that do not agree that says
+    nothing, and is no finding."""
+    track = found.trajectory
+    assert track is not None
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    told: list[Finding] = []
+    with noted(findings, "no-pose"):
+        check_poses(recording, track)
+        found = replace(
+            found,
+            reasons=rejections(images_ns, track),
+            coverage=coverage(
+                images_ns,
+                track,
+                recording.rig,
+                settings.grid.spec(),
+                gridder.max_range_m,
+                settings.stereo.disparity_sigma_px,
+            ),
+        )
+        told += pose_findings(recording.frame_count, found.reasons)
+        told += coverage_findings(
+            found.coverage, settings.universal_cell_m, settings.map.cell_m is not None
+        )
+    if found.sync is not None:
+        told += sync_findings(found.sync)
+    findings += told if clocks_agree else []
+    return found
+
+
+def _clock(
+    recording: Recording, settings: BuildSettings, fixes_alone: Estimate, seen: Seen
+) -> ClockOffset | None:
+    """The offset that a build would report, before the camera's motion enters any pose."""
+    if seen.steps is None:
+        return None
+    fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
+    placed = place(fixes, condition(fixes, settings.pose.gnss), fixes_alone.trajectory.datum)
+    return clock_offset(placed, recording.motion()._replace(steps=seen.steps), recording.rig)
+
+
+def _with_mount(
+    recording: Recording, seen: Seen, found: Inspection, findings: list[Finding]
+) -> Inspection:
+    ground = ground_seen(seen.grounds, recording.rig.mount)
+    findings += mount_findings(ground, recording.rig.mount, found.scale)
+    return replace(found, ground=ground)
