@@ -120,3 +120,17 @@ def test_of_a_long_drive_stretches_are_enough(monkeypatch: pytest.MonkeyPatch) -
     assert abs(found.clock.offset_s) < 3.0 * found.clock.sigma_s
     assert found.scale is not None
     assert found.scale.ratio == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_log_that_is_written_more_often_than_the_receiver_solves(tmp_path: Path) -> None:
+    """Repeats are no faults of the fixes."""
+    path = tmp_path / "log.csv"
+    rows = ["time_ns,lat_deg,lon_deg,height_m,quality"]
+    for k in range(200):
+        place = k // 2
+        lat_deg = 41.65 + place * 2.1e-6 + 3e-8 * np.sin(1.7 * place)
+        rows.append(f"{1_308_133_815_000_000_000 + k * 100_000_000},{lat_deg},-4.72,700.0,4")
+    path.write_text("\n".join(rows))
+    found = codes(inspect_recording(path))
+    assert "fix-repeats" in found
+    assert "fixes-rejected" not in found

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.gnss import QUALITY_NAMES, ConditioningSummary, Fix, position_sigma_m
+from fieldgrid.gnss import QUALITY_NAMES, ConditioningSummary, Fix, Kind, position_sigma_m
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.track import grouped_reasons
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
@@ -109,12 +109,19 @@ def synchronisation(images_ns: _Int64, times_ns: _Int64) -> Sync | None:
 def fix_findings(summary: FixSummary) -> Iterator[Finding]:
     """What is wrong with the fixes."""
     log = summary.log
-    rejected = log.fixes - log.accepted
-    if rejected > REJECTED_SHARE * log.fixes:
-        commonest = log.rejected[0]
+    repeats = sum(one.fixes for one in log.rejected if one.kind is Kind.REPEAT)
+    if repeats > REJECTED_SHARE * log.fixes:
+        yield info(
+            "fix-repeats",
+            f"{repeats} of {log.fixes} fixes repeat the position before them and are left out.",
+            "The log is written more often than the receiver solves; nothing is lost by that.",
+        )
+    written, faulty = log.fixes - repeats, log.fixes - log.accepted - repeats
+    if faulty > REJECTED_SHARE * written:
+        commonest = next(one for one in log.rejected if one.kind is not Kind.REPEAT)
         yield warning(
             "fixes-rejected",
-            f"{rejected} of {log.fixes} fixes are rejected, {commonest.fixes} of them like this: "
+            f"{faulty} of {written} fixes are rejected, {commonest.fixes} of them like this: "
             f"{commonest.example}.",
             "Choose a better log with --gnss, or loosen the gates of [pose.gnss] in --config.",
         )
