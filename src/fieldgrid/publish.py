@@ -171,8 +171,12 @@ class DraftFolder:
         self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
         try:
             self.folder.mkdir()
+            self._held = os.open(self.folder, os.O_RDONLY)
         except OSError as error:
             raise _unwritable(target, error) from error
+        with suppress(OSError):
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _remove_orphans(place)
 
     def publish(self) -> None:
         """Bring the folder to its final name; what it replaces is removed only then."""
@@ -199,13 +203,18 @@ class DraftFolder:
 
     def discard(self) -> None:
         """Remove what was made so far; nothing happens when it is published or gone."""
+        if self._held >= 0:
+            os.close(self._held)
+            self._held = -1
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _remove_orphans(place: Path) -> None:
     """Delete the drafts of a target whose programs are gone: they no longer hold them."""
-    for orphan in place.parent.glob(
-        f".{glob.escape(place.name)}.????????.partial{glob.escape(place.suffix)}"
+    drafts = f".{glob.escape(place.name)}.????????.partial"
+    for orphan in (
+        *place.parent.glob(drafts),  # of folders
+        *place.parent.glob(drafts + glob.escape(place.suffix)),
     ):
         with suppress(OSError):
             held = os.open(orphan, os.O_RDONLY)
@@ -213,7 +222,11 @@ def _remove_orphans(place: Path) -> None:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 # A draft of this very moment is not held yet, and is empty.
                 found = orphan.stat()
-                if found.st_size > 0 or time.time() - found.st_mtime > _YOUNG_S:
+                filled = any(orphan.iterdir()) if orphan.is_dir() else found.st_size > 0
+                if filled or time.time() - found.st_mtime > _YOUNG_S:
+                    if orphan.is_dir():
+                        shutil.rmtree(orphan)
+                        continue
                     for stray in (*_companions(orphan), orphan):
                         stray.unlink(missing_ok=True)
             finally:

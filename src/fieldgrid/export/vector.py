@@ -6,6 +6,7 @@ asks. All are written by GDAL.
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Sequence
@@ -89,20 +90,25 @@ def export_geopackage(
     ConfigError for a name that is no layer, or when pyogrio is not installed.
     """
     layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
-    with replacing(path, overwrite=overwrite) as file:
-        file.unlink()  # SQLite takes no empty file for a GeoPackage
+    with (
+        replacing(path, overwrite=overwrite) as file,
+        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+    ):
+        # GDAL takes no empty file for a GeoPackage, and a draft is held as long as it is this file.
+        written = Path(folder) / "features.gpkg"
         for layer in layers:
             _write(
-                file,
+                written,
                 path,
                 layer,
                 "GPKG",
                 universal.datum.crs_wkt("WKT1_GDAL"),
-                append=file.exists(),
+                append=written.exists(),
                 dataset_metadata=_datum_tags(universal.datum),
                 # GDAL 3.6, of Debian stable, warns of newer versions.
                 dataset_options={"VERSION": "1.3"},
             )
+        shutil.copyfile(written, file)
     return Exported((path,), _rows(layers))
 
 
