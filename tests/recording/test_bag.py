@@ -156,13 +156,15 @@ def test_all_frames_of_the_example_are_the_same_in_a_bag(tmp_path: Path) -> None
         assert all(same_images(recording, folder))
 
 
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("container", CONTAINERS)
 def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
-    shared_data: SharedData, tmp_path: Path
+    container: Container, compressed: bool, shared_data: SharedData, tmp_path: Path
 ) -> None:
     kitti = open_recording(shared_data(KITTI), mounting=None)
     assert isinstance(kitti.rig.sensor, StereoCamera)
     frames = [pair_of(frame) for frame in kitti.frames()][:4]
-    folder, maker = tmp_path / "folder", Maker("bag")
+    folder, maker = tmp_path / "folder", Maker(container)
     calibrate_like(folder, kitti)
     files = [(f.time_ns, Path(f.left.name).name, f.left, f.right) for f in frames]
     rows = ["frame_id,time_ns,left,right"]
@@ -174,7 +176,7 @@ def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
     (folder / "frames.csv").write_text("\n".join(rows))
     P = projections_of(kitti.rig.sensor)
     pairs = [(time_ns, f"left/{name}", f"right/{name}") for time_ns, name, *_ in files]
-    said = list(bags.images_said(maker, folder, pairs, P))
+    said = list(bags.images_said(maker, folder, pairs, P, compressed=compressed))
     table = ["time_ns,lat_deg,lon_deg,height_m,sigma_m"]
     for fix in kitti.fixes():
         assert fix.sigma_m is not None
@@ -185,7 +187,7 @@ def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
         said.append(Said(fix.time_ns, bags.FIX, message))
     (folder / "gnss").mkdir()
     (folder / "gnss" / "fixes.csv").write_text("\n".join(table))
-    bag = bags.write_bag(tmp_path / "kitti", "bag", maker, said)
+    bag = bags.write_bag(tmp_path / "b" / "kitti", container, maker, said)
     mounting = folder / "calibration" / "mounting.json"
     with open_recording(bag, mounting=mounting) as recording, open_recording(folder) as wanted:
         assert list(recording.fixes()) == list(wanted.fixes())
@@ -194,7 +196,8 @@ def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
         assert recording.rig == wanted.rig
         first, second = track_ends(recording), track_ends(wanted)
     assert first == second
-    shutil.copy(mounting, tmp_path / "kitti.mounting.json")
+    inside = bag / "mounting.json" if bag.is_dir() else bag.with_name("kitti.mounting.json")
+    shutil.copy(mounting, inside)
     build_map([bag], tmp_path / "bag.gpkg", BuildSettings())
     build_map([folder], tmp_path / "folder.gpkg", BuildSettings())
     assert content(tmp_path / "bag.gpkg") == content(tmp_path / "folder.gpkg")
