@@ -22,7 +22,7 @@ demo: .venv/installed ## Map the example drive, draw the map and compare it with
 	$(BIN)/fieldgrid evaluate build/demo/two_lanes.gpkg examples/two_lanes/truth
 
 test: .venv/installed ## Run the tests
-	$(PY) -m pytest
+	$(PY) -m pytest -n auto --dist worksteal
 
 check: .venv/installed ## Check style, types, and the code and commands in the documentation
 	$(BIN)/ruff check $(SOURCES)
