@@ -155,7 +155,7 @@ def _image(data: bytes, path: Path) -> _Any:
         raise RecordingError(
             f"{path} is no PNG, plain TIFF, NumPy array or PFM; convert it, or restore it."
         )
-    grey = data[25] == 0 if data.startswith(b"\x89PNG") else True
+    grey = data[25:26] in (b"", b"\0") if data.startswith(b"\x89PNG") else True
     if not grey:
         raise RecordingError(f"{path} is a colour image; depths have one channel.")
     if header.width_px * header.height_px > MAX_PIXELS:
