@@ -1008,6 +1008,9 @@ class LongDrive:
     def fixes(self) -> Sequence[Fix]:
         return self._of.fixes()
 
+    def gnss_sha256(self) -> str:
+        return self._of.gnss_sha256()
+
     def motion(self) -> Motion:
         return self._of.motion()
 

@@ -22,20 +22,28 @@ _YOUNG_S = 60.0
 
 
 @contextmanager
-def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """A file to write in the place of `path`: it takes that name when the block ends well, and is
-    gone when it does not. Raises MapExistsError for a file that may not be overwritten,
-    MapWriteError where the disk does not take it."""
-    draft = Draft(path, overwrite=overwrite)
+def writing(path: Path) -> Iterator[None]:
+    """Makes what the disk refuses while `path` is written a MapWriteError that names it."""
     try:
-        yield draft.file
-        draft.publish()
+        yield
     except OSError as error:
         if isinstance(error, FieldgridError):
             raise
         raise MapWriteError(
             f"{path} could not be written ({error.strerror or error}); check the space on the disk."
         ) from error
+
+
+@contextmanager
+def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """A file to write in the place of `path`: it takes that name when the block ends well, and is
+    gone when it does not. Raises MapExistsError for a file that may not be overwritten,
+    MapWriteError where the disk does not take it."""
+    draft = Draft(path, overwrite=overwrite)
+    try:
+        with writing(path):
+            yield draft.file
+            draft.publish()
     finally:
         draft.discard()
 
@@ -47,14 +55,9 @@ def replacing_folder(
     """The same for a folder, as :class:`DraftFolder` says."""
     draft = DraftFolder(path, overwrite=overwrite, ours=ours, what=what)
     try:
-        yield draft.folder
-        draft.publish()
-    except OSError as error:
-        if isinstance(error, FieldgridError):
-            raise
-        raise MapWriteError(
-            f"{path} could not be written ({error.strerror or error}); check the space on the disk."
-        ) from error
+        with writing(path):
+            yield draft.folder
+            draft.publish()
     finally:
         draft.discard()
 

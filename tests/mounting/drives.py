@@ -77,6 +77,9 @@ class Drive:
     def fixes(self) -> Sequence[Fix]:
         return self.log
 
+    def gnss_sha256(self) -> str:
+        return ""
+
     def motion(self) -> Motion:
         return Motion()
 

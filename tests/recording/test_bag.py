@@ -138,7 +138,7 @@ def test_a_map_has_the_same_bits(
     frames_wanted, inputs_wanted = content(tmp_path / "folder.gpkg")
     with open_map(tmp_path / "bag.gpkg") as universal, open_recording(bag) as recording:
         assert isinstance(recording, BagRecording)
-        assert universal.sessions()[0].source_sha256 == recording.gnss_sha256
+        assert universal.sessions()[0].source_sha256 == recording.gnss_sha256()
     assert len(frames) == 3
     assert inputs == inputs_wanted
     # The example counts its frames from its first one, the bag from the first it holds.
@@ -301,7 +301,7 @@ def test_the_hash_of_the_fixes_is_that_of_their_messages_or_their_log(
     def hash_of(change: Callable[[Maker, list[Said]], list[Said]], gnss: str | None = None) -> str:
         with open_recording(rebuilt(drive, tmp_path, change), gnss) as recording:
             assert isinstance(recording, BagRecording)
-            return recording.gnss_sha256
+            return recording.gnss_sha256()
 
     plain = hash_of(lambda _, said: said)
     assert len(plain) == 64

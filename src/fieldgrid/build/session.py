@@ -8,7 +8,6 @@ memory.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from array import array
@@ -41,8 +40,6 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, create_map, open_map
 from fieldgrid.motion import Steps
 from fieldgrid.recording import Recording, open_recording
-from fieldgrid.recording.bag import BagRecording
-from fieldgrid.recording.stored import StoredRecording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
@@ -97,7 +94,7 @@ def add_recording(
             trajectory=trajectory,
             config=session_config(settings, recording.rig, gridder, every),
             source=recording.gnss_source,
-            source_sha256=_log_sha256(recording),
+            source_sha256=recording.gnss_sha256(),
             inputs=to_arrays(_inputs(recording, steps, spool)),
         ) as session:
             _place(spool, session, trajectory, recording.rig, report)
@@ -231,16 +228,6 @@ def session_config(
         **({"search": gridder.region._asdict()} if searched else {}),
         "every": every,
     }
-
-
-def _log_sha256(recording: Recording) -> str:
-    """The hash of the log of fixes where that is a file or in a bag, else nothing."""
-    if isinstance(recording, BagRecording):
-        return recording.gnss_sha256
-    if not (isinstance(recording, StoredRecording) and recording.gnss_source):
-        return ""
-    log = recording.folder / recording.gnss_source
-    return hashlib.sha256(log.read_bytes()).hexdigest() if log.is_file() else ""
 
 
 def _median(values: Sequence[float]) -> float | None:

@@ -77,6 +77,7 @@ def open_euroc(path: Path, options: Options) -> StoredRecording:
         kind=PairKind((camera.width_px, camera.height_px), rectification.rectifier, stored),
         fix_log=log.fixes,
         gnss_source="" if log_path is None else log_name(log_path, folder),
+        gnss_path=log_path,
         datum_hint=settings.datum,
         notes=frame_notes + image_notes + log.notes + gyro_notes,
         own_motion=Motion(gyro=gyro or log.motion.gyro, wheels=log.motion.wheels),

@@ -52,6 +52,7 @@ def open_folder(path: Path, options: Options) -> StoredRecording:
         kind=seen.kind,
         fix_log=log.fixes,
         gnss_source="" if log_path is None else log_name(log_path, path),
+        gnss_path=log_path,
         datum_hint=settings.datum or _session_datum(path / _SESSION),
         notes=seen.notes + log.notes + moved.notes,
         own_motion=moved.motion._replace(

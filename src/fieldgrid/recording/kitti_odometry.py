@@ -81,6 +81,7 @@ def open_sequence(path: Path, options: Options) -> StoredRecording:
         kind=PairKind((camera.width_px, camera.height_px)),
         fix_log=log.fixes,
         gnss_source=source,
+        gnss_path=path / source if log_path is None and source else log_path,
         datum_hint=settings.datum,
         notes=notes + log.notes,
         own_motion=log.motion,

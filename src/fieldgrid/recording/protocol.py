@@ -193,6 +193,9 @@ class Recording(Protocol):
     def gnss_source(self) -> str:
         """Which log the fixes are from; empty when there is none."""
 
+    def gnss_sha256(self) -> str:
+        """The hash of what the fixes are from, in hexadecimal; empty when that is no one log."""
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks for a reader: what was skipped or assumed, a sentence each."""

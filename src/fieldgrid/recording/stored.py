@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -78,6 +79,7 @@ class StoredRecording:
     notes: tuple[str, ...] = ()
     own_motion: Motion = field(default_factory=Motion)
     losses: tuple[str, ...] = ()
+    gnss_path: Path | None = None
 
     @property
     def frame_count(self) -> int:
@@ -95,6 +97,13 @@ class StoredRecording:
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log."""
         return self.fix_log
+
+    def gnss_sha256(self) -> str:
+        """The hash of the log of fixes where that is a file."""
+        if self.gnss_path is None or not self.gnss_path.is_file():
+            return ""
+        with self.gnss_path.open("rb") as log:
+            return hashlib.file_digest(log, "sha256").hexdigest()
 
     def motion(self) -> Motion:
         """What the drive knows of its own motion."""

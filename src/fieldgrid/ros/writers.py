@@ -23,8 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import dump_qos_v8
 
-from fieldgrid.errors import MapWriteError
-from fieldgrid.publish import Draft, DraftFolder
+from fieldgrid.publish import Draft, DraftFolder, writing
 from fieldgrid.ros.definitions import types
 from fieldgrid.ros.folder import is_ros2_folder
 
@@ -217,13 +216,9 @@ class BagFolderWriter:
 
 @contextmanager
 def _refused(path: Path) -> Iterator[None]:
-    """Makes an error of the disk one of fieldgrid."""
-    try:
-        yield
-    except MapWriteError:
-        raise
-    except (OSError, sqlite3.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise MapWriteError(
-            f"{path} could not be written ({reason}); check the space on the disk."
-        ) from error
+    """Makes an error of the disk one of fieldgrid, also where SQLite met it."""
+    with writing(path):
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise OSError(str(error)) from error

@@ -40,8 +40,7 @@ def recognises(path: Path) -> bool:
 class BagRecording:
     """A :class:`~fieldgrid.recording.protocol.Recording` in a bag, which it holds open.
 
-    Images stay in the bag; a frame holds the bytes of its own messages. `gnss_sha256` is the hash
-    of what the fixes are from: of the messages of that topic one after the other, or of the log.
+    Images stay in the bag; a frame holds the bytes of its own messages.
     """
 
     name: str
@@ -57,7 +56,7 @@ class BagRecording:
     own_motion: Motion
     losses: tuple[str, ...]
     roles: Mapping[str, str]
-    gnss_sha256: str
+    fixes_sha256: str
     stack: ExitStack = field(repr=False, compare=False)
 
     @property
@@ -78,6 +77,10 @@ class BagRecording:
     def fixes(self) -> Sequence[Fix]:
         """The fixes in the order of the log."""
         return self.fix_log
+
+    def gnss_sha256(self) -> str:
+        """The hash of the messages of the fixes' topic one after the other, or of the log."""
+        return self.fixes_sha256
 
     def motion(self) -> Motion:
         """What the drive knows of its own motion."""
@@ -174,7 +177,7 @@ def _recording(opened: Opened, options: Options, stack: ExitStack) -> BagRecordi
         own_motion=_joined(moved, opened.fixes.motion),
         losses=_losses(bag),
         roles=opened.choice.roles,
-        gnss_sha256=opened.fixes.sha256,
+        fixes_sha256=opened.fixes.sha256,
         stack=stack.pop_all(),  # the bag is open from here on for the recording
     )
 
