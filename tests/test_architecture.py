@@ -16,6 +16,7 @@ PACKAGE = "fieldgrid"
 # A room is a module or a package directly under `fieldgrid`. A room may import rooms of
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
+    ("array_types",),
     ("errors", "geodesy", "angles", "kernel", "publish"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
     ("cloud", "depth"),

@@ -7,13 +7,10 @@ The references in NumPy are what the compiled loops are held to.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float32, Int16, Int32
 from fieldgrid.cloud import Cloud
 from fieldgrid.kernel import kernel
-
-_Float32 = npt.NDArray[np.float32]
-_Int32 = npt.NDArray[np.int32]
 
 LOWEST_M = np.float32(-0.5)
 """Points that are further below the ground of their cell than this are mistakes."""
@@ -61,18 +58,18 @@ def bin_pixels(  # type: ignore[no-untyped-def]
 
 
 def bin_pixels_reference(
-    disparity: npt.NDArray[np.int16],
+    disparity: Int16,
     row_start: int,
-    depth_m: _Float32,
-    ray: _Float32,
-    du: _Float32,
-    dv: _Float32,
-    offset_m: _Float32,
-    ground_m: _Float32,
+    depth_m: Float32,
+    ray: Float32,
+    du: Float32,
+    dv: Float32,
+    offset_m: Float32,
+    ground_m: Float32,
     cell_m: float,
     bottom_m: np.float32,
     top_m: np.float32,
-) -> _Int32:
+) -> Int32:
     """The same as `bin_pixels`, in NumPy, with histogram2d doing the counting."""
     row, u = np.nonzero(disparity > 0)
     depth = depth_m[disparity[row, u]]
@@ -104,8 +101,8 @@ def bin_points(level_m, ground_m, cell_m, bottom_m, top_m):  # type: ignore[no-u
 
 
 def bin_points_reference(
-    level_m: Cloud, ground_m: _Float32, cell_m: float, bottom_m: np.float32, top_m: np.float32
-) -> _Int32:
+    level_m: Cloud, ground_m: Float32, cell_m: float, bottom_m: np.float32, top_m: np.float32
+) -> Int32:
     """The same as `bin_points`, in NumPy."""
     per_cell = np.float32(1.0 / cell_m)
     x = level_m[:, 0] * per_cell + np.float32(0.5 * ground_m.shape[1])
@@ -113,22 +110,22 @@ def bin_points_reference(
 
 
 def _count(
-    x: _Float32,
-    y: _Float32,
-    z: _Float32,
-    ground_m: _Float32,
+    x: Float32,
+    y: Float32,
+    z: Float32,
+    ground_m: Float32,
     bottom_m: np.float32,
     top_m: np.float32,
-) -> _Int32:
+) -> Int32:
     """Counts of points at x and y in cells and z in metres."""
     n_y, n_x = ground_m.shape
     inside = (x >= 0) & (y >= 0) & (x < n_x) & (y < n_y)
     c, r = x[inside].astype(np.intp), y[inside].astype(np.intp)
     above = z[inside] - ground_m[r, c]
 
-    def count(mask: npt.NDArray[np.bool_]) -> _Int32:
+    def count(mask: Bool) -> Int32:
         edges = (np.arange(n_y + 1), np.arange(n_x + 1))
-        counted: _Int32
+        counted: Int32
         counted = np.histogram2d(r[mask], c[mask], bins=edges)[0].astype(np.int32)
         return counted
 

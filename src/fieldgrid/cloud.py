@@ -7,10 +7,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float32
 from fieldgrid.errors import CalibrationError
 from fieldgrid.kernel import kernel
 
-Cloud = npt.NDArray[np.float32]
+Cloud = Float32
 """Points [n, 3], metres."""
 
 FEWEST_POINTS = 100

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Bool, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 
@@ -57,15 +57,11 @@ class CostCurve:
         free, occupied = density <= self.free_up_to, density > self.obstacle_above
         return np.select([free, occupied], [0, OCCUPIED], doubt).astype(np.int8)
 
-    def occupancy(
-        self, density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]
-    ) -> npt.NDArray[np.int8]:
+    def occupancy(self, density: UInt8, observed: Bool) -> npt.NDArray[np.int8]:
         """0..100, -1 where not observed, int8 of the arrays' shape."""
         return _looked_up(self.table(), density, observed, UNKNOWN_OCCUPANCY)
 
-    def cost(
-        self, density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]
-    ) -> npt.NDArray[np.uint8]:
+    def cost(self, density: UInt8, observed: Bool) -> UInt8:
         """What Nav2's static layer makes of the occupancy, uint8 of the arrays' shape.
 
         0 free, up to 251 in doubt, 254 an obstacle, 255 not observed: that layer with
@@ -78,11 +74,11 @@ class CostCurve:
 
 
 def _looked_up(
-    table: npt.NDArray[Any],
-    density: npt.NDArray[np.uint8],
-    observed: npt.NDArray[np.bool_],
+    table: AnyArray,
+    density: UInt8,
+    observed: Bool,
     unknown: int,
-) -> npt.NDArray[Any]:
+) -> AnyArray:
     values = table[density]
     values[~observed] = unknown
     return values

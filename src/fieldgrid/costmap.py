@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float32, Float64, Index, UInt8
 from fieldgrid.cost import INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
@@ -29,17 +30,14 @@ _BLOCK_ROWS = 256
 _ROUNDING = 1.0 + 1e-6
 """A distance that equals a radius up to rounding is within it."""
 
-_Float64 = npt.NDArray[np.float64]
-_Float32 = npt.NDArray[np.float32]
-
 
 class Answer(NamedTuple):
     """What a costmap says of points; arrays of their shape, as of the functions of these names."""
 
-    cost: npt.NDArray[np.uint8]
-    clearance_m: _Float64
-    unknown_m: _Float64
-    known: npt.NDArray[np.bool_]
+    cost: UInt8
+    clearance_m: Float64
+    unknown_m: Float64
+    known: Bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +80,9 @@ class Costmap:
     lattice: Lattice
     window: Window
     datum: Datum
-    _costs: npt.NDArray[np.uint8] = field(repr=False)
-    _to_obstacle: _Float32 = field(repr=False)
-    _to_unknown: _Float32 = field(repr=False)
+    _costs: UInt8 = field(repr=False)
+    _to_obstacle: Float32 = field(repr=False)
+    _to_unknown: Float32 = field(repr=False)
 
     @classmethod
     def from_map(
@@ -140,26 +138,26 @@ class Costmap:
         return self.lattice.bounds(self.window)
 
     @property
-    def costs(self) -> npt.NDArray[np.uint8]:
+    def costs(self) -> UInt8:
         """The cost of every cell, uint8 [rows north, columns east], row 0 in the south."""
         return self._costs[1:-1, 1:-1]
 
-    def cost(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+    def cost(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> UInt8:
         """The costs of Nav2, uint8: 0 free, to 252 dearer, 253 too near an obstacle for the
         robot, 254 an obstacle, 255 unknown or outside, however near an obstacle is."""
         return self._costs.take(self._places(east_m, north_m))
 
-    def clearance_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> _Float64:
+    def clearance_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Float64:
         """Metres to the nearest obstacle: 0 in one, inf where there is none, NaN outside."""
         return self._metres(self._to_obstacle, self._places(east_m, north_m))
 
-    def unknown_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> _Float64:
+    def unknown_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Float64:
         """Metres to the nearest cell that is unknown or outside: 0 in one."""
         return self._metres(self._to_unknown, self._places(east_m, north_m))
 
-    def is_known(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def is_known(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Bool:
         """Whether a point lies in a cell that was observed."""
-        known: npt.NDArray[np.bool_] = self.cost(east_m, north_m) != UNKNOWN_COST
+        known: Bool = self.cost(east_m, north_m) != UNKNOWN_COST
         return known
 
     def at(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Answer:
@@ -187,21 +185,19 @@ class Costmap:
         east, north, _ = self.datum.to_enu(lat_deg, lon_deg, height)
         return self.at(east, north)
 
-    def _places(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    def _places(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Index:
         """Where the cells of points are in the flat arrays; in the border for those outside."""
         per_m, (i0, j0, width, height) = self.lattice.cells_per_m, self.window
         column = _within(east_m, per_m, i0, width)
         row = _within(north_m, per_m, j0, height)
-        places: npt.NDArray[np.intp] = row * (width + 2) + column
+        places: Index = row * (width + 2) + column
         return places
 
-    def _metres(self, cells: _Float32, places: npt.NDArray[np.intp]) -> _Float64:
+    def _metres(self, cells: Float32, places: Index) -> Float64:
         return cells.take(places) * np.float64(self.lattice.cell_m)
 
 
-def _within(
-    coordinate_m: npt.ArrayLike, per_m: float, first: int, count: int
-) -> npt.NDArray[np.intp]:
+def _within(coordinate_m: npt.ArrayLike, per_m: float, first: int, count: int) -> Index:
     """1..count for the cells of a side, 0 or count + 1 beyond it, 0 for NaN."""
     place = np.array(coordinate_m, dtype=np.float64)  # a copy, that is worked on in place
     place *= per_m
@@ -212,7 +208,7 @@ def _within(
     return place.astype(np.intp)
 
 
-def _distance_cells(other: npt.NDArray[np.bool_]) -> _Float32:
+def _distance_cells(other: Bool) -> Float32:
     """Of each cell to the nearest one that is False, in cells; inf when there is none."""
     import cv2  # exact, and fifteen times as fast as SciPy's
 
@@ -223,9 +219,7 @@ def _distance_cells(other: npt.NDArray[np.bool_]) -> _Float32:
     return np.asarray(found, dtype=np.float32)
 
 
-def _inflate(
-    costs: npt.NDArray[np.uint8], to_obstacle: _Float32, inflation: Inflation, lattice: Lattice
-) -> None:
+def _inflate(costs: UInt8, to_obstacle: Float32, inflation: Inflation, lattice: Lattice) -> None:
     """Raise the costs of known cells near obstacles, in place, some rows at a time."""
     radius_m = inflation.robot_radius_m
     inscribed = radius_m * lattice.cells_per_m * _ROUNDING

@@ -12,12 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.kernel import kernel
-
-_Float64 = npt.NDArray[np.float64]
 
 CUSP_DEG = 110.0
 """A path whose direction before and after a point differs by more has turned back there."""
@@ -53,17 +51,17 @@ class Course(NamedTuple):
     +1 forward, -1 reverse. `span_m` is the length of path that the estimate rests on.
     """
 
-    heading_deg: _Float64
-    sigma_deg: _Float64
-    gear: npt.NDArray[np.int64]
-    span_m: _Float64
+    heading_deg: Float64
+    sigma_deg: Float64
+    gear: Int64
+    span_m: Float64
 
 
 def course(
-    east_m: _Float64,
-    north_m: _Float64,
-    sigma_m: _Float64,
-    part: npt.NDArray[np.int64],
+    east_m: Float64,
+    north_m: Float64,
+    sigma_m: Float64,
+    part: Int64,
     baseline_m: float,
     height_m: float = 0.0,
 ) -> Course:
@@ -99,7 +97,7 @@ def course(
     return result
 
 
-def cusps(points: _Float64, sigma_m: _Float64, baseline_m: float) -> list[int]:
+def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
     """Indices of the positions [n, 2] (metres) at which the path turns back on itself."""
     noise_m = NOISE_SHARE * float(np.median(sigma_m))
     reach_m = min(baseline_m / 2.0, max(CUSP_REACH_M, 6.0 * noise_m))
@@ -122,18 +120,18 @@ def cusps(points: _Float64, sigma_m: _Float64, baseline_m: float) -> list[int]:
     return found
 
 
-def _farthest(points: _Float64, feet: _Float64) -> int:
+def _farthest(points: Float64, feet: Float64) -> int:
     """The tip of a path that turns back: of these points the one farthest from its feet."""
     return int(np.argmax(np.hypot(*(points - feet).T)))
 
 
-def _legs(points: _Float64, sigma_m: _Float64, baseline_m: float) -> list[tuple[int, int]]:
+def _legs(points: Float64, sigma_m: Float64, baseline_m: float) -> list[tuple[int, int]]:
     """The path cut at its cusps: (start, stop) of each leg; a cusp ends the earlier one."""
     cuts = [0, *(k + 1 for k in cusps(points, sigma_m, baseline_m)), len(points)]
     return [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
 
 
-def _longer_parity(points: _Float64, legs: list[tuple[int, int]]) -> int:
+def _longer_parity(points: Float64, legs: list[tuple[int, int]]) -> int:
     steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
     lengths = [0.0, 0.0]
     for k, (start, stop) in enumerate(legs):
@@ -183,7 +181,7 @@ def first_beyond(points, reach_m, step):  # type: ignore[no-untyped-def]
     return found
 
 
-def _windows(leg: _Float64, baseline_m: float) -> list[tuple[int, int]]:
+def _windows(leg: Float64, baseline_m: float) -> list[tuple[int, int]]:
     """The (start, stop) of the points that each point's direction is fitted to.
 
     Half a baseline to each side; near an end of the leg, a whole one to the other side.
@@ -198,8 +196,8 @@ def _windows(leg: _Float64, baseline_m: float) -> list[tuple[int, int]]:
 
 
 def _direction(
-    leg: _Float64,
-    least_noise_m: _Float64,
+    leg: Float64,
+    least_noise_m: Float64,
     at: int,
     between: tuple[int, int],
     baseline_m: float,
@@ -227,7 +225,7 @@ def _direction(
     return float(heading_deg(*chord)) + tangent_deg, sigma_deg, span_m
 
 
-def _turn_deg(window: _Float64) -> float:
+def _turn_deg(window: Float64) -> float:
     """By how much the path turns between the halves of a window, degrees, >= 0."""
     middle = len(window) // 2
     first, second = window[middle] - window[0], window[-1] - window[middle]
@@ -235,7 +233,7 @@ def _turn_deg(window: _Float64) -> float:
 
 
 def _slope_at_zero(
-    along_m: _Float64, across_m: _Float64, least_noise_m: float, span_m: float
+    along_m: Float64, across_m: Float64, least_noise_m: float, span_m: float
 ) -> tuple[float, float]:
     """Slope at 0 of the curve across = f(along), and its 1-sigma error.
 
@@ -259,7 +257,7 @@ def _slope_at_zero(
     return slope / span_m, float(np.sqrt(variance)) / span_m
 
 
-def _fit(x: _Float64, y: _Float64, degree: int) -> tuple[float, float, _Float64]:
+def _fit(x: Float64, y: Float64, degree: int) -> tuple[float, float, Float64]:
     """Least squares polynomial: its slope at 0, that slope's variance for noise 1, residuals."""
     design = np.vander(x, degree + 1, increasing=True)
     inverse = np.linalg.inv(design.T @ design + 1e-9 * np.eye(degree + 1))
@@ -269,9 +267,9 @@ def _fit(x: _Float64, y: _Float64, degree: int) -> tuple[float, float, _Float64]
 
 def course_of_axle(
     found: Course,
-    east_m: _Float64,
-    north_m: _Float64,
-    part: npt.NDArray[np.int64],
+    east_m: Float64,
+    north_m: Float64,
+    part: Int64,
     ahead_m: float,
 ) -> Course:
     """The heading from the course of an antenna that sits `ahead_m` before the fixed axle.
@@ -298,7 +296,7 @@ def course_of_axle(
     return found._replace(heading_deg=heading, sigma_deg=sigma)
 
 
-def _trailing_lead(course_rad: _Float64, path_m: _Float64, ahead_m: float) -> _Float64:
+def _trailing_lead(course_rad: Float64, path_m: Float64, ahead_m: float) -> Float64:
     """By how much the course leads the heading along one leg, degrees, in the order given.
 
     Exact for a course that is constant over a step: tan(lead/2) fades with exp(-path/ahead).

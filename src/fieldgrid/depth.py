@@ -10,14 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64, Int16
 from fieldgrid.errors import CalibrationError
 from fieldgrid.kernel import kernel
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
-
-_Float32 = npt.NDArray[np.float32]
-_Float64 = npt.NDArray[np.float64]
 
 FINEST_STEP_M = 0.001
 """Depths are told to a millimetre, which reaches to 32.767 m; coarser only where a grid needs
@@ -37,9 +34,9 @@ class CodedDepth(NamedTuple):
     """An image of depths: codes int16 [row, column] of the rows from `row_start`, where 0 and
     less is no depth, and `depth_m`, float32, the depth in metres along the optical axis by code."""
 
-    codes: npt.NDArray[np.int16]
+    codes: Int16
     row_start: int
-    depth_m: _Float32
+    depth_m: Float32
 
 
 class CameraRays(NamedTuple):
@@ -49,13 +46,13 @@ class CameraRays(NamedTuple):
     the optical centre, of a pair that of the left camera.
     """
 
-    origin_ray: _Float32
-    du: _Float32
-    dv: _Float32
-    offset_m: _Float32
+    origin_ray: Float32
+    du: Float32
+    dv: Float32
+    offset_m: Float32
 
 
-def rays(rig: Rig, R_level_camera: _Float64, height_m: float) -> CameraRays:
+def rays(rig: Rig, R_level_camera: Float64, height_m: float) -> CameraRays:
     """The rays of the camera that the depths are of, for an attitude and a height above ground."""
     camera = rig.sensor
     if isinstance(camera, StereoCamera):
@@ -75,7 +72,7 @@ def rays(rig: Rig, R_level_camera: _Float64, height_m: float) -> CameraRays:
     return CameraRays(*(vector.astype(np.float32) for vector in vectors))
 
 
-def depth_table(rig: Rig, num_disparities: int, subpixels: int) -> _Float32:
+def depth_table(rig: Rig, num_disparities: int, subpixels: int) -> Float32:
     """Depth in metres by disparity in subpixels; infinite at 0, which also stands for no match."""
     disparity = np.arange((num_disparities + 1) * subpixels, dtype=np.float64) / subpixels
     effective = disparity - rig.camera.disparity_offset_px
@@ -86,7 +83,7 @@ def depth_table(rig: Rig, num_disparities: int, subpixels: int) -> _Float32:
     return depth.astype(np.float32)
 
 
-def metric_table(farthest_m: float) -> _Float32:
+def metric_table(farthest_m: float) -> Float32:
     """Depth in metres by code for depths up to at least `farthest_m`; infinite at 0."""
     step_m = max(FINEST_STEP_M, farthest_m / (_CODES - 1))
     depth = np.arange(_CODES, dtype=np.float64) * step_m
@@ -94,7 +91,7 @@ def metric_table(farthest_m: float) -> _Float32:
     return depth.astype(np.float32)
 
 
-def encode_depth(depth_m: _Float32, table_m: _Float32) -> CodedDepth:
+def encode_depth(depth_m: Float32, table_m: Float32) -> CodedDepth:
     """Depths [row, column] in metres, NaN where there is none, by a table of `metric_table`.
 
     What lies beyond the table has no depth either, as it is beyond the grid; nor has a pixel that
@@ -129,7 +126,7 @@ def _coded(depth_m, per_code):  # type: ignore[no-untyped-def]
     return codes
 
 
-def encode_depth_reference(depth_m: _Float32, table_m: _Float32) -> CodedDepth:
+def encode_depth_reference(depth_m: Float32, table_m: Float32) -> CodedDepth:
     """The same as `encode_depth`, in NumPy."""
     per_code = np.float32((len(table_m) - 1) / float(table_m[-1]))
     near, far = depth_m - FLYING_SHARE * depth_m, depth_m + FLYING_SHARE * depth_m

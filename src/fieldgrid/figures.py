@@ -19,12 +19,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
+from fieldgrid.array_types import Bool, Float64, Index, Int64
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MEANING, Change, ChangeView, FrameRecord, MapView
 from fieldgrid.publish import replacing
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
-
-_Float64 = npt.NDArray[np.float64]
 
 UNSEEN = "#cfdbe6"
 """Colour of cells that no frame has seen: neither bright nor dark."""
@@ -197,16 +196,16 @@ class _Drawn(NamedTuple):
     `refused` marks the rejected poses to be shown as such, `accepted` the others.
     """
 
-    time: _Float64
+    time: Float64
     time_label: str
-    east_m: _Float64
-    north_m: _Float64
-    heading_deg: _Float64
-    sigma_deg: _Float64
-    speed_mps: _Float64
-    gear: _Float64
-    accepted: npt.NDArray[np.bool_]
-    refused: npt.NDArray[np.bool_]
+    east_m: Float64
+    north_m: Float64
+    heading_deg: Float64
+    sigma_deg: Float64
+    speed_mps: Float64
+    gear: Float64
+    accepted: Bool
+    refused: Bool
 
 
 def _drawn(track: Trajectory) -> _Drawn:
@@ -220,7 +219,7 @@ def _drawn(track: Trajectory) -> _Drawn:
     breaks = np.flatnonzero(hole | wrap) + 1
     at_hole = hole[breaks - 1]
 
-    def column(values: npt.NDArray[np.generic]) -> _Float64:
+    def column(values: npt.NDArray[np.generic]) -> Float64:
         filled = values.astype(np.float64)
         return np.insert(filled, breaks, np.where(at_hole, np.nan, filled[breaks]))
 
@@ -241,7 +240,7 @@ def _drawn(track: Trajectory) -> _Drawn:
     )
 
 
-def _marked(time_ns: npt.NDArray[np.int64], ok: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _marked(time_ns: Int64, ok: Bool) -> Bool:
     """Which rejected rows are marked."""
     marked = ~ok
     accepted_ns = time_ns[ok]
@@ -257,9 +256,7 @@ def _marked(time_ns: npt.NDArray[np.int64], ok: npt.NDArray[np.bool_]) -> npt.ND
     return marked
 
 
-def _thinned(
-    rows: npt.NDArray[np.intp], gear: npt.NDArray[np.int64], ok: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.intp]:
+def _thinned(rows: Index, gear: Int64, ok: Bool) -> Index:
     """At most some `MOST_POINTS` of rows, evenly, and each at which gear or verdict change."""
     every = -(-len(rows) // MOST_POINTS)
     if every < 2:
@@ -272,7 +269,7 @@ def _thinned(
     return rows[keep]
 
 
-def _usual_step(time_ns: npt.NDArray[np.int64]) -> float:
+def _usual_step(time_ns: Int64) -> float:
     """Three times the usual step: rows that were thinned, or a slow receiver, are no hole."""
     return 3.0 * float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
 
@@ -295,7 +292,7 @@ def _draw_way(axes: Axes, drawn: _Drawn) -> None:
     axes.grid(linewidth=0.3)
 
 
-def _draw_by_gear(axes: Axes, drawn: _Drawn, x: _Float64, y: _Float64) -> None:
+def _draw_by_gear(axes: Axes, drawn: _Drawn, x: Float64, y: Float64) -> None:
     """One quantity against another, by gear; rejected poses show as crosses under the line."""
     for look in _GEAR_LOOKS:
         mine = drawn.gear == look.gear

@@ -11,14 +11,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.special
 
 from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.kernel import kernel
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 CUT_DEG = 75.0
 """A path whose direction before and after a point differs by more may have turned back there."""
@@ -65,10 +62,10 @@ class Gears(NamedTuple):
     that it is the other one, and `leg`, which numbers the stretches between cuts. `driven` is
     False where the vehicle rather stood and its positions wandered, or nobody can tell."""
 
-    gear: _Int64
-    doubt: _Float64
-    leg: _Int64
-    driven: npt.NDArray[np.bool_]
+    gear: Int64
+    doubt: Float64
+    leg: Int64
+    driven: Bool
 
 
 class Track(NamedTuple):
@@ -81,11 +78,11 @@ class Track(NamedTuple):
     forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
     """
 
-    points_m: _Float64
-    gap_s: _Float64
-    sigma_m: _Float64
-    turned_deg: _Float64
-    forward_nats: _Float64
+    points_m: Float64
+    gap_s: Float64
+    sigma_m: Float64
+    turned_deg: Float64
+    forward_nats: Float64
 
 
 class _Join(NamedTuple):
@@ -128,7 +125,7 @@ def _cut(track: Track) -> list[int]:
     return sorted(starts)
 
 
-def _tips(points: _Float64, turning: _Float64, first: int, last: int, reach_m: float) -> list[int]:
+def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: float) -> list[int]:
     """The sharpest points of a run of sharp ones, each `reach_m` from the next.
 
     Within reach of a cusp every point turns by about half a circle, and noise makes one of them
@@ -177,7 +174,7 @@ def _beyond(points, part, k, step, reach_m):  # type: ignore[no-untyped-def]
     return -1
 
 
-def _length_m(points: _Float64) -> float:
+def _length_m(points: Float64) -> float:
     return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
 
 
@@ -233,7 +230,7 @@ def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tup
     return cost(beyond_deg), switch + cost(beyond_deg + 180.0)
 
 
-def _chord_deg(points: _Float64) -> tuple[float, float, int]:
+def _chord_deg(points: Float64) -> tuple[float, float, int]:
     """Direction from the first of the points to the first beyond a tangent's reach (or to the
     farthest), degrees, how far that is, and which point it is."""
     away = np.hypot(*(points - points[0]).T)
@@ -242,9 +239,7 @@ def _chord_deg(points: _Float64) -> tuple[float, float, int]:
     return float(heading_deg(*(points[to] - points[0]))), float(away[to]), to
 
 
-def _likeliest(
-    forward: _Float64, joins: list[_Join]
-) -> tuple[_Int64, _Float64, npt.NDArray[np.bool_]]:
+def _likeliest(forward: Float64, joins: list[_Join]) -> tuple[Int64, Float64, Bool]:
     """The gear of each leg, the probability of the other, and whether it was driven at all:
     sums over all sequences of gears.
 

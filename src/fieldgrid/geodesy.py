@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, DatumError
-
-_Float64 = npt.NDArray[np.float64]
 
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
@@ -59,7 +58,7 @@ class Datum:
 
     def to_enu(
         self, lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, height_m: npt.ArrayLike
-    ) -> tuple[_Float64, _Float64, _Float64]:
+    ) -> tuple[Float64, Float64, Float64]:
         """LTP coordinates (E, N, U) in metres of WGS84 positions; shapes broadcast."""
         x, y, z = geodetic_to_ecef(lat_deg, lon_deg, height_m)
         x0, y0, z0 = geodetic_to_ecef(self.lat_deg, self.lon_deg, self.height_m)
@@ -72,7 +71,7 @@ class Datum:
 
     def to_geodetic(
         self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, up_m: npt.ArrayLike
-    ) -> tuple[_Float64, _Float64, _Float64]:
+    ) -> tuple[Float64, Float64, Float64]:
         """WGS84 (latitude°, longitude°, ellipsoidal height m) of LTP coordinates in metres."""
         east, north, up = (np.asarray(v, dtype=np.float64) for v in (east_m, north_m, up_m))
         sin_lat, cos_lat, sin_lon, cos_lon = self._axes()
@@ -139,7 +138,7 @@ def check_area_of_use(epsg: int, datum: Datum) -> None:
 
 def geodetic_to_ecef(
     lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, height_m: npt.ArrayLike
-) -> tuple[_Float64, _Float64, _Float64]:
+) -> tuple[Float64, Float64, Float64]:
     """Earth-centred, Earth-fixed (X, Y, Z) in metres of WGS84 positions; shapes broadcast."""
     lat, lon = np.radians(lat_deg), np.radians(lon_deg)
     height = np.asarray(height_m, dtype=np.float64)
@@ -152,7 +151,7 @@ def geodetic_to_ecef(
 
 def ecef_to_geodetic(
     x_m: npt.ArrayLike, y_m: npt.ArrayLike, z_m: npt.ArrayLike
-) -> tuple[_Float64, _Float64, _Float64]:
+) -> tuple[Float64, Float64, Float64]:
     """WGS84 (latitude°, longitude°, height m) of ECEF metres, within 10 km of the surface.
 
     Bowring's formula; its second pass leaves less than 1e-9 m there.

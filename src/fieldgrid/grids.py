@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, UInt8
 from fieldgrid.errors import ConfigError
 
 OBSTACLE_ABOVE = 100
@@ -75,7 +75,7 @@ class GridSpec:
         """r_max: from the origin to the farthest corner (Eq. 1, corrected)."""
         return math.hypot(self.width_m / 2.0, self.length_m)
 
-    def centres_m(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def centres_m(self) -> tuple[Float64, Float64]:
         """x of each column's and y of each row's centre, metres in the vehicle frame."""
         x = (np.arange(self.n_x, dtype=np.float64) + 0.5) * self.cell_m - self.width_m / 2.0
         y = (np.arange(self.n_y, dtype=np.float64) + 0.5) * self.cell_m
@@ -90,8 +90,8 @@ class LocalGrid:
     """
 
     spec: GridSpec
-    density: npt.NDArray[np.uint8]
-    observed: npt.NDArray[np.bool_]
+    density: UInt8
+    observed: Bool
 
     def __post_init__(self) -> None:
         for name, array in (("density", self.density), ("observed", self.observed)):
@@ -101,7 +101,7 @@ class LocalGrid:
                     f"{self.spec.shape} (n_y, n_x)."
                 )
 
-    def masked(self, inside: npt.NDArray[np.bool_]) -> LocalGrid:
+    def masked(self, inside: Bool) -> LocalGrid:
         """The same grid with every cell outside the mask [n_y, n_x] unseen."""
         return LocalGrid(
             self.spec, np.where(inside, self.density, np.uint8(0)), self.observed & inside

@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int32
 from fieldgrid.cloud import Cloud, level_points
 from fieldgrid.depth import CodedDepth, rays
 from fieldgrid.kernel import kernel
@@ -43,8 +43,6 @@ STEP_UP_M, STEP_DOWN_M = 0.20, 0.35
 """Ground may rise or fall this much from one patch to the next: kerbs and banks pass, rocks,
 canopies and cars do not."""
 
-_Float64 = npt.NDArray[np.float64]
-
 
 class GroundPlane(NamedTuple):
     """The ground plane of one frame and what it corrects.
@@ -53,7 +51,7 @@ class GroundPlane(NamedTuple):
     ground; `height_m` is the sensor's height above it. `refined` is False where the mount was kept.
     """
 
-    R_level_camera: _Float64
+    R_level_camera: Float64
     height_m: float
     pitch_deg: float
     roll_deg: float
@@ -62,7 +60,7 @@ class GroundPlane(NamedTuple):
 
 def estimate_ground(
     seen: CodedDepth | Cloud, rig: Rig, half_width_m: float, length_m: float
-) -> tuple[GroundPlane, npt.NDArray[np.float64]]:
+) -> tuple[GroundPlane, Float64]:
     """The plane of a frame, and the ground's height above it on patches [ny, nx], metres.
 
     Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
@@ -70,8 +68,8 @@ def estimate_ground(
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
-    def heights(R_level_sensor: _Float64, height_m: float) -> npt.NDArray[np.int32]:
-        found: npt.NDArray[np.int32]
+    def heights(R_level_sensor: Float64, height_m: float) -> Int32:
+        found: Int32
         if isinstance(seen, CodedDepth):
             found = collect_heights(
                 *seen, *rays(rig, R_level_sensor, height_m), half_width_m, nx, ny
@@ -88,7 +86,7 @@ def estimate_ground(
     return plane, follow_ground(low_heights(heights(plane.R_level_camera, plane.height_m)))
 
 
-def _levelled(R_mount: _Float64, height_m: float, c: _Float64, trusted: bool) -> GroundPlane:
+def _levelled(R_mount: Float64, height_m: float, c: Float64, trusted: bool) -> GroundPlane:
     """The mount turned by the least rotation that levels the plane z = c0 + c1·x + c2·y."""
     if not trusted:
         return GroundPlane(R_mount, height_m, 0.0, 0.0, False)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError
 
 TILE_CELLS = 256
@@ -112,15 +113,13 @@ class Lattice:
         """1/L. Positions are always scaled by this, never divided by L: 0.15/0.05 < 3."""
         return 1.0 / self.cell_m
 
-    def index(
-        self, east_m: npt.ArrayLike, north_m: npt.ArrayLike
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def index(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> tuple[Int64, Int64]:
         """Cell (i, j) that encloses each position in metres."""
         i = np.floor(np.asarray(east_m, dtype=np.float64) * self.cells_per_m)
         j = np.floor(np.asarray(north_m, dtype=np.float64) * self.cells_per_m)
         return i.astype(np.int64), j.astype(np.int64)
 
-    def centres(self, window: Window) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def centres(self, window: Window) -> tuple[Float64, Float64]:
         """East of each column's and north of each row's centre, metres."""
         east = (np.arange(window.width, dtype=np.float64) + (window.i0 + 0.5)) / self.cells_per_m
         north = (np.arange(window.height, dtype=np.float64) + (window.j0 + 0.5)) / self.cells_per_m

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from fieldgrid.array_types import Float32, Float64, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.cloud import Cloud, level_points
 from fieldgrid.depth import (
@@ -140,9 +140,7 @@ class LocalGridder:
         """The rows and disparities that are searched; CalibrationError as for `matcher`."""
         return self.matcher.region
 
-    def __call__(
-        self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]
-    ) -> tuple[LocalGrid, FrameGround]:
+    def __call__(self, left: UInt8, right: UInt8) -> tuple[LocalGrid, FrameGround]:
         """The local grid of a rectified grey pair [height, width]."""
         return self.from_disparity(self.matcher.disparity(left, right))
 
@@ -152,7 +150,7 @@ class LocalGridder:
             raise CalibrationError(_gives_no(self.rig, "disparities"))
         return self._from_seen(CodedDepth(*disparity, self._depth_m))
 
-    def from_depth(self, depth_m: npt.NDArray[np.float32]) -> tuple[LocalGrid, FrameGround]:
+    def from_depth(self, depth_m: Float32) -> tuple[LocalGrid, FrameGround]:
         """The local grid of an image of depths along the optical axis [height, width], metres,
         NaN where there is none."""
         camera = self.rig.sensor
@@ -192,14 +190,12 @@ class LocalGridder:
         density, observed = scale_density(counts, self._gain, self._needed)
         return LocalGrid(spec, density, observed), _summary(plane)
 
-    def _count(
-        self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.int32]:
+    def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [n_y, n_x, 2]."""
         bottom_m = np.float32(self.settings.slice_bottom_m)
         top_m = np.float32(self.settings.slice_top_m)
         above = (ground_m, self.spec.cell_m, bottom_m, top_m)
-        counts: npt.NDArray[np.int32]
+        counts: Int32
         if isinstance(seen, CodedDepth):
             counts = bin_pixels(
                 *seen, *rays(self.rig, plane.R_level_camera, plane.height_m), *above
@@ -247,7 +243,7 @@ def _focal_baseline_px_m(rig: Rig) -> float | None:
     return None
 
 
-def density_gain(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.NDArray[np.float32]:
+def density_gain(rig: Rig, spec: GridSpec, settings: DensitySettings) -> Float32:
     """What one point is worth in a cell, of 255, float32 [n_y, n_x]: all scaling in one table."""
     range_m = _ranges_m(spec)
     compensation = (range_m / settings.reference_range_m) ** settings.range_exponent
@@ -258,7 +254,7 @@ def density_gain(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.NDA
     return worth.astype(np.float32)
 
 
-def points_needed(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.NDArray[np.int32]:
+def points_needed(rig: Rig, spec: GridSpec, settings: DensitySettings) -> Int32:
     """How many points make a claim in a cell, int32 [n_y, n_x, 2]: of free ground, of an obstacle.
 
     `min_ground_points` and `min_points`; of a lidar no more than two, and one where a wall through
@@ -277,10 +273,10 @@ def points_needed(rig: Rig, spec: GridSpec, settings: DensitySettings) -> npt.ND
     return needed
 
 
-def _ranges_m(spec: GridSpec) -> npt.NDArray[np.float64]:
+def _ranges_m(spec: GridSpec) -> Float64:
     """Range of each cell's centre from the grid origin, [n_y, n_x]."""
     x, y = spec.centres_m()
-    ranges_m: npt.NDArray[np.float64] = np.hypot(x[None, :], y[:, None])
+    ranges_m: Float64 = np.hypot(x[None, :], y[:, None])
     return ranges_m
 
 

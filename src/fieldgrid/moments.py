@@ -12,8 +12,8 @@ cells it sees are touched.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int32, UInt8, UInt64
 from fieldgrid.grids import LocalGrid
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import TILE_CELLS, Lattice, Window
@@ -28,7 +28,7 @@ PLANES = 5
 HIGHEST_BITS = 8
 """Above these bits of HIGHEST a fold in progress keeps the number of the last frame."""
 
-Moments = npt.NDArray[np.uint64]
+Moments = UInt64
 
 
 def merge_moments(a: Moments, b: Moments) -> Moments:
@@ -47,7 +47,7 @@ def finished(pooled: Moments) -> Moments:
 
 def add_to_tiles(
     pool: Moments,
-    slots: npt.NDArray[np.int32],
+    slots: Int32,
     window: Window,
     grid: LocalGrid,
     pose: Pose,
@@ -107,16 +107,16 @@ def accumulate_moments(  # type: ignore[no-untyped-def]
 
 
 def accumulate_moments_reference(
-    density: npt.NDArray[np.uint8],
-    observed: npt.NDArray[np.bool_],
-    column_i: npt.NDArray[np.float64],
-    column_j: npt.NDArray[np.float64],
-    row_i: npt.NDArray[np.float64],
-    row_j: npt.NDArray[np.float64],
+    density: UInt8,
+    observed: Bool,
+    column_i: Float64,
+    column_j: Float64,
+    row_i: Float64,
+    row_j: Float64,
     shift: int,
     i0: int,
     j0: int,
-    slots: npt.NDArray[np.int32],
+    slots: Int32,
     number: int,
     pool: Moments,
 ) -> None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
+from fieldgrid.array_types import Float64, Int64
 
 
 class Gyro(NamedTuple):
@@ -18,15 +14,15 @@ class Gyro(NamedTuple):
     z axis of a gyro whose frame is forward, left, up.
     """
 
-    time_ns: _Int64
-    rate_rad_s: _Float64
+    time_ns: Int64
+    rate_rad_s: Float64
 
 
 class WheelSpeed(NamedTuple):
     """Speed over ground from wheels or transmission, length n, negative in reverse."""
 
-    time_ns: _Int64
-    speed_mps: _Float64
+    time_ns: Int64
+    speed_mps: Float64
 
 
 class Steps(NamedTuple):
@@ -37,13 +33,13 @@ class Steps(NamedTuple):
     `sigma_deg` that of the turn.
     """
 
-    start_ns: _Int64
-    stop_ns: _Int64
-    forward_m: _Float64
-    right_m: _Float64
-    turn_deg: _Float64
-    sigma_m: _Float64
-    sigma_deg: _Float64
+    start_ns: Int64
+    stop_ns: Int64
+    forward_m: Float64
+    right_m: Float64
+    turn_deg: Float64
+    sigma_m: Float64
+    sigma_deg: Float64
 
 
 class Motion(NamedTuple):

@@ -16,12 +16,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.errors import CalibrationError
 from fieldgrid.rig import StereoCamera
 
-_Float64 = npt.NDArray[np.float64]
-_Image = npt.NDArray[np.uint8]
-_Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+_Maps = tuple[Float32, Float32]
 
 _SAME = 1e-3  # relative; what two focal lengths or f·b may differ by
 _RECTIFY = "rectified images are required: rectify them and give the P1, P2 of that rectification"
@@ -120,7 +119,7 @@ class RawCamera:
                 )
 
     @property
-    def K(self) -> _Float64:
+    def K(self) -> Float64:
         """The intrinsic matrix, 3 x 3 px."""
         return np.array(
             [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
@@ -131,7 +130,7 @@ class RawCamera:
         """(width, height)."""
         return self.width_px, self.height_px
 
-    def project(self, directions: _Float64) -> _Float64:
+    def project(self, directions: Float64) -> Float64:
         """Pixels [n, 2] of directions [n, 3] in the camera's frame, all with z > 0."""
         D = np.array(self.distortion)
         if self.model is LensModel.EQUIDISTANT:
@@ -183,10 +182,10 @@ class View(NamedTuple):
     """One raw camera, and the rectified camera that its image is turned into."""
 
     camera: RawCamera
-    R_rect_raw: _Float64
-    K_rect: _Float64
+    R_rect_raw: Float64
+    K_rect: Float64
 
-    def sources_px(self, pixels: _Float64) -> _Float64:
+    def sources_px(self, pixels: Float64) -> Float64:
         """Where in the raw image the rectified image's `pixels` [n, 2] are; NaN behind it."""
         rays = np.column_stack([pixels, np.ones(len(pixels))])
         rays = rays @ np.linalg.inv(self.K_rect).T @ self.R_rect_raw
@@ -226,7 +225,7 @@ class Rectifier:
         """(width, height) of the raw images."""
         return self._views[0].camera.size_px
 
-    def __call__(self, left: _Image, right: _Image) -> tuple[_Image, _Image]:
+    def __call__(self, left: UInt8, right: UInt8) -> tuple[UInt8, UInt8]:
         """The rectified pair, of the same size; black where the raw images show nothing."""
         with self._lock:
             if self._maps is None:
@@ -235,8 +234,8 @@ class Rectifier:
         return _remapped(left, maps_left), _remapped(right, maps_right)
 
 
-def _remapped(image: _Image, maps: _Maps) -> _Image:
-    return cast(_Image, cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
+def _remapped(image: UInt8, maps: _Maps) -> UInt8:
+    return cast(UInt8, cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
 
 
 class Rectification(NamedTuple):
@@ -247,14 +246,14 @@ class Rectification(NamedTuple):
 
     camera: StereoCamera
     rectifier: Rectifier | None
-    R_rect_left: _Float64
+    R_rect_left: Float64
 
 
 def rectify_by_projections(
     left: RawCamera,
     right: RawCamera,
-    rotations: tuple[_Float64, _Float64],
-    projections: tuple[_Float64, _Float64],
+    rotations: tuple[Float64, Float64],
+    projections: tuple[Float64, Float64],
     source: str,
 ) -> Rectification:
     """Rectify as a calibration prescribes: R1, R2 (3 x 3) and P1, P2 (3 x 4 px), as in ROS's
@@ -276,7 +275,7 @@ def rectify_by_projections(
 
 
 def rectify_by_pose(
-    left: RawCamera, right: RawCamera, R: _Float64, T: _Float64, source: str
+    left: RawCamera, right: RawCamera, R: Float64, T: Float64, source: str
 ) -> Rectification:
     """Rectify by where the cameras are: x_right = R · x_left + T, in metres.
 
@@ -300,7 +299,7 @@ def rectify_by_pose(
     return rectify_by_projections(left, right, rotations, projections, source)
 
 
-def _is_rectified(left: RawCamera, right: RawCamera, R: _Float64, T: _Float64) -> bool:
+def _is_rectified(left: RawCamera, right: RawCamera, R: Float64, T: Float64) -> bool:
     """Whether two pinholes share orientation, rows and focal length as they are."""
     bare = left.model is right.model is LensModel.NONE
     turned = float(np.abs(R - np.eye(3)).max()) * left.fx_px
@@ -315,15 +314,15 @@ def _is_rectified(left: RawCamera, right: RawCamera, R: _Float64, T: _Float64) -
     )
 
 
-def _as_projections(left: RawCamera, right: RawCamera, T: _Float64) -> tuple[_Float64, _Float64]:
+def _as_projections(left: RawCamera, right: RawCamera, T: Float64) -> tuple[Float64, Float64]:
     """P1 and P2 of a pair that is rectified already."""
     shift = np.array([[right.fx_px * T[0]], [0.0], [0.0]])
     return np.hstack([left.K, np.zeros((3, 1))]), np.hstack([right.K, shift])
 
 
 def _aligned(
-    left: RawCamera, right: RawCamera, R: _Float64, T: _Float64, source: str, fisheye: bool
-) -> tuple[tuple[_Float64, _Float64], tuple[_Float64, _Float64]]:
+    left: RawCamera, right: RawCamera, R: Float64, T: Float64, source: str, fisheye: bool
+) -> tuple[tuple[Float64, Float64], tuple[Float64, Float64]]:
     """R1 and R2, P1 and P2 of a common focal length at which no rectified pixel is empty."""
     D_left, D_right = np.array(left.distortion), np.array(right.distortion)
     cameras = (left.K, D_left, right.K, D_right, left.size_px, R, T.reshape(3, 1))
@@ -348,18 +347,18 @@ def _check_sizes(left: RawCamera, right: RawCamera, source: str) -> None:
         )
 
 
-def is_rotation(R: _Float64) -> bool:
+def is_rotation(R: Float64) -> bool:
     """Whether a 3 x 3 matrix is a rotation, as well as calibrations are written."""
     bounded = bool((np.abs(R) < 2.0).all())  # which NaN is not
     return bounded and np.abs(R @ R.T - np.eye(3)).max() <= 1e-3 and bool(np.linalg.det(R) > 0.0)
 
 
-def _check_rotation(R: _Float64, what: str, source: str) -> None:
+def _check_rotation(R: Float64, what: str, source: str) -> None:
     if not is_rotation(R):
         raise CalibrationError(f"{source}: {what} is no rotation; restore the calibration.")
 
 
-def _check_places(R: _Float64, T: _Float64, source: str) -> None:
+def _check_places(R: Float64, T: Float64, source: str) -> None:
     """Refuse cameras that no rows can be aligned of."""
     if not ((np.abs(T) <= 10.0).all() and 0.005 <= float(np.linalg.norm(T)) <= 10.0):
         raise CalibrationError(
@@ -403,7 +402,7 @@ def _sampled(view: View, source: str) -> float:
 
 
 def camera_from_projections(
-    left: _Float64, right: _Float64, size_px: tuple[int, int], source: str
+    left: Float64, right: Float64, size_px: tuple[int, int], source: str
 ) -> StereoCamera:
     """The camera of a rectified pair with projection matrices `left` and `right`, 3 x 4 px.
 

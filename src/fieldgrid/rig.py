@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 
 HeadingConvention = Literal["cw_north", "ccw_east"]
@@ -58,9 +59,7 @@ class StereoCamera:
         """f·b, so that depth = f·b / disparity."""
         return self.focal_px * self.baseline_m
 
-    def range_sigma_m(
-        self, range_m: npt.ArrayLike, disparity_sigma_px: float
-    ) -> npt.NDArray[np.float64]:
+    def range_sigma_m(self, range_m: npt.ArrayLike, disparity_sigma_px: float) -> Float64:
         """1-sigma error of a range in metres: R²·sigma_d / (f·b)."""
         r = np.asarray(range_m, dtype=np.float64)
         return r * r * disparity_sigma_px / self.focal_baseline_px_m
@@ -173,7 +172,7 @@ class Mount:
                 "or 45°; correct the mounting."
             )
 
-    def rotation(self) -> npt.NDArray[np.float64]:
+    def rotation(self) -> Float64:
         """R_vehicle_camera, 3 x 3: a direction of the camera frame in the vehicle frame.
 
         For roll = yaw = 0: x = x_c; y = z_c·cos(tilt) - y_c·sin(tilt);
@@ -202,7 +201,7 @@ class Mount:
                 [0.0, 0.0, 1.0],
             ]
         )
-        rotation: npt.NDArray[np.float64] = yawed @ rolled @ tilted
+        rotation: Float64 = yawed @ rolled @ tilted
         return rotation
 
 
@@ -243,7 +242,7 @@ class Vehicle(Protocol):
         """How a recorded heading is counted."""
 
 
-def nose_heading_deg(vehicle: Vehicle, recorded_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def nose_heading_deg(vehicle: Vehicle, recorded_deg: npt.ArrayLike) -> Float64:
     """Headings of the nose, by the declared convention and offset, of recorded ones."""
     recorded = np.asarray(recorded_deg, dtype=np.float64)
     clockwise = recorded if vehicle.heading_convention == "cw_north" else 90.0 - recorded

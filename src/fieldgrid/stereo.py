@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from fieldgrid.array_types import Int16, UInt8
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import Rig, StereoCamera
 
@@ -75,14 +75,12 @@ class SearchRegion(NamedTuple):
 class Disparity(NamedTuple):
     """Disparity of the left image's rows `row_start`…, int16 in sixteenths, < 0 invalid."""
 
-    values: npt.NDArray[np.int16]
+    values: Int16
     row_start: int
 
 
 class _Matcher(Protocol):
-    def compute(
-        self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]
-    ) -> npt.NDArray[np.int16]: ...
+    def compute(self, left: UInt8, right: UInt8) -> Int16: ...
 
 
 def whole_image(camera: StereoCamera, num_disparities: int) -> SearchRegion:
@@ -133,7 +131,7 @@ class StereoMatcher:
         # OpenCV's matchers keep their buffers, so each thread needs one of its own.
         self._local = threading.local()
 
-    def disparity(self, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]) -> Disparity:
+    def disparity(self, left: UInt8, right: UInt8) -> Disparity:
         """Match two grey images [height, width] of the camera's size.
 
         Raises CalibrationError when a size differs from the calibration's.

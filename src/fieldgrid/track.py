@@ -11,17 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.pose import Estimate, PoseReport
 from fieldgrid.publish import replacing
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 COLUMNS = (
     *("time_ns", "lat_deg", "lon_deg", "height_m", "east_m", "north_m"),
@@ -107,7 +104,7 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
     )
 
 
-def _decimals(values: _Float64, digits: int) -> list[str]:
+def _decimals(values: Float64, digits: int) -> list[str]:
     """Numbers with a fixed count of decimals, never -0; '' for what is not finite."""
     rounded = np.round(np.where(np.isfinite(values), values, np.nan), digits) + 0.0
     return ["" if value != value else f"{value:.{digits}f}" for value in rounded.tolist()]
@@ -202,7 +199,7 @@ def summarise_track(estimate: Estimate) -> TrackSummary:
     )
 
 
-def _spread(values: _Float64) -> Spread | None:
+def _spread(values: Float64) -> Spread | None:
     known = values[np.isfinite(values)]
     if known.size == 0:
         return None

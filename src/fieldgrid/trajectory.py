@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import interpolate_deg
+from fieldgrid.array_types import Bool, Float64, Index, Int64
 from fieldgrid.errors import GnssError
 from fieldgrid.geodesy import Datum
 
@@ -67,23 +67,23 @@ class Trajectory:
     """
 
     datum: Datum
-    time_ns: npt.NDArray[np.int64]
-    east_m: npt.NDArray[np.float64]
-    north_m: npt.NDArray[np.float64]
-    up_m: npt.NDArray[np.float64]
-    heading_deg: npt.NDArray[np.float64]
-    position_sigma_m: npt.NDArray[np.float64]
-    heading_sigma_deg: npt.NDArray[np.float64]
-    speed_mps: npt.NDArray[np.float64]
-    gear: npt.NDArray[np.int64]
-    quality: npt.NDArray[np.int64]
+    time_ns: Int64
+    east_m: Float64
+    north_m: Float64
+    up_m: Float64
+    heading_deg: Float64
+    position_sigma_m: Float64
+    heading_sigma_deg: Float64
+    speed_mps: Float64
+    gear: Int64
+    quality: Int64
     status: tuple[Status, ...]
     reason: tuple[str, ...]
     heading_source: str
-    accepted: npt.NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+    accepted: Bool = field(init=False, repr=False, compare=False)
     """Mask of the rows whose verdict is ok or held."""
-    _ok: npt.NDArray[np.intp] = field(init=False, repr=False, compare=False)
-    _ok_time_ns: npt.NDArray[np.int64] = field(init=False, repr=False, compare=False)
+    _ok: Index = field(init=False, repr=False, compare=False)
+    _ok_time_ns: Int64 = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.time_ns)
@@ -143,7 +143,7 @@ class Trajectory:
             reason = f"no accepted fix for {span_ns / 1e9:.2f} s around it: {self._why(time_ns)}"
             return self._row(a if share < 0.5 else b, time_ns, reason)
 
-        def mix(column: npt.NDArray[np.float64]) -> float:
+        def mix(column: Float64) -> float:
             return float((1.0 - share) * column[a] + share * column[b])
 
         return Pose(

@@ -19,6 +19,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt64
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.kernel import kernel
@@ -30,8 +31,6 @@ AREA_SHIFT = 2
 
 CELL_WEIGHT = 1 << (2 * AREA_SHIFT)
 """Weight of one whole local cell; a part has weight 1."""
-
-_Float64 = npt.NDArray[np.float64]
 
 
 class Transfer(StrEnum):
@@ -68,7 +67,7 @@ def footprint(spec: GridSpec, pose: Pose, lattice: Lattice) -> Window:
     return Window(i0, j0, int(i.max()) + 2 - i0, int(j.max()) + 2 - j0)
 
 
-def to_universal(x_m: npt.ArrayLike, y_m: npt.ArrayLike, pose: Pose) -> tuple[_Float64, _Float64]:
+def to_universal(x_m: npt.ArrayLike, y_m: npt.ArrayLike, pose: Pose) -> tuple[Float64, Float64]:
     """Eq. 3: (E, N) in metres of local coordinates (x right, y forward) at a pose."""
     x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
     phi = math.radians(pose.heading_deg)
@@ -84,7 +83,7 @@ class MeanFold:
     lattice: Lattice
     window: Window
     transfer: Transfer = Transfer.CENTRE
-    sums: npt.NDArray[np.uint64] = field(init=False)
+    sums: UInt64 = field(init=False)
 
     def __post_init__(self) -> None:
         # Side by side, because every touched cell needs both: one cache line instead of two.
@@ -94,7 +93,7 @@ class MeanFold:
         """Carry one local grid into the window; what falls outside is left out."""
         add_to_sums(self.sums, self.window, grid, pose, self.lattice, self.transfer)
 
-    def density(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
+    def density(self) -> tuple[UInt8, Bool]:
         """Mean 3D density rounded to uint8, and the observed mask, both [rows, columns]."""
         return mean_density(self.sums)
 
@@ -105,7 +104,7 @@ class PaperFold:
 
     lattice: Lattice
     window: Window
-    value: npt.NDArray[np.float32] = field(init=False)
+    value: Float32 = field(init=False)
 
     def __post_init__(self) -> None:
         self.value = np.full(self.window.shape, np.nan, dtype=np.float32)
@@ -117,7 +116,7 @@ class PaperFold:
         i0, j0 = self.window.i0, self.window.j0
         average_pairwise(grid.density, grid.observed, *axes, i0, j0, self.value)
 
-    def density(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
+    def density(self) -> tuple[UInt8, Bool]:
         """Averaged 3D density rounded to uint8, and the observed mask."""
         observed = ~np.isnan(self.value)
         rounded = np.floor(np.where(observed, self.value, 0.0) + 0.5)
@@ -125,7 +124,7 @@ class PaperFold:
 
 
 def add_to_sums(
-    sums: npt.NDArray[np.uint64],
+    sums: UInt64,
     window: Window,
     grid: LocalGrid,
     pose: Pose,
@@ -143,8 +142,8 @@ def add_to_sums(
 
 
 def mean_density(
-    sums: npt.NDArray[np.uint64],
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
+    sums: UInt64,
+) -> tuple[UInt8, Bool]:
     """The mean of accumulated cells [..., (weight, weighted sum)], rounded half up in integers.
 
     Returns uint8 and the mask of the cells that have any weight, both [...].
@@ -157,7 +156,7 @@ def mean_density(
 
 def universal_axes(
     spec: GridSpec, pose: Pose, lattice: Lattice, shift: int = 0
-) -> tuple[_Float64, _Float64, _Float64, _Float64]:
+) -> tuple[Float64, Float64, Float64, Float64]:
     """Eq. 3 split into what a column and what a row contributes, in cells of the lattice.
 
     The centre of column c and row r lies in cell (floor(column_i[c] + row_i[r]),
@@ -176,7 +175,7 @@ def universal_axes(
 
 
 @lru_cache(maxsize=8)
-def _part_centres_m(spec: GridSpec, shift: int) -> tuple[_Float64, _Float64]:
+def _part_centres_m(spec: GridSpec, shift: int) -> tuple[Float64, Float64]:
     """x of the columns' and y of the rows' centres, 2^shift of each a cell: the same for all
     frames of a drive."""
     parts = 1 << shift
@@ -217,16 +216,16 @@ def accumulate(  # type: ignore[no-untyped-def]
 
 
 def accumulate_reference(
-    density: npt.NDArray[np.uint8],
-    observed: npt.NDArray[np.bool_],
-    column_i: _Float64,
-    column_j: _Float64,
-    row_i: _Float64,
-    row_j: _Float64,
+    density: UInt8,
+    observed: Bool,
+    column_i: Float64,
+    column_j: Float64,
+    row_i: Float64,
+    row_j: Float64,
     shift: int,
     i0: int,
     j0: int,
-    sums: npt.NDArray[np.uint64],
+    sums: UInt64,
 ) -> None:
     """The same as `accumulate`, in NumPy: what the compiled kernel is held to."""
     unit = np.uint64(1 << (2 * (AREA_SHIFT - shift)))

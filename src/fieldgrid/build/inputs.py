@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapError
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Gyro, Motion, Steps, WheelSpeed
@@ -30,8 +31,8 @@ class Inputs(NamedTuple):
 
     fixes: list[Fix]
     motion: Motion
-    frame_ns: npt.NDArray[np.int64]
-    ground_found: npt.NDArray[np.bool_]
+    frame_ns: Int64
+    ground_found: Bool
 
 
 def to_arrays(inputs: Inputs) -> Arrays:

@@ -12,9 +12,8 @@ from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32
 from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import FrameGround, LocalGridder
@@ -135,7 +134,7 @@ def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Percei
     if isinstance(frame, StereoFrame):
         return _perceive_pair(frame, gridder, odometry)
     start = time.thread_time()
-    to_grid: Callable[[npt.NDArray[np.float32]], tuple[LocalGrid, FrameGround]]
+    to_grid: Callable[[Float32], tuple[LocalGrid, FrameGround]]
     if isinstance(frame, DepthFrame):
         seen, to_grid = checked_depth_m(frame), gridder.from_depth
     else:
@@ -171,7 +170,7 @@ def _perceive_pair(frame: StereoFrame, gridder: LocalGridder, odometry: bool) ->
     )
 
 
-def checked_depth_m(frame: DepthFrame) -> npt.NDArray[np.float32]:
+def checked_depth_m(frame: DepthFrame) -> Float32:
     """The depths of a frame, once it is sure that they are of the calibrated size.
 
     Raises CalibrationError when they are not.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.geodesy import Datum
@@ -85,9 +85,7 @@ def check_images(recording: Recording, trajectory: Trajectory) -> None:
         )
 
 
-def _advice(
-    recording: Recording, images: npt.NDArray[np.int64], fixes: npt.NDArray[np.int64]
-) -> str:
+def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
     """What to do about images and fixes that are apart."""
     choose = "choose the log of this drive with --gnss"
     shift_s = shift_to_overlap(

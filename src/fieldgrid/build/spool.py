@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapWriteError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import decode_grid, encode_grid
@@ -80,7 +80,7 @@ class Spool:
             _Entry(frame_id, time_ns, images, images_sha256, ground_refined, sizes)
         )
 
-    def frames(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    def frames(self) -> tuple[Int64, Bool]:
         """The times of all frames, and whether the ground was found in each."""
         return (
             np.array([entry.time_ns for entry in self._entries], dtype=np.int64),

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import yaw_from_heading_rad
+from fieldgrid.array_types import Float64
 from fieldgrid.convert.messages import (
     ANTENNA,
     AXLE,
@@ -37,8 +37,6 @@ from fieldgrid.recording import Recording
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.trajectory import Trajectory
 
-_Float64 = npt.NDArray[np.float64]
-
 _FLU_FROM_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _ATTITUDE_RAD2 = math.radians(2.0) ** 2
 
@@ -56,7 +54,7 @@ def said_once(rig: Rig, trajectory: Trajectory | None, time_ns: int) -> Iterator
     """What is said once, at the start: where things sit, and where the map is."""
     R = _FLU_FROM_VEHICLE @ rig.mount.rotation()
     sensor, above = rig.sensor, np.array([0.0, 0.0, rig.mount.height_m])
-    frames: dict[str, _Float64] = {}
+    frames: dict[str, Float64] = {}
     if isinstance(sensor, StereoCamera):
         half = R @ np.array([sensor.baseline_m / 2.0, 0.0, 0.0])
         frames = {LEFT: above - half, RIGHT: above + half}

@@ -8,8 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import UInt8
 from fieldgrid.convert.drive import Said
 from fieldgrid.convert.messages import (
     DEPTH,
@@ -114,7 +114,7 @@ def _stored(source: ImageSource) -> tuple[str, bytes] | None:
     return ("png", data) if data.startswith(b"\x89PNG\r\n\x1a\n") else None
 
 
-def _png(grey: npt.NDArray[np.uint8]) -> bytes:
+def _png(grey: UInt8) -> bytes:
     """Rectified pixels without loss."""
     _, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return bytes(data)

@@ -6,14 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Float32, Float64
 from fieldgrid.gnss import Fix
 from fieldgrid.gnss.fix import position_sigma_m
 from fieldgrid.rig import DepthCamera, StereoCamera
 from fieldgrid.ros import types
-
-_Float64 = npt.NDArray[np.float64]
 
 MAP, BASE = "map", "base_footprint"
 LEFT, RIGHT, DEPTH, LIDAR = "left_optical", "right_optical", "depth_optical", "lidar_optical"
@@ -50,7 +48,7 @@ def vector(x: float, y: float, z: float, *, name: str = "Vector3") -> Any:
     return new(f"geometry_msgs/{name}", x=float(x), y=float(y), z=float(z))
 
 
-def quaternion(R: _Float64) -> Any:
+def quaternion(R: Float64) -> Any:
     """A rotation [3, 3] as a geometry_msgs/Quaternion."""
     # The eigenvector to the greatest eigenvalue, which is good for all rotations.
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
@@ -67,7 +65,7 @@ def quaternion(R: _Float64) -> Any:
     return new("geometry_msgs/Quaternion", x=sign * x, y=sign * y, z=sign * z, w=sign * w)
 
 
-def transform(time_ns: int, parent: str, child: str, at_m: _Float64, turn: Any) -> Any:
+def transform(time_ns: int, parent: str, child: str, at_m: Float64, turn: Any) -> Any:
     """A geometry_msgs/TransformStamped: where the child is, and its turn, seen from the parent."""
     placed = new("geometry_msgs/Transform", translation=vector(*at_m.tolist()), rotation=turn)
     return new(
@@ -141,7 +139,7 @@ def odometry_message(time_ns: int, speed_mps: float) -> Any:
     )
 
 
-def image_message(pixels: npt.NDArray[Any], encoding: str, header: Any) -> Any:
+def image_message(pixels: AnyArray, encoding: str, header: Any) -> Any:
     """A sensor_msgs/Image of pixels [row, column]."""
     height, width = pixels.shape
     return new(
@@ -199,7 +197,7 @@ def _info(
     )
 
 
-def cloud_message(points_m: npt.NDArray[np.float32], header: Any) -> Any:
+def cloud_message(points_m: Float32, header: Any) -> Any:
     """A sensor_msgs/PointCloud2 of points [n, 3], metres."""
     fields = [
         new("sensor_msgs/PointField", name=axis, offset=4 * k, datatype=7, count=1)

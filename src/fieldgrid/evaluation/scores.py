@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.errors import TruthError
 from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
@@ -210,9 +210,7 @@ def _score_map(
     )
 
 
-def _in_view(
-    universal: MapFile, truth: Truth, accepted: list[FrameRecord]
-) -> npt.NDArray[np.bool_]:
+def _in_view(universal: MapFile, truth: Truth, accepted: list[FrameRecord]) -> Bool:
     """Truth cells inside the field of view, the grid and the range of at least one frame."""
     mask = np.zeros(truth.window.shape, dtype=np.bool_)
     sessions = {info.name: info for info in universal.sessions()}
@@ -235,7 +233,7 @@ def _spec_of(info: SessionInfo) -> GridSpec:
 
 def _view_points(
     spec: GridSpec, config: Mapping[str, Any], step_m: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+) -> tuple[Float64, Float64]:
     """Points of the local grid that the camera sees the ground of, of a pair the left one, within
     range. A lidar looks to all sides."""
     try:
@@ -276,15 +274,13 @@ def _field_of_view(rig: Mapping[str, Any]) -> tuple[float, float, float, float]:
     )
 
 
-def _cell_centres(view: MapView) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _cell_centres(view: MapView) -> tuple[Float64, Float64]:
     east, north = view.lattice.centres(view.window)
     shape = view.window.shape
     return np.broadcast_to(east[None, :], shape), np.broadcast_to(north[:, None], shape)
 
 
-def _inside(
-    truth: Truth, east: npt.NDArray[np.float64], north: npt.NDArray[np.float64]
-) -> npt.NDArray[np.bool_]:
+def _inside(truth: Truth, east: Float64, north: Float64) -> Bool:
     bounds = truth.lattice.bounds(truth.window)
     return (
         (east > bounds.west_m)
@@ -295,29 +291,27 @@ def _inside(
 
 
 def _points(
-    east: npt.NDArray[np.float64],
-    north: npt.NDArray[np.float64],
-    mask: npt.NDArray[np.bool_],
-) -> npt.NDArray[np.float64]:
+    east: Float64,
+    north: Float64,
+    mask: Bool,
+) -> Float64:
     return np.stack([east[mask], north[mask]], axis=1)
 
 
-def _truth_points(truth: Truth, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+def _truth_points(truth: Truth, mask: Bool) -> Float64:
     east, north = truth.lattice.centres(truth.window)
     rows, columns = np.nonzero(mask)
     return np.stack([east[columns], north[rows]], axis=1)
 
 
-def _distances(
-    points: npt.NDArray[np.float64], targets: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def _distances(points: Float64, targets: Float64) -> Float64:
     """Distance in metres from each point to the nearest target; infinite without targets."""
     if len(targets) == 0 or len(points) == 0:
         return np.full(len(points), np.inf)
     return np.asarray(cKDTree(targets).query(points)[0], dtype=np.float64)
 
 
-def _by_tolerance(distances: npt.NDArray[np.float64] | None) -> dict[str, float | None]:
+def _by_tolerance(distances: Float64 | None) -> dict[str, float | None]:
     if distances is None or distances.size == 0:
         return {f"{tolerance:.2f}": None for tolerance in TOLERANCES_M}
     return {
@@ -326,7 +320,7 @@ def _by_tolerance(distances: npt.NDArray[np.float64] | None) -> dict[str, float 
     }
 
 
-def _quantile(values: npt.NDArray[np.float64], share: float) -> float | None:
+def _quantile(values: Float64, share: float) -> float | None:
     return float(np.quantile(values, share)) if values.size else None
 
 

@@ -10,11 +10,10 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Bool, Int32
 from fieldgrid.errors import TruthError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
@@ -45,8 +44,8 @@ class Truth:
 
     lattice: Lattice
     window: Window
-    occupied: npt.NDArray[np.bool_]
-    obstacle_pixels: npt.NDArray[np.int32]
+    occupied: Bool
+    obstacle_pixels: Int32
     poses: tuple[TruthPose, ...]
     datum: Datum | None
 
@@ -77,7 +76,7 @@ def read_truth(folder: str | Path) -> Truth:
     return Truth(lattice, window, occupied, pixels, poses, _read_datum(folder))
 
 
-def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in names}

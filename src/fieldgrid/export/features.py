@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.obstacles import ObstacleSettings, trace_obstacles
 from fieldgrid.export.selection import Selection
@@ -30,7 +31,7 @@ class FeatureLayer(NamedTuple):
     name: str
     geometry_type: str
     geometry: npt.NDArray[np.object_]
-    columns: dict[str, npt.NDArray[Any]]
+    columns: dict[str, AnyArray]
 
 
 def feature_layers(
@@ -178,10 +179,10 @@ def _poses(drives: dict[str, Trajectory]) -> FeatureLayer:
 
     tracks = list(drives.values())
 
-    def joined(column: str) -> npt.NDArray[Any]:
+    def joined(column: str) -> AnyArray:
         return np.concatenate([getattr(track, column) for track in tracks] or [np.zeros(0)])
 
-    def known(column: str) -> npt.NDArray[Any]:
+    def known(column: str) -> AnyArray:
         return np.ma.masked_invalid(joined(column))
 
     # Of a row without a position, the point is empty.

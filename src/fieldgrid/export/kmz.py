@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.formats import Exported
 from fieldgrid.export.selection import Selection
@@ -43,8 +43,8 @@ _SHOWN_FROM_PX = "64"
 class _Place(NamedTuple):
     """Longitude and latitude of the corners, counter-clockwise from the lower left one."""
 
-    lon_deg: npt.NDArray[np.float64]
-    lat_deg: npt.NDArray[np.float64]
+    lon_deg: Float64
+    lat_deg: Float64
 
 
 def export_kmz(
@@ -215,7 +215,7 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
     return count
 
 
-def _drive(universal: MapFile, session: str) -> tuple[npt.NDArray[np.float64], ...]:
+def _drive(universal: MapFile, session: str) -> tuple[Float64, ...]:
     """East, north, up of the accepted poses: of the trajectory, or else of the frames."""
     track: Trajectory | None = universal.about(session).trajectory
     if track is not None:
@@ -225,7 +225,7 @@ def _drive(universal: MapFile, session: str) -> tuple[npt.NDArray[np.float64], .
     return tuple(places.reshape(-1, 3).T)
 
 
-def _coordinates(lon_deg: npt.NDArray[np.float64], lat_deg: npt.NDArray[np.float64]) -> str:
+def _coordinates(lon_deg: Float64, lat_deg: Float64) -> str:
     """Longitude and latitude to a hundredth of a millimetre; heights are the viewer's."""
     pairs = zip(lon_deg.tolist(), lat_deg.tolist(), strict=True)
     return " ".join(f"{lon:.10f},{lat:.10f}" for lon, lat in pairs)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.formats import Exported
@@ -104,7 +105,7 @@ def _checked(path: Path, selection: Selection, mode: str, image: str | None) -> 
     return kind
 
 
-def greys(mode: str) -> npt.NDArray[np.uint8]:
+def greys(mode: str) -> UInt8:
     """The grey of each occupancy, uint8 [102]: 0..100, and unknown in the last place (-1)."""
     occupancy = np.arange(OCCUPIED + 1)
     if mode == "raw":

@@ -10,16 +10,14 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapView
-
-_Int64 = npt.NDArray[np.int64]
 
 MAX_CELLS = 50_000_000
 """Obstacle cells that are traced at once: 2.5 GB of neighbours."""
@@ -63,9 +61,9 @@ class Obstacle(NamedTuple):
 class _Cells(NamedTuple):
     """Cells of a lattice by column and row, ordered by row and column, and their densities."""
 
-    i: _Int64
-    j: _Int64
-    density: npt.NDArray[np.uint8]
+    i: Int64
+    j: Int64
+    density: UInt8
 
 
 def trace_obstacles(

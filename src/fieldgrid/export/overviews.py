@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.export.raster import BLOCK_PX, Layout, Plane, Raster, creating, windows
 from fieldgrid.kernel import kernel
 
@@ -58,7 +58,7 @@ def _write_half(source: Path, file: Path, plane: Plane, layout: Layout) -> None:
                     dataset.write(halved, window=part)
 
 
-def _read_half(source: Path, part: Any, layout: Layout) -> npt.NDArray[Any] | None:
+def _read_half(source: Path, part: Any, layout: Layout) -> AnyArray | None:
     """The overview of what a window of it covers in the level below."""
     import rasterio
 
@@ -68,7 +68,7 @@ def _read_half(source: Path, part: Any, layout: Layout) -> npt.NDArray[Any] | No
         return halve(below.read(window=(rows, columns)), layout)
 
 
-def halve(pixels: npt.NDArray[Any], layout: Layout) -> npt.NDArray[Any] | None:
+def halve(pixels: AnyArray, layout: Layout) -> AnyArray | None:
     """The overview [bands, ceil(rows / 2), ceil(columns / 2)] of pixels [bands, rows, columns].
 
     None when there is nothing in it.

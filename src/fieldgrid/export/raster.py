@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
@@ -33,8 +33,6 @@ MAX_SIDE_PX = 1 << 30
 _NEARER_PX = 0.01
 """How far from its exact place, in cells, a reprojected pixel may look for its value."""
 
-_Band = npt.NDArray[Any]
-
 
 class Layout(NamedTuple):
     """How a layer's cells become bands: of this type, with alpha or else a value for nodata.
@@ -48,7 +46,7 @@ class Layout(NamedTuple):
     nodata: float | None
     highest: bool = False
 
-    def bands(self, view: MapView, layer: str) -> tuple[_Band, ...]:
+    def bands(self, view: MapView, layer: str) -> tuple[AnyArray, ...]:
         """The bands of a view, row 0 in the south."""
         values = view.layer(layer)
         return (values, view.observed * np.uint8(255)) if self.alpha else (values,)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.angles import yaw_from_heading_rad
+from fieldgrid.array_types import AnyArray, Bool, Float32
 from fieldgrid.geodesy import Datum, geodetic_to_ecef
 from fieldgrid.mapfile import MapView
 from fieldgrid.ros import types
@@ -47,7 +48,7 @@ def occupancy_grid(view: MapView, occupancy: npt.NDArray[np.int8], time_ns: int)
     )
 
 
-def grid_map(view: MapView, layers: Mapping[str, npt.NDArray[Any]], time_ns: int) -> Any:
+def grid_map(view: MapView, layers: Mapping[str, AnyArray], time_ns: int) -> Any:
     """grid_map_msgs/GridMap of layers [rows north, columns east]; NaN where not observed.
 
     Its index (0, 0) is the cell in the north-east; the first index runs west, the second south.
@@ -159,7 +160,7 @@ def text(content: str) -> Any:
     return _new("std_msgs/msg/String", data=content)
 
 
-def _floats(values: npt.NDArray[Any], observed: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+def _floats(values: AnyArray, observed: Bool) -> Float32:
     """The values from the north-east cell westwards, and so on southwards; NaN if unobserved."""
     floats = values[::-1, ::-1].astype(np.float32, order="C")
     floats[~observed[::-1, ::-1]] = np.nan

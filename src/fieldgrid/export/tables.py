@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.formats import Exported
 from fieldgrid.export.selection import Selection
@@ -31,7 +31,7 @@ _ROWS = 1 << 16
 _PLACES = {"east_m": 4, "north_m": 4, "lat_deg": 9, "lon_deg": 9}
 """Decimals of a CSV: 0.1 mm."""
 
-Table = dict[str, npt.NDArray[Any]]
+Table = dict[str, AnyArray]
 
 
 def export_csv(
@@ -122,7 +122,7 @@ def _lines(table: Table) -> Iterator[str]:
         yield "\r\n".join(map(",".join, zip(*cells, strict=True))) + "\r\n"
 
 
-def _text(name: str, values: npt.NDArray[Any]) -> list[str]:
+def _text(name: str, values: AnyArray) -> list[str]:
     if name in _PLACES:
         return list(map(f"%.{_PLACES[name]}f".__mod__, values.tolist()))
     if values.dtype.kind == "f":

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import FeatureLayer, feature_layers, obstacle_settings
 from fieldgrid.export.formats import Exported
@@ -118,7 +118,7 @@ def _is_taskdata(folder: Path) -> bool:
 class ZoneGrid(NamedTuple):
     """Codes of zones, uint8 [north, east], row 0 in the south, and where they lie in degrees."""
 
-    zones: npt.NDArray[np.uint8]
+    zones: UInt8
     south_deg: float
     west_deg: float
     cell_north_deg: float
@@ -165,7 +165,7 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
 _BY_SEVERITY = np.array([FREE.code, UNSEEN.code, DOUBT.code, OBSTACLE.code], dtype=np.uint8)
 
 
-def _severity(view: MapView, obstacle_above: int) -> npt.NDArray[np.uint8]:
+def _severity(view: MapView, obstacle_above: int) -> UInt8:
     """0 free, 1 not observed, 2 in doubt, 3 obstacle."""
     found = np.where(view.density > FREE_UP_TO, np.uint8(2), np.uint8(0))
     found[view.density > obstacle_above] = 3
@@ -175,10 +175,10 @@ def _severity(view: MapView, obstacle_above: int) -> npt.NDArray[np.uint8]:
 
 def _sampled(
     view: MapView,
-    severity: npt.NDArray[np.uint8],
-    lat_deg: npt.NDArray[Any],
-    lon_deg: npt.NDArray[Any],
-) -> npt.NDArray[np.uint8]:
+    severity: UInt8,
+    lat_deg: AnyArray,
+    lon_deg: AnyArray,
+) -> UInt8:
     # The height matters by some micrometres: a point of the plane 1 km away is 8 cm above the
     # datum's height, and its vertical is tilted by 0.16 mrad.
     east, north, _ = view.datum.to_enu(lat_deg, lon_deg, view.datum.height_m)

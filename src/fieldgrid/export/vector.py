@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.features import LAYERS, FeatureLayer, feature_layers, obstacle_settings
 from fieldgrid.export.formats import Exported
@@ -201,7 +201,7 @@ def _in_degrees(layer: FeatureLayer, datum: Datum) -> FeatureLayer:
     """The layer in longitude and latitude, of points in the datum's plane."""
     import shapely
 
-    def turned(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def turned(places: Float64) -> Float64:
         lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
         return np.column_stack([lon_deg, lat_deg])
 
@@ -212,7 +212,7 @@ def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
     """Features of all layers as one, which says of each where it is from."""
     sizes = [len(layer.geometry) for layer in layers]
     names = np.repeat(np.array([layer.name for layer in layers], dtype=np.object_), sizes)
-    columns: dict[str, npt.NDArray[Any]] = {"layer": names}
+    columns: dict[str, AnyArray] = {"layer": names}
     for key in dict.fromkeys(key for layer in layers for key in layer.columns):
         parts = [
             layer.columns.get(key, _nothing(size, _dtype(layers, key)))
@@ -226,7 +226,7 @@ def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
     return FeatureLayer("fieldgrid", "Unknown", geometry, columns)
 
 
-def _nothing(size: int, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def _nothing(size: int, dtype: np.dtype[Any]) -> AnyArray:
     return np.ma.MaskedArray(np.zeros(size, dtype=dtype), np.ones(size, dtype=np.bool_))
 
 

@@ -7,8 +7,9 @@ away, but it soon climbs or sinks as nothing on wheels can.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.ndimage
+
+from fieldgrid.array_types import Bool, Float64, Int64
 
 HALF_WINDOW_S = 2.5
 """Rates of climb are taken over twice this."""
@@ -20,9 +21,7 @@ SPOILT_S = 10.0
 """How long before and after a climb the solution is not trusted either."""
 
 
-def climb_mps(
-    time_ns: npt.NDArray[np.int64], height_m: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
     """Rate of climb at each of n fixes ordered by time, m/s; 0 where too few are near."""
     if len(time_ns) < 3:
         return np.zeros(len(time_ns))
@@ -37,9 +36,7 @@ def climb_mps(
     return np.where(span_s >= HALF_WINDOW_S, rise_m / np.maximum(span_s, 1e-3), 0.0)
 
 
-def spoilt(
-    time_ns: npt.NDArray[np.int64], climbing: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
+def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
     """Which of n fixes lie in or near a climb that no vehicle makes."""
     at = time_ns[climbing]
     if at.size == 0:

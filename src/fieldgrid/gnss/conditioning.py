@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Index, Int64
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss.climb import SPOILT_S, climb_mps, spoilt
 from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
@@ -25,7 +25,6 @@ from fieldgrid.trajectory import Status
 
 __all__ = ["DEFAULT_LIMITS", "GateLimits", "Kind", "Verdict", "condition"]
 
-_Rows = npt.NDArray[np.intp]
 
 _WITH_CARRIER, _WITH_CODE = frozenset({4, 5}), frozenset({2, 9})
 _LAST_NS = 2**62  # differences of such times still fit into 64 bits
@@ -49,7 +48,7 @@ def condition(fixes: Sequence[Fix], limits: GateLimits = DEFAULT_LIMITS) -> list
     return verdicts
 
 
-def _accepted(verdicts: Sequence[Verdict]) -> _Rows:
+def _accepted(verdicts: Sequence[Verdict]) -> Index:
     return np.array([k for k, v in enumerate(verdicts) if v.status is Status.OK], dtype=np.intp)
 
 
@@ -100,7 +99,7 @@ def _receiver_verdict(fix: Fix, limits: GateLimits) -> Verdict | None:
 # --- when it was taken
 
 
-def _in_time(fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict]) -> _Rows:
+def _in_time(fixes: Sequence[Fix], rows: Index, verdicts: list[Verdict]) -> Index:
     """The rows that are left when as few as possible are dropped for the time not to go back.
 
     One stamp far in the future condemns itself, not all that follow it.
@@ -122,7 +121,7 @@ def _in_time(fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict]) -> _Row
     return rows[kept]
 
 
-def _longest_rising(values: Sequence[int]) -> _Rows:
+def _longest_rising(values: Sequence[int]) -> Index:
     """Indices of the longest subsequence that never falls."""
     if all(a <= b for a, b in pairwise(values)):
         return np.arange(len(values))
@@ -143,7 +142,7 @@ def _longest_rising(values: Sequence[int]) -> _Rows:
     return np.array(found[::-1], dtype=np.intp)
 
 
-def _without_repeats(fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict]) -> _Rows:
+def _without_repeats(fixes: Sequence[Fix], rows: Index, verdicts: list[Verdict]) -> Index:
     """The rows that are positions of their own."""
     time_ns, lat_deg, lon_deg = _times(fixes, rows), *_degrees(fixes, rows)
     age_ns = held_ns(time_ns, lat_deg, lon_deg, _speeds(fixes, rows))
@@ -161,8 +160,8 @@ def _without_repeats(fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict])
 
 
 def _on_ground(
-    fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict], limits: GateLimits
-) -> _Rows:
+    fixes: Sequence[Fix], rows: Index, verdicts: list[Verdict], limits: GateLimits
+) -> Index:
     """The rows that do not climb or sink faster than a vehicle, nor lie near such."""
     time_ns = _times(fixes, rows)
     rate_mps = climb_mps(time_ns, np.array([fixes[k].height_m for k in rows], dtype=np.float64))
@@ -177,7 +176,7 @@ def _on_ground(
 
 
 def _follow_motion(
-    fixes: Sequence[Fix], rows: _Rows, verdicts: list[Verdict], limits: GateLimits
+    fixes: Sequence[Fix], rows: Index, verdicts: list[Verdict], limits: GateLimits
 ) -> None:
     """Judge the rows, which are ordered by time, by the motion of the whole drive."""
     if not len(rows):
@@ -201,7 +200,7 @@ def _follow_motion(
         verdicts[rows[first]] = _seam_verdict(step_between(course, before, first), agree)
 
 
-def _off_verdict(course: Course, k: int, jump_at: int, last: int, later: _Rows) -> Verdict:
+def _off_verdict(course: Course, k: int, jump_at: int, last: int, later: Index) -> Verdict:
     """Why row `k` is not one of those that the vehicle drove through.
 
     `last` is the accepted row before it (-1 for none) and `later` are those after it; rows
@@ -246,26 +245,22 @@ def _break(step: Step) -> tuple[Kind, str]:
     return Kind.TURN_RATE, f"{turn}; {off}"
 
 
-def _times(fixes: Sequence[Fix], rows: _Rows) -> npt.NDArray[np.int64]:
+def _times(fixes: Sequence[Fix], rows: Index) -> Int64:
     return np.array([fixes[k].time_ns for k in rows], dtype=np.int64)
 
 
-def _degrees(
-    fixes: Sequence[Fix], rows: _Rows
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _degrees(fixes: Sequence[Fix], rows: Index) -> tuple[Float64, Float64]:
     return (
         np.array([fixes[k].lat_deg for k in rows], dtype=np.float64),
         np.array([fixes[k].lon_deg for k in rows], dtype=np.float64),
     )
 
 
-def _speeds(fixes: Sequence[Fix], rows: _Rows) -> npt.NDArray[np.float64]:
+def _speeds(fixes: Sequence[Fix], rows: Index) -> Float64:
     return np.array([fixes[k].speed_mps for k in rows], dtype=np.float64)  # None becomes NaN
 
 
-def _metres(
-    fixes: Sequence[Fix], rows: _Rows
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _metres(fixes: Sequence[Fix], rows: Index) -> tuple[Float64, Float64]:
     """Metres east and north of the middle of the log."""
     lat_deg, lon_deg = _degrees(fixes, rows)
     # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.

@@ -12,15 +12,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gnss.scatter import short_term_sigma_m
 from fieldgrid.gnss.verdict import GateLimits
 from fieldgrid.kernel import kernel
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
-_Bool = npt.NDArray[np.bool_]
 
 _AROUND_S = 1.0
 _LEAST_AROUND, _MOST_AROUND = 5, 12  # steps on either side of a fix that tell its velocity
@@ -42,23 +38,23 @@ class Course(NamedTuple):
     `worth` is 1 for a fix as good as most of the log, less for worse ones.
     """
 
-    time_ns: _Int64
-    east_m: _Float64
-    north_m: _Float64
-    way_east_m: _Float64
-    way_north_m: _Float64
-    slack_m: _Float64
-    reach_m: _Float64
-    noise_m: _Float64
-    worth: _Float64
+    time_ns: Int64
+    east_m: Float64
+    north_m: Float64
+    way_east_m: Float64
+    way_north_m: Float64
+    slack_m: Float64
+    reach_m: Float64
+    noise_m: Float64
+    worth: Float64
     seam_price: float
 
 
 class Followed(NamedTuple):
     """Rows that are kept, and those of them at which the solution has moved."""
 
-    kept: _Bool
-    seam: _Bool
+    kept: Bool
+    seam: Bool
 
 
 class Step(NamedTuple):
@@ -75,11 +71,11 @@ class Step(NamedTuple):
 
 
 def course_of(
-    time_ns: _Int64,
-    east_m: _Float64,
-    north_m: _Float64,
-    sigma_m: _Float64,
-    speed_mps: _Float64,
+    time_ns: Int64,
+    east_m: Float64,
+    north_m: Float64,
+    sigma_m: Float64,
+    speed_mps: Float64,
     limits: GateLimits,
 ) -> Course:
     """The motion around each row. Rows are ordered by time; an unknown speed is NaN."""
@@ -152,13 +148,13 @@ def step_between(course: Course, a: int, b: int) -> Step:
     )
 
 
-def _running(steps: _Float64) -> _Float64:
+def _running(steps: Float64) -> Float64:
     """Sums from the first row to each row, along the last axis."""
     start = np.zeros((*steps.shape[:-1], 1))
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
-def _timing_s(step_s: _Float64, period_s: float, limits: GateLimits) -> float:
+def _timing_s(step_s: Float64, period_s: float, limits: GateLimits) -> float:
     """How far a stamp may be off: half a step where they are rounded to whole ones.
 
     A log at one stamp a second that often has none for two was not taken once a second.
@@ -171,7 +167,7 @@ def _timing_s(step_s: _Float64, period_s: float, limits: GateLimits) -> float:
     return limits.timing_s
 
 
-def _credible(speed_mps: _Float64, pace_mps: _Float64, limits: GateLimits) -> _Float64:
+def _credible(speed_mps: Float64, pace_mps: Float64, limits: GateLimits) -> Float64:
     """The stated speeds, or none where the track as a whole contradicts them.
 
     Speeds in the wrong unit, or stuck at 0, would otherwise reject a whole drive.
@@ -185,7 +181,7 @@ def _credible(speed_mps: _Float64, pace_mps: _Float64, limits: GateLimits) -> _F
     return speed_mps
 
 
-def _honest(time_ns: _Int64, east_m: _Float64, north_m: _Float64, sigma_m: _Float64) -> _Float64:
+def _honest(time_ns: Int64, east_m: Float64, north_m: Float64, sigma_m: Float64) -> Float64:
     """The stated sigma, raised to the noise that the log has, but no more than tenfold."""
     measured_m = short_term_sigma_m(east_m, north_m, time_ns, 0.0)
     sigma_m = np.minimum(sigma_m, _ANYWHERE_M)
@@ -193,9 +189,7 @@ def _honest(time_ns: _Int64, east_m: _Float64, north_m: _Float64, sigma_m: _Floa
 
 
 @kernel
-def _around(
-    moved_m: _Float64, step_s: _Float64, gap_s: float, half: int, top_mps: float
-) -> _Float64:
+def _around(moved_m: Float64, step_s: Float64, gap_s: float, half: int, top_mps: float) -> Float64:
     """The median velocity of the steps around each row, on one axis, without crossing gaps.
 
     A jump that lasts is one wrong step among many, so it does not show in it.
@@ -222,14 +216,14 @@ def _around(
 
 @kernel
 def _strain(
-    time_ns: _Int64,
-    east_m: _Float64,
-    north_m: _Float64,
-    way_east_m: _Float64,
-    way_north_m: _Float64,
-    slack_m: _Float64,
-    reach_m: _Float64,
-    noise_m: _Float64,
+    time_ns: Int64,
+    east_m: Float64,
+    north_m: Float64,
+    way_east_m: Float64,
+    way_north_m: Float64,
+    slack_m: Float64,
+    reach_m: Float64,
+    noise_m: Float64,
     a: int,
     b: int,
 ) -> float:
@@ -247,18 +241,18 @@ def _strain(
 
 @kernel
 def _follow(
-    time_ns: _Int64,
-    east_m: _Float64,
-    north_m: _Float64,
-    way_east_m: _Float64,
-    way_north_m: _Float64,
-    slack_m: _Float64,
-    reach_m: _Float64,
-    noise_m: _Float64,
-    worth: _Float64,
+    time_ns: Int64,
+    east_m: Float64,
+    north_m: Float64,
+    way_east_m: Float64,
+    way_north_m: Float64,
+    slack_m: Float64,
+    reach_m: Float64,
+    noise_m: Float64,
+    worth: Float64,
     seam_price: float,
     look_back: int,
-) -> tuple[_Float64, _Int64, _Bool]:
+) -> tuple[Float64, Int64, Bool]:
     """Score of the best sequence that ends in each row, the row before it, and if it is a seam.
 
     A row counts its worth less the square of the strain that leads to it, so one that is barely

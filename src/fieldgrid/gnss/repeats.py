@@ -9,13 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Index, Int64
 from fieldgrid.gnss.scatter import M_PER_DEG, quantum_m
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
-_Bool = npt.NDArray[np.bool_]
 
 _AROUND_S = 1.0
 _STANDING_MPS = 0.1  # below this a vehicle stands, and its positions wander
@@ -25,7 +21,7 @@ _FEWEST_POSITIONS = 4
 _EARLY = 0.15  # of a receiver's period that a row may come early and still be a new fix
 
 
-def held_ns(time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64, speed_mps: _Float64) -> _Int64:
+def held_ns(time_ns: Int64, lat_deg: Float64, lon_deg: Float64, speed_mps: Float64) -> Int64:
     """For each row the age of the position that it repeats, nanoseconds; -1 where it is a fix.
 
     Rows are ordered by time; an unknown speed is NaN. A vehicle that stands also writes the same
@@ -52,12 +48,12 @@ def held_ns(time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64, speed_mps: _F
     return np.where(~is_new & stale | _twice(time_ns, is_new), age_ns, none)
 
 
-def _twice(time_ns: _Int64, is_new: _Bool) -> _Bool:
+def _twice(time_ns: Int64, is_new: Bool) -> Bool:
     """Rows that are the row before them once more, place and time."""
     return np.asarray(~is_new & (np.diff(time_ns, prepend=time_ns[0] - 1) == 0))
 
 
-def _pace_mps(time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64) -> _Float64:
+def _pace_mps(time_ns: Int64, lat_deg: Float64, lon_deg: Float64) -> Float64:
     """The least speed at which the vehicle can have gone from each new position to the next.
 
     The least of this step, its neighbours and the second before and after: a vehicle that stood
@@ -66,7 +62,7 @@ def _pace_mps(time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64) -> _Float64
     n = len(time_ns)
     east, north = M_PER_DEG * np.cos(np.radians(lat_deg)) * lon_deg, M_PER_DEG * lat_deg
 
-    def speed(a: npt.NDArray[np.intp], b: npt.NDArray[np.intp]) -> _Float64:
+    def speed(a: Index, b: Index) -> Float64:
         seconds = np.maximum(time_ns[b] - time_ns[a], 1) / 1e9
         return np.asarray(np.hypot(east[b] - east[a], north[b] - north[a]) / seconds)
 
@@ -82,13 +78,13 @@ def _pace_mps(time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64) -> _Float64
 
 
 def _too_early(
-    time_ns: _Int64,
-    is_new: _Bool,
-    run: _Int64,
-    age_ns: _Int64,
-    pace_mps: _Float64,
+    time_ns: Int64,
+    is_new: Bool,
+    run: Int64,
+    age_ns: Int64,
+    pace_mps: Float64,
     spacing_m: float,
-) -> _Bool:
+) -> Bool:
     """Rows for which the receiver cannot have made a fix yet, by its period in this log."""
     steps_ns, row_ns = np.diff(time_ns[np.flatnonzero(is_new)]), np.diff(time_ns)
     quickly = pace_mps[:-1] > 0.0

@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gnss.fix import Fix, position_sigma_m
 from fieldgrid.gnss.verdict import Verdict
 from fieldgrid.trajectory import Status
-
-_Float64 = npt.NDArray[np.float64]
 
 M_PER_DEG = 111_195.0
 """Metres of a degree on a sphere of Earth's mean radius: near enough for how fine a log is."""
@@ -81,7 +80,7 @@ def quantum_m(lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike) -> float:
     return M_PER_DEG * max(north_m, east_m)
 
 
-def _spacing_deg(angles_deg: _Float64) -> float:
+def _spacing_deg(angles_deg: Float64) -> float:
     """The coarsest lattice that the distinct values lie on, degrees, or 0."""
     values = np.unique(angles_deg)
     if values.size < _FEWEST_VALUES:
@@ -95,7 +94,7 @@ def _spacing_deg(angles_deg: _Float64) -> float:
 
 
 def short_term_sigma_m(
-    east_m: _Float64, north_m: _Float64, time_ns: npt.NDArray[np.int64], quantum_m: float
+    east_m: Float64, north_m: Float64, time_ns: Int64, quantum_m: float
 ) -> float:
     """The white part of the error along one axis, metres, of positions ordered by time.
 
@@ -119,9 +118,7 @@ def short_term_sigma_m(
     return max(min(known), floor_m) if known else floor_m
 
 
-def _differences(
-    values: _Float64, time_s: _Float64, even: npt.NDArray[np.bool_], order: int
-) -> _Float64:
+def _differences(values: Float64, time_s: Float64, even: Bool, order: int) -> Float64:
     """Divided differences without a gap in them, whose weights have unit norm; (axes, n)."""
     whole = np.convolve(even, np.ones(order), "valid") >= order
     first = np.flatnonzero(whole)
@@ -136,7 +133,7 @@ def _differences(
     return np.asarray(np.einsum("awi,wi->aw", local, weights))
 
 
-def _calm_rms(differences: _Float64) -> float:
+def _calm_rms(differences: Float64) -> float:
     """Sigma of a normal distribution from its middle 70 %; NaN for too few.
 
     Not the median: differences of rounded positions have few values, and it would be one of them.

@@ -7,14 +7,12 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.grids import GridSpec
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.trajectory import Status, Trajectory
-
-_Float64 = npt.NDArray[np.float64]
 
 COUNT_CELL_M = 0.5
 """The covered area is counted in cells of this size."""
@@ -51,7 +49,7 @@ class Coverage(NamedTuple):
 
 
 def coverage(
-    images_ns: npt.NDArray[np.int64],
+    images_ns: Int64,
     trajectory: Trajectory,
     rig: Rig,
     spec: GridSpec,
@@ -134,9 +132,9 @@ def coverage_findings(found: Coverage | None, cell_m: float, asked: bool) -> Ite
 
 
 def _area_m2(
-    east_m: _Float64,
-    north_m: _Float64,
-    nose_rad: _Float64,
+    east_m: Float64,
+    north_m: Float64,
+    nose_rad: Float64,
     width_m: float,
     near_m: float,
     reach_m: float,

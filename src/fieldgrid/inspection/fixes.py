@@ -7,14 +7,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.gnss import QUALITY_NAMES, ConditioningSummary, Fix, Kind, position_sigma_m
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.track import grouped_reasons
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
-
-_Int64 = npt.NDArray[np.int64]
 
 REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1
 """More of the fixes, or of the frames, than this are worth a warning."""
@@ -90,7 +88,7 @@ def summarise_fixes(
     )
 
 
-def synchronisation(images_ns: _Int64, times_ns: _Int64) -> Sync | None:
+def synchronisation(images_ns: Int64, times_ns: Int64) -> Sync | None:
     """How near images are to accepted fixes, both in order of time; None without either."""
     if not len(times_ns) or not len(images_ns):
         return None
@@ -186,7 +184,7 @@ def pose_findings(frames: int, reasons: Counter[str]) -> Iterator[Finding]:
         )
 
 
-def rejections(images_ns: _Int64, trajectory: Trajectory) -> Counter[str]:
+def rejections(images_ns: Int64, trajectory: Trajectory) -> Counter[str]:
     """How many frames would be rejected for each reason."""
     poses = (trajectory.at(time_ns) for time_ns in images_ns.tolist())
     return Counter(pose.reason for pose in poses if pose.status is not Status.OK)

@@ -6,13 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.inspection.findings import Finding, error, stop, warning
 from fieldgrid.inspection.looking import Unread
 from fieldgrid.inspection.measures import Look
-
-_Float64 = npt.NDArray[np.float64]
 
 DARK_SHARE, DARK_MEAN = 0.5, 30.0
 """An image is dark when half of it is noise, or its mean is so low."""
@@ -81,9 +79,9 @@ def misalignment(looks: Sequence[Look], size_px: tuple[int, int]) -> Misalignmen
     )
 
 
-def _robust_plane(design: _Float64, values: _Float64) -> _Float64:
+def _robust_plane(design: Float64, values: Float64) -> Float64:
     """Coefficients of the plane through most of the values: weights of Tukey's, narrowing."""
-    found: _Float64 = np.array([np.median(values), 0.0, 0.0])
+    found: Float64 = np.array([np.median(values), 0.0, 0.0])
     for _ in range(10):
         rest = values - design @ found
         scale = max(1.4826 * float(np.median(np.abs(rest))), 0.05)

@@ -6,13 +6,10 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.localgrid import FrameGround
 from fieldgrid.rig import StereoCamera
-
-_UInt8 = npt.NDArray[np.uint8]
-_Float64 = npt.NDArray[np.float64]
 
 DARK_LEVEL, SATURATED_LEVEL = 16, 250
 """Of 255: at and below the one a sensor gives noise, at and above the other nothing."""
@@ -46,7 +43,7 @@ class Look(NamedTuple):
     saturated_share: float
     blur: float
     points: int
-    shifts: _Float64
+    shifts: Float64
     ground: FrameGround
     observed_share: float
 
@@ -74,14 +71,14 @@ class Look(NamedTuple):
         }
 
 
-def exposure(left: _UInt8, right: _UInt8) -> tuple[tuple[float, float], float, float]:
+def exposure(left: UInt8, right: UInt8) -> tuple[tuple[float, float], float, float]:
     """Mean brightness of both, and the larger dark and saturated share of the two."""
     dark = max(float((image <= DARK_LEVEL).mean()) for image in (left, right))
     saturated = max(float((image >= SATURATED_LEVEL).mean()) for image in (left, right))
     return (float(left.mean()), float(right.mean())), dark, saturated
 
 
-def blur(image: _UInt8) -> float:
+def blur(image: UInt8) -> float:
     """The no-reference measure of Crete et al. (2007), 0 sharp to 1, of the worse direction.
 
     Contrast cancels in it. Sharp images of five cameras had 0.18 to 0.29; smoothed by a Gaussian
@@ -101,7 +98,7 @@ def blur(image: _UInt8) -> float:
     return worst
 
 
-def vertical_shifts(left: _UInt8, right: _UInt8, camera: StereoCamera) -> _Float64:
+def vertical_shifts(left: UInt8, right: UInt8, camera: StereoCamera) -> Float64:
     """How many rows lower corners of the left image are in the right one: [n, 3] with column,
     row and shift. In a rectified pair all shifts are 0."""
     height, width = left.shape
@@ -124,7 +121,7 @@ def vertical_shifts(left: _UInt8, right: _UInt8, camera: StereoCamera) -> _Float
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
-def _corners(image: _UInt8) -> _Float64:
+def _corners(image: UInt8) -> Float64:
     """Column and row of corners [n, 2], well apart."""
     apart_px = max(6.0, image.shape[0] / 40.0)
     found = cv2.goodFeaturesToTrack(image, MOST_SEARCHED, 0.01, apart_px)
@@ -137,7 +134,7 @@ def _disparities(camera: StereoCamera) -> tuple[int, int]:
     return round(camera.disparity_offset_px) - 2, round(camera.disparity_offset_px + nearest)
 
 
-def _found(scores: npt.NDArray[np.float32]) -> float | None:
+def _found(scores: Float32) -> float | None:
     """The row, to a fraction, at which a patch is found for certain."""
     _, best, _, place = cv2.minMaxLoc(scores)
     x, y = int(place[0]), int(place[1])

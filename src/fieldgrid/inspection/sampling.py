@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
+
+from fieldgrid.array_types import Float64, Int64
 
 MOST_SAMPLES = 24
 """Pairs that are looked at closely."""
@@ -23,9 +24,9 @@ def sample_every(frame_count: int) -> int:
 
 
 def stretches(
-    frame_ns: npt.NDArray[np.int64],
-    time_ns: npt.NDArray[np.int64],
-    heading_deg: npt.NDArray[np.float64],
+    frame_ns: Int64,
+    time_ns: Int64,
+    heading_deg: Float64,
 ) -> list[range]:
     """Runs of neighbouring frames: all in one where they are few, else half of them spread over
     the drive and half where it turns most, which tells clocks apart.

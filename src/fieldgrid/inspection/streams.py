@@ -6,14 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.recording import Stream
 from fieldgrid.recording.options import MAX_OFFSET_S
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 APART_S = 0.1
 """Delays of two streams, from stamp to being written down, may differ by this: that is what
@@ -155,8 +152,8 @@ def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
 class _Delay(NamedTuple):
     """Seconds since the first stamp, and from stamp to being written down."""
 
-    time_s: _Float64
-    delay_s: _Float64
+    time_s: Float64
+    delay_s: Float64
 
 
 def _delay_s(stream: Stream) -> _Delay | None:

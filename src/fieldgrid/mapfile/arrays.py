@@ -15,14 +15,14 @@ from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, FieldgridError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile.codec import deflate, inflate
 from fieldgrid.trajectory import Status, Trajectory
 
-Array = npt.NDArray[Any]
+Array = AnyArray
 
 _PART_BYTES = 8 << 20
 _KINDS = "biufcSUmM"

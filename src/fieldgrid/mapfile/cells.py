@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
@@ -33,8 +33,6 @@ from fieldgrid.transfer import Transfer, footprint, mean_density
 _SHAPE = (TILE_CELLS, TILE_CELLS)
 _SQUARE_TILES = 4
 """Side of the square of tiles that is folded at a time; its moments take 42 MB."""
-
-_Array = npt.NDArray[Any]
 
 
 class Layer(NamedTuple):
@@ -119,7 +117,7 @@ class LayerTally:
         for name, array in self._view.layers.items():
             array[place] = self._layer(name, inside, density, observed)
 
-    def _layer(self, name: str, inside: Any, density: _Array, observed: _Array) -> _Array:
+    def _layer(self, name: str, inside: Any, density: AnyArray, observed: AnyArray) -> AnyArray:
         sums = self._sums[inside]
         with np.errstate(divide="ignore", invalid="ignore"):
             if name == "variance":
@@ -127,12 +125,12 @@ class LayerTally:
                     sums[..., k].astype(np.float64) for k in (WEIGHT, SUM, SQUARES)
                 )
                 # Of whole numbers, so that a constant has a variance of exactly 0.
-                variance: _Array = (weight * squares - total * total) / (weight * weight)
+                variance: AnyArray = (weight * squares - total * total) / (weight * weight)
                 return variance
             if name == "persistence":
-                share: _Array = self._obstacle[inside] / self._sessions[inside]
+                share: AnyArray = self._obstacle[inside] / self._sessions[inside]
                 return share
-        plain: dict[str, _Array] = {
+        plain: dict[str, AnyArray] = {
             "density": density,
             "count": sums[..., FRAMES],
             "max": sums[..., HIGHEST],

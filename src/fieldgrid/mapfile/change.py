@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import UInt8
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, TileIndex, Window, tile_window
@@ -64,7 +64,7 @@ class ChangeView:
 
     lattice: Lattice
     window: Window
-    change: npt.NDArray[np.uint8]
+    change: UInt8
     datum: Datum
     before: tuple[str, ...]
     after: tuple[str, ...]

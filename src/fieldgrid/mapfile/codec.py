@@ -9,8 +9,8 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import UInt64
 from fieldgrid.errors import MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import TILE_CELLS
@@ -75,7 +75,7 @@ def decode_grid(spec: GridSpec, density: object, observed: object, what: str) ->
     return LocalGrid(spec, values.reshape(spec.shape), mask.reshape(spec.shape))
 
 
-def encode_sums(sums: npt.NDArray[np.uint64]) -> bytes:
+def encode_sums(sums: UInt64) -> bytes:
     """A tile's (weight, weighted sum), uint64 [256, 256, 2], as three bytes and a stream.
 
     The header says how many low bytes of the weights and of the sums follow, and how many
@@ -92,7 +92,7 @@ def encode_sums(sums: npt.NDArray[np.uint64]) -> bytes:
     return bytes((*counts.tolist(), shift)) + deflate(octets.data, zlib.Z_RLE)
 
 
-def decode_sums(blob: object, what: str) -> npt.NDArray[np.uint64]:
+def decode_sums(blob: object, what: str) -> UInt64:
     """The sums of a tile, uint64 [256, 256, 2]; `what` names it when the blob is damaged."""
     if not isinstance(blob, bytes) or len(blob) < 3:
         raise _damaged(what, "it has no header")

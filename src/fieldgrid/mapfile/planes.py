@@ -9,13 +9,13 @@ it are what it is held to.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.moments import FRAMES, HIGHEST, PLANES, SQUARES, SUM, WEIGHT, Moments
 from fieldgrid.transfer import CELL_WEIGHT
 
-Stored = npt.NDArray[np.uint64]
+Stored = UInt64
 """What is stored of moments, uint64 [5, cells]."""
 
 _BYTE = np.uint64(0xFF)

@@ -10,8 +10,8 @@ import struct
 import zlib
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, UInt8, UInt64
 from fieldgrid.errors import MapError
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import TILE_CELLS, Window
@@ -22,7 +22,7 @@ _GREY_ALPHA = 4
 _BIT_DEPTH = 8
 
 
-def encode_png(density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]) -> bytes:
+def encode_png(density: UInt8, observed: Bool) -> bytes:
     """A PNG of a density and its mask, both [rows north, columns east], row 0 in the south.
 
     Grey is the 3D density, alpha 255 where a cell was observed and 0 where not. A PNG starts
@@ -36,7 +36,7 @@ def encode_png(density: npt.NDArray[np.uint8], observed: npt.NDArray[np.bool_]) 
     return _encode_rows(rows)
 
 
-def encode_mean(sums: npt.NDArray[np.uint64]) -> tuple[bytes, Window]:
+def encode_mean(sums: UInt64) -> tuple[bytes, Window]:
     """The PNG of the mean density of sums, uint64 [rows, columns, 2], and what was observed.
 
     The same as `encode_png` of `mean_density`, in one pass. Some cell must be observed.
@@ -67,7 +67,7 @@ def draw_mean(sums, rows):  # type: ignore[no-untyped-def]
     return i0, j0, i1, j1
 
 
-def _encode_rows(rows: npt.NDArray[np.uint8]) -> bytes:
+def _encode_rows(rows: UInt8) -> bytes:
     height, width = rows.shape[0], rows.shape[1] // 2
     header = struct.pack(">IIBBBBB", width, height, _BIT_DEPTH, _GREY_ALPHA, 0, 0, 0)
     return b"".join(
@@ -80,7 +80,7 @@ def _encode_rows(rows: npt.NDArray[np.uint8]) -> bytes:
     )
 
 
-def decode_png(blob: object, what: str) -> npt.NDArray[np.uint8]:
+def decode_png(blob: object, what: str) -> UInt8:
     """Grey and alpha [rows, columns, 2] of a PNG as written here, its upper row first.
 
     `what` names it in the MapError for anything else.

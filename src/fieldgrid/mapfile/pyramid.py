@@ -16,15 +16,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.mapfile.codec import decode_sums, encode_sums
 from fieldgrid.mapfile.png import encode_mean
 from fieldgrid.mapfile.tiling import TileMatrixSet, children, parent
 
-Sums = npt.NDArray[np.uint64]
+Sums = UInt64
 
 _HALF = TILE_CELLS // 2
 
@@ -256,7 +256,7 @@ def _encode(sums: Sums) -> _Encoded:
     return _Encoded(encode_sums(sums), png, seen)
 
 
-def _seen_in(observed: npt.NDArray[np.bool_]) -> Window:
+def _seen_in(observed: Bool) -> Window:
     """The extent of a mask that is not empty, in its own cells."""
     j, i = np.flatnonzero(observed.any(axis=1)), np.flatnonzero(observed.any(axis=0))
     return Window(int(i[0]), int(j[0]), int(i[-1] - i[0]) + 1, int(j[-1] - j[0]) + 1)

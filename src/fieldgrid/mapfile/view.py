@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Bool, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -32,10 +32,10 @@ class MapView:
 
     lattice: Lattice
     window: Window
-    density: npt.NDArray[np.uint8]
-    observed: npt.NDArray[np.bool_]
+    density: UInt8
+    observed: Bool
     datum: Datum
-    layers: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    layers: Mapping[str, AnyArray] = field(default_factory=dict)
 
     @property
     def bounds(self) -> Bounds:
@@ -54,7 +54,7 @@ class MapView:
         """The plane of east and north as well-known text, for a GIS."""
         return self.datum.crs_wkt("WKT2_2019")
 
-    def layer(self, name: str) -> npt.NDArray[Any]:
+    def layer(self, name: str) -> AnyArray:
         """A layer by its name; ConfigError when it was not asked for."""
         arrays = {"density": self.density, "observed": self.observed, **self.layers}
         if name not in arrays:

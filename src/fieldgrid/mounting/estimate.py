@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.build.perception import side_by_side
 from fieldgrid.errors import RecordingError
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
@@ -25,8 +25,6 @@ from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
 from fieldgrid.odometry import Motion3, Refusal, camera_motion
 from fieldgrid.recording import Frame, Recording, open_unmounted
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-
-_Float64 = npt.NDArray[np.float64]
 
 FEWEST_STANDS = 8
 """With fewer frames under which the ground was seen, the planes ahead have to do."""
@@ -103,7 +101,7 @@ class MountEstimate:
     forward_m: float
     reverse_m: float
     straight_m: float
-    time_ns: npt.NDArray[np.int64]
+    time_ns: Int64
     stands: Stands
     ways: Ways
     gnss: GnssCheck | None

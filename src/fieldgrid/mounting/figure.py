@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from fieldgrid.array_types import Float64
 from fieldgrid.mounting.estimate import HEIGHT, ROLL, TILT, YAW, MountEstimate
 from fieldgrid.mounting.measured import Measured
-
-_Float64 = npt.NDArray[np.float64]
 
 _MEASURED, _STATED, _POINT, _REVERSE = "#1f4e9c", "#c1121f", "0.45", "#f28e2b"
 
@@ -43,8 +41,8 @@ def mount_figure(estimate: MountEstimate) -> Figure:
 
 def _draw_series(
     axes: Axes,
-    time_s: _Float64,
-    values: _Float64,
+    time_s: Float64,
+    values: Float64,
     mean: Measured,
     stated: float | None,
     label: str,

@@ -12,8 +12,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import GnssError
 from fieldgrid.mounting.measured import Measured, mean_of
@@ -21,8 +21,6 @@ from fieldgrid.mounting.travel import STRAIGHT_PER_M, Ways
 from fieldgrid.pose import Estimate
 from fieldgrid.recording import Recording
 from fieldgrid.trajectory import Status
-
-_Float64 = npt.NDArray[np.float64]
 
 RUN_M = 8.0
 """Ways are compared over straight runs of this length."""
@@ -50,9 +48,7 @@ class GnssCheck(NamedTuple):
         }
 
 
-def check_against_gnss(
-    recording: Recording, time_ns: npt.NDArray[np.int64], steps: Ways
-) -> GnssCheck | str:
+def check_against_gnss(recording: Recording, time_ns: Int64, steps: Ways) -> GnssCheck | str:
     """The check, or why there is none, as a sentence."""
     if not recording.fixes():
         return "No fixes, so nothing was compared with them."
@@ -72,7 +68,7 @@ def _course_off(estimate: Estimate) -> Measured | None:
     return Measured(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
 
 
-def _ratios(estimate: Estimate, time_ns: npt.NDArray[np.int64], steps: Ways) -> _Float64:
+def _ratios(estimate: Estimate, time_ns: Int64, steps: Ways) -> Float64:
     """The camera's way over the receiver's, of straight runs without a gap."""
     trajectory = estimate.trajectory
     if not trajectory.accepted.any():

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64, Index, UInt8
 from fieldgrid.build.perception import checked_depth_m
 from fieldgrid.errors import RecordingError
 from fieldgrid.mounting.passed import REACH_M, Patches
@@ -23,8 +23,6 @@ from fieldgrid.recording import CloudFrame, DepthFrame, Frame
 from fieldgrid.recording.protocol import pair_of
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.stereo import SUBPIXELS, StereoMatcher, StereoSettings, whole_image
-
-_Float64 = npt.NDArray[np.float64]
 
 STEP_PX = 4
 """Every fourth pixel of every fourth row is enough for the ground."""
@@ -75,9 +73,7 @@ class Looker:
         plane, patches = _ground(points_m[usable], sigma_m[usable], patch_m)
         return Look(frame.time_ns, plane, patches, seen)
 
-    def _of_pair(
-        self, camera: StereoCamera, left: npt.NDArray[np.uint8], right: npt.NDArray[np.uint8]
-    ) -> tuple[_Float64, _Float64]:
+    def _of_pair(self, camera: StereoCamera, left: UInt8, right: UInt8) -> tuple[Float64, Float64]:
         disparity = self._matcher.disparity(left, right).values[::STEP_PX, ::STEP_PX]
         row, column = np.nonzero(disparity > 0)
         shift_px = disparity[row, column] / SUBPIXELS - camera.disparity_offset_px
@@ -89,9 +85,7 @@ class Looker:
         points_m[:, 0] -= camera.baseline_m / 2.0  # seen from the middle of the baseline
         return points_m, camera.range_sigma_m(depth_m, self._sigma_px)
 
-    def _of_depth(
-        self, camera: DepthCamera, depth_m: npt.NDArray[np.float32]
-    ) -> tuple[_Float64, _Float64]:
+    def _of_depth(self, camera: DepthCamera, depth_m: Float32) -> tuple[Float64, Float64]:
         depth = depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
         row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0) & (depth < RANGE_M))
         z = depth[row, column]
@@ -109,19 +103,19 @@ def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
 
 
 def _unprojected(
-    column: npt.NDArray[np.intp],
-    row: npt.NDArray[np.intp],
-    depth_m: _Float64,
+    column: Index,
+    row: Index,
+    depth_m: Float64,
     camera: StereoCamera | DepthCamera,
     focal_px: tuple[float, float],
-) -> _Float64:
+) -> Float64:
     """Points [n, 3] of the camera's frame, of pixels among those that are taken."""
     x = (column * STEP_PX - camera.cx_px) / focal_px[0]
     y = (row * STEP_PX - camera.cy_px) / focal_px[1]
     return np.column_stack([x * depth_m, y * depth_m, depth_m])
 
 
-def _of_cloud(frame: Frame) -> tuple[_Float64, _Float64]:
+def _of_cloud(frame: Frame) -> tuple[Float64, Float64]:
     if not isinstance(frame, CloudFrame):
         raise RecordingError(
             f"Frame {frame.frame_id} does not fit the rig's sensor; give a recording of one sensor."
@@ -130,7 +124,7 @@ def _of_cloud(frame: Frame) -> tuple[_Float64, _Float64]:
     return points_m, np.full(len(points_m), LIDAR_SIGMA_M)
 
 
-def _ground(points_m: _Float64, sigma_m: _Float64, patch_m: float) -> tuple[Plane | None, Patches]:
+def _ground(points_m: Float64, sigma_m: Float64, patch_m: float) -> tuple[Plane | None, Patches]:
     nothing = Patches(np.zeros((0, 3)), np.zeros(0))
     rough = rough_plane(points_m, sigma_m)
     plane = rough and refined_plane(rough, points_m, sigma_m, patch_m)

@@ -6,9 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-_Float64 = npt.NDArray[np.float64]
+from fieldgrid.array_types import Bool, Float64
 
 OUTLIER = 5.0
 """Values farther off than so many scatters are left out."""
@@ -25,14 +24,14 @@ class Measured(NamedTuple):
         return (stated - self.value) / self.sigma
 
 
-def kept(values: _Float64) -> npt.NDArray[np.bool_]:
+def kept(values: Float64) -> Bool:
     """Mask of the values [n] that are no outliers, by the median of their distances."""
     off = np.abs(values - np.median(values))
-    kept_: npt.NDArray[np.bool_] = off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9)
+    kept_: Bool = off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9)
     return kept_
 
 
-def repeated(residuals: _Float64) -> float:
+def repeated(residuals: Float64) -> float:
     """How many neighbours of a series [n] say the same thing, 1 when each speaks for itself.
 
     The sum of the autocorrelation up to its first value that is not positive.
@@ -50,7 +49,7 @@ def repeated(residuals: _Float64) -> float:
     return total
 
 
-def mean_of(values: _Float64, floor: float) -> Measured:
+def mean_of(values: Float64, floor: float) -> Measured:
     """The mean of a series [n >= 2] without its outliers; `floor` is the error that all share."""
     used = values[kept(values)]
     spread = float(np.std(used, ddof=1)) if len(used) > 1 else 0.0

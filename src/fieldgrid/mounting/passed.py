@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mounting.plane import Plane, robust_plane
 from fieldgrid.odometry import Motion3
-
-_Float64 = npt.NDArray[np.float64]
 
 HALF_WIDTH_M = 1.0
 BACK_M, AHEAD_M = -2.0, 1.0
@@ -42,17 +40,17 @@ ROUNDS = 3
 class Patches(NamedTuple):
     """The ground seen in one frame: points [n, 3] in the sensor's frame, and their sigma [n]."""
 
-    points_m: _Float64
-    sigma_m: _Float64
+    points_m: Float64
+    sigma_m: Float64
 
 
 class Stands(NamedTuple):
     """How the sensor stood on the ground under the vehicle, frame by frame; all length n."""
 
-    frame: npt.NDArray[np.int64]
-    tilt_deg: _Float64
-    roll_deg: _Float64
-    height_m: _Float64
+    frame: Int64
+    tilt_deg: Float64
+    roll_deg: Float64
+    height_m: Float64
 
 
 def stands(

@@ -11,12 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.ground import LOW_SHARE, MIN_SAMPLES
 from fieldgrid.rig import Mount
-
-_Float64 = npt.NDArray[np.float64]
 
 HEIGHTS_M = (0.1, 10.0)
 TILTS_DEG, MOST_ROLL_DEG = (-10.0, 75.0), 20.0
@@ -46,7 +44,7 @@ NEAR_M, NEAR_SHARE = 0.3, 0.03
 class Plane(NamedTuple):
     """The ground in the frame of the sensor."""
 
-    up: _Float64
+    up: Float64
     height_m: float
 
     @property
@@ -59,16 +57,16 @@ class Plane(NamedTuple):
         """Positive when the sensor's right side is down."""
         return -math.degrees(math.asin(min(max(float(self.up[0]), -1.0), 1.0)))
 
-    def rotation(self) -> _Float64:
+    def rotation(self) -> Float64:
         """R_level_sensor [3, 3]: x right, y where the sensor looks, z up from the plane."""
         return Mount(1.0, self.tilt_deg, self.roll_deg).rotation()
 
-    def level(self, points_m: _Float64) -> _Float64:
+    def level(self, points_m: Float64) -> Float64:
         """Points [n, 3] of the sensor's frame: right, ahead, above the ground."""
-        there: _Float64 = points_m @ self.rotation().T + [0.0, 0.0, self.height_m]
+        there: Float64 = points_m @ self.rotation().T + [0.0, 0.0, self.height_m]
         return there
 
-    def corrected(self, c: _Float64) -> Plane:
+    def corrected(self, c: Float64) -> Plane:
         """The plane z = c0 + c1·x + c2·y of this one's level frame."""
         norm = math.sqrt(1.0 + float(c[1] * c[1] + c[2] * c[2]))
         up = self.rotation().T @ (np.array([-c[1], -c[2], 1.0]) / norm)
@@ -83,7 +81,7 @@ class Plane(NamedTuple):
         )
 
 
-def rough_plane(points_m: _Float64, range_sigma_m: _Float64) -> Plane | None:
+def rough_plane(points_m: Float64, range_sigma_m: Float64) -> Plane | None:
     """The plane that most points [n, 3] lie on and hardly one below; None when there is none.
 
     `range_sigma_m` [n] is how far off the points are along their rays.
@@ -112,7 +110,7 @@ def rough_plane(points_m: _Float64, range_sigma_m: _Float64) -> Plane | None:
     return best
 
 
-def _through(three_m: _Float64) -> Plane | None:
+def _through(three_m: Float64) -> Plane | None:
     """The plane through three points, up being the side of the sensor."""
     normal = np.cross(three_m[1] - three_m[0], three_m[2] - three_m[0])
     size = float(np.linalg.norm(normal))
@@ -124,7 +122,7 @@ def _through(three_m: _Float64) -> Plane | None:
 
 
 def refined_plane(
-    plane: Plane, points_m: _Float64, range_sigma_m: _Float64, patch_m: float = PATCH_M
+    plane: Plane, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
 ) -> Plane | None:
     """A rough plane fitted to the low heights of patches; None when there are too few of them."""
     for _ in range(3):
@@ -137,8 +135,8 @@ def refined_plane(
 
 
 def low_patches(
-    plane: Plane, points_m: _Float64, range_sigma_m: _Float64, patch_m: float = PATCH_M
-) -> _Float64:
+    plane: Plane, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
+) -> Float64:
     """The ground of patches near a plane, in its level frame: x, y, z, sigma of z, [m, 4].
 
     The ground of a patch is where the lowest quarter of its points ends, as for local grids.
@@ -160,11 +158,11 @@ def low_patches(
     patches = np.column_stack([means[0], means[1], low, np.hypot(means[2], 0.03)])
     ahead_m = np.hypot(patches[:, 0], patches[:, 1])
     kept = (counts >= MIN_SAMPLES) & (np.abs(low) < NEAR_M + NEAR_SHARE * ahead_m)
-    found: _Float64 = patches[kept]
+    found: Float64 = patches[kept]
     return found
 
 
-def robust_plane(x: _Float64, y: _Float64, z: _Float64, sigma: _Float64) -> tuple[_Float64, int]:
+def robust_plane(x: Float64, y: Float64, z: Float64, sigma: Float64) -> tuple[Float64, int]:
     """(c0, c1, c2) of z = c0 + c1·x + c2·y, by Tukey's weights, and how many points agree."""
     columns = np.column_stack([np.ones_like(x), x, y])
     c, weights = np.zeros(3), 1.0 / sigma**2

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import DatumError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
@@ -21,7 +21,7 @@ MOVING_MPS = 0.2
 PAIR_NS = 1_000_000_000
 
 
-def usual_every(frame_times_ns: npt.NDArray[np.int64], fixes: Sequence[Fix]) -> int:
+def usual_every(frame_times_ns: Int64, fixes: Sequence[Fix]) -> int:
     """Every which frame, for frames to be about a metre apart; 1 where no fixes tell the speed."""
     if len(frame_times_ns) < 2:
         return 1

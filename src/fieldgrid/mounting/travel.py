@@ -16,13 +16,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mounting.measured import Measured, repeated
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.odometry import Motion3
-
-_Float64 = npt.NDArray[np.float64]
 
 LEAST_STEP_M = 0.1
 """The direction of a shorter step is not known."""
@@ -60,11 +58,11 @@ class Ways(NamedTuple):
     forward.
     """
 
-    stop: npt.NDArray[np.int64]
-    forward_m: _Float64
-    direction_deg: _Float64
-    turn_deg: _Float64
-    curvature_per_m: _Float64
+    stop: Int64
+    forward_m: Float64
+    direction_deg: Float64
+    turn_deg: Float64
+    curvature_per_m: Float64
 
 
 class Travel(NamedTuple):
@@ -126,7 +124,7 @@ def travel(steps: Ways, ahead_m: float | None = None) -> Travel:
     )
 
 
-def _line(steps: Ways, ahead_m: float, ahead_sigma_m: float) -> tuple[_Float64, _Float64]:
+def _line(steps: Ways, ahead_m: float, ahead_sigma_m: float) -> tuple[Float64, Float64]:
     """Direction (rad) straight on and metres ahead of the axle, with their covariance [2, 2]."""
     way_m, turn = np.abs(steps.forward_m), np.radians(steps.turn_deg)
     direction = np.radians(steps.direction_deg)
@@ -135,7 +133,7 @@ def _line(steps: Ways, ahead_m: float, ahead_sigma_m: float) -> tuple[_Float64, 
     )
     columns = np.column_stack([np.ones_like(way_m), steps.curvature_per_m])
     prior = np.diag([0.0, 1.0 / ahead_sigma_m**2])
-    line: _Float64 = np.zeros(2)
+    line: Float64 = np.zeros(2)
     weights = 1.0 / sigma**2
     normal = np.eye(2)
     for _ in range(ROUNDS):

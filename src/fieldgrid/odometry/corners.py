@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64, UInt8, UInt64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.kernel import kernel
 from fieldgrid.odometry.sparse import row_disparities
@@ -45,10 +45,6 @@ that a stone looks the same from 8 m and from 6 m."""
 LARGEST_PATCH = 5.0
 """Times the pattern's size; the pyramid has no level for more."""
 
-_UInt8 = npt.NDArray[np.uint8]
-_UInt64 = npt.NDArray[np.uint64]
-_Float64 = npt.NDArray[np.float64]
-
 
 class Features(NamedTuple):
     """The corners of one frame, length n.
@@ -59,13 +55,13 @@ class Features(NamedTuple):
     was found; `descriptors` [n, 4] are 256 comparisons of brightness.
     """
 
-    measured_px: _Float64
-    points_m: _Float64
-    blur_px: _Float64
-    descriptors: _UInt64
+    measured_px: Float64
+    points_m: Float64
+    blur_px: Float64
+    descriptors: UInt64
 
 
-def features(camera: StereoCamera, left: _UInt8, right: _UInt8) -> Features:
+def features(camera: StereoCamera, left: UInt8, right: UInt8) -> Features:
     """The corners of a rectified pair of grey images [height, width].
 
     It needs no disparity map: each corner is looked up along its row of the right image.
@@ -106,7 +102,7 @@ def nearest_disparity_px(camera: StereoCamera) -> float:
     return min(camera.focal_baseline_px_m / NEAREST_M, camera.width_px / 3.0)
 
 
-def _points(camera: StereoCamera, measured_px: _Float64) -> _Float64:
+def _points(camera: StereoCamera, measured_px: Float64) -> Float64:
     """Points [n, 3] in metres, in the frame of the left camera."""
     u, v, disparity = measured_px.T
     depth = camera.focal_baseline_px_m / disparity
@@ -114,18 +110,18 @@ def _points(camera: StereoCamera, measured_px: _Float64) -> _Float64:
     return np.column_stack([(u - camera.cx_px) * per_px, (v - camera.cy_px) * per_px, depth])
 
 
-def _corners(image: _UInt8, px: int) -> _Float64:
+def _corners(image: UInt8, px: int) -> Float64:
     """Corners [n, 2], column and row of the full image, of an image `px` times smaller."""
     smooth = cv2.GaussianBlur(image, (0, 0), DENOISE_PX)
     strength = cv2.cornerMinEigenVal(smooth, CORNER_BLOCK_PX)
     full_area_px = image.size * px * px
     cell_px = max(8, round(math.sqrt(full_area_px / CELLS)))
-    corners: _Float64 = strongest(strength, cell_px, np.float32(MIN_CORNER)) * px
+    corners: Float64 = strongest(strength, cell_px, np.float32(MIN_CORNER)) * px
     return corners
 
 
 @lru_cache(maxsize=1)
-def _pattern() -> npt.NDArray[np.float32]:
+def _pattern() -> Float32:
     """Pairs of spots of a patch that are compared, [256, 4]: x, y of one, x, y of the other.
 
     They crowd in the middle, as BRIEF (Calonder et al., 2010) recommends. Python's own

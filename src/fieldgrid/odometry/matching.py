@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.kernel import kernel
 from fieldgrid.odometry.corners import Features
 from fieldgrid.odometry.rigid import Lens, Motion3, predicted
@@ -24,19 +24,16 @@ The second is per metre of range, 4°."""
 RANGE_SHARE = 0.25
 """How much of its range forward a far point may gain or lose by the turn and by its error."""
 
-_Int64 = npt.NDArray[np.int64]
-_Float64 = npt.NDArray[np.float64]
-
 
 class Matches(NamedTuple):
     """Rows of the features of the start and of the end that belong together, each length n."""
 
-    start: _Int64
-    stop: _Int64
+    start: Int64
+    stop: Int64
 
 
 def match_anywhere(
-    start: Features, stop: Features, R_vehicle_camera: _Float64, max_step_m: float
+    start: Features, stop: Features, R_vehicle_camera: Float64, max_step_m: float
 ) -> Matches:
     """Mutual best matches of all that a step of up to `max_step_m` could bring together."""
     at_start, at_stop = (f.points_m @ R_vehicle_camera.T for f in (start, stop))
@@ -48,8 +45,8 @@ def match_near(
     stop: Features,
     motion: Motion3,
     lens: Lens,
-    radius_px: _Float64,
-    disparity_px: _Float64,
+    radius_px: Float64,
+    disparity_px: Float64,
 ) -> Matches:
     """Mutual best matches within `radius_px` [n] of where a motion puts the points of `start`.
 

@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.kernel import kernel
 
 SEARCH_SIGMA_PX = (1.5, 1.5, 1.0)
@@ -42,8 +42,6 @@ WORST_CONDITION = 1e12
 NEAREST_DEPTH_M = 0.3
 MIN_SPREAD_M = 0.5
 
-_Float64 = npt.NDArray[np.float64]
-
 
 class Lens(NamedTuple):
     """What turns points into pixels: focal length, principal point, f·b."""
@@ -57,8 +55,8 @@ class Lens(NamedTuple):
 class Motion3(NamedTuple):
     """A rigid motion of the camera, [3, 3] and [3] metres."""
 
-    R_stop_start: _Float64
-    t_stop_start_m: _Float64
+    R_stop_start: Float64
+    t_stop_start_m: Float64
 
 
 class Refined(NamedTuple):
@@ -69,11 +67,11 @@ class Refined(NamedTuple):
     """
 
     motion: Motion3
-    covariance: _Float64
-    inliers: npt.NDArray[np.bool_]
+    covariance: Float64
+    inliers: Bool
 
 
-def search(start_m: _Float64, stop_m: _Float64, stop_px: _Float64, lens: Lens) -> Motion3 | None:
+def search(start_m: Float64, stop_m: Float64, stop_px: Float64, lens: Lens) -> Motion3 | None:
     """The motion that most matches agree with, from three at a time (RANSAC), None for none.
 
     Points [n, 3] of both frames and the measured pixels [n, 3] of the stop. The draws come
@@ -87,10 +85,10 @@ def search(start_m: _Float64, stop_m: _Float64, stop_px: _Float64, lens: Lens) -
 
 def refine(
     motion: Motion3,
-    start_m: _Float64,
-    start_px: _Float64,
-    stop_px: _Float64,
-    blur_px: _Float64,
+    start_m: Float64,
+    start_px: Float64,
+    stop_px: Float64,
+    blur_px: Float64,
     lens: Lens,
 ) -> Refined | None:
     """The most likely motion near one, by Gauss-Newton with Tukey's weights; None if singular.

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
 from fieldgrid.odometry.corners import EDGE_PX, Features, nearest_disparity_px
 from fieldgrid.odometry.matching import Matches, match_anywhere, match_near
@@ -47,8 +47,6 @@ ROUGH_RADIUS_PX, FINE_RADIUS_PX = 12.0, 5.0
 NEAR_DISPARITY_PX = 1.5
 GUESS_LEAN_RAD = math.radians(4.0)
 """A guess knows nothing of pitch and roll."""
-
-_Float64 = npt.NDArray[np.float64]
 
 
 class Step(NamedTuple):
@@ -245,18 +243,18 @@ def _in_view(frame: Features, motion: Motion3, rig: Rig) -> int:
     return int(np.count_nonzero(in_left & in_right & (disparity < nearest_disparity_px(camera))))
 
 
-def _way_m(motion: Motion3, rig: Rig) -> _Float64:
+def _way_m(motion: Motion3, rig: Rig) -> Float64:
     """Where the middle of the baseline went: right, forward, up in the vehicle frame, metres."""
     middle = np.array([rig.camera.baseline_m / 2.0, 0.0, 0.0])
     R, t = motion
-    way: _Float64 = rig.mount.rotation() @ (R.T @ (middle - t) - middle)
+    way: Float64 = rig.mount.rotation() @ (R.T @ (middle - t) - middle)
     return way
 
 
-def _turn_of_vehicle(motion: Motion3, rig: Rig) -> _Float64:
+def _turn_of_vehicle(motion: Motion3, rig: Rig) -> Float64:
     """R_start_stop of the vehicle's axes."""
     R_vehicle_camera = rig.mount.rotation()
-    turned: _Float64 = R_vehicle_camera @ motion.R_stop_start.T @ R_vehicle_camera.T
+    turned: Float64 = R_vehicle_camera @ motion.R_stop_start.T @ R_vehicle_camera.T
     return turned
 
 

@@ -6,16 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.placed import Placed
 from fieldgrid.pose.smooth import Drive, axle_forward_m, smooth_drive
 from fieldgrid.rig import Vehicle
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 WIDEST_S, COARSE_S = 2.5, 0.05
 """Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
@@ -149,16 +146,16 @@ class ClockSearch:
         offset_s: float,
         way_sigma_m: float = WAY_SIGMA_M,
         turn_sigma_deg: float = TURN_SIGMA_DEG,
-    ) -> _Float64:
+    ) -> Float64:
         """The squared distance of each step from the drive, in sigmas; outliers count the less
         the farther they lie (a bound would kink the sum, and shift its lowest place)."""
         along, aside, turn = self._differences(steps, offset_s)
         squared = (np.hypot(along, aside) / np.hypot(steps.sigma_m, way_sigma_m)) ** 2
         squared += (turn / np.hypot(steps.sigma_deg, turn_sigma_deg)) ** 2
-        robust: _Float64 = OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)
+        robust: Float64 = OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)
         return robust
 
-    def _differences(self, steps: Steps, offset_s: float) -> tuple[_Float64, _Float64, _Float64]:
+    def _differences(self, steps: Steps, offset_s: float) -> tuple[Float64, Float64, Float64]:
         """What the drive has more than each step: metres forward and right, degrees of turn."""
         shift = round(offset_s * 1e9)
         e0, n0, phi0 = _pose_at(self._drive, steps.start_ns + shift, self._ahead_m)
@@ -189,7 +186,7 @@ def clock_offset(placed: Placed, motion: Motion, rig: Vehicle | None) -> ClockOf
     return near
 
 
-def _lowest(offsets_s: _Float64, sums: _Float64) -> tuple[float, float, float] | None:
+def _lowest(offsets_s: Float64, sums: Float64) -> tuple[float, float, float] | None:
     """Where a sum is lowest, by a parabola over its surroundings: the offset, the second
     derivative, the least value; None where it has no lowest place inside."""
     at = int(np.argmin(sums))
@@ -203,7 +200,7 @@ def _lowest(offsets_s: _Float64, sums: _Float64) -> tuple[float, float, float] |
     return middle_s - float(slope / (2.0 * bend)), float(2.0 * bend), float(sums[at])
 
 
-def _by_parts(offsets_s: _Float64, squared: _Float64) -> float:
+def _by_parts(offsets_s: Float64, squared: Float64) -> float:
     """The 1-sigma error of the lowest place of a sum over steps, by leaving out stretches of
     them (the jackknife). `squared` is [offsets, steps]."""
     total, found = squared.sum(axis=1), []
@@ -215,7 +212,7 @@ def _by_parts(offsets_s: _Float64, squared: _Float64) -> float:
     return float(np.sqrt((PARTS - 1) / PARTS * np.sum((np.array(found) - np.mean(found)) ** 2)))
 
 
-def _pose_at(drive: Drive, time_ns: _Int64, ahead_m: float) -> tuple[_Float64, _Float64, _Float64]:
+def _pose_at(drive: Drive, time_ns: Int64, ahead_m: float) -> tuple[Float64, Float64, Float64]:
     """East, north and heading (unwrapped, degrees) of the grid origin."""
     heading = np.degrees(np.unwrap(np.radians(drive.heading_deg)))
     phi = np.interp(time_ns, drive.time_ns, heading)

@@ -10,12 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.rig import Vehicle
-
-_Float64 = npt.NDArray[np.float64]
 
 FEWEST = 20
 """Fewer sure headings while driving decide nothing."""
@@ -62,10 +60,10 @@ class Comparison(NamedTuple):
 
 
 def compare(
-    recorded_deg: _Float64,
-    heading_deg: _Float64,
-    sigma_deg: _Float64,
-    gear: npt.NDArray[np.int64],
+    recorded_deg: Float64,
+    heading_deg: Float64,
+    sigma_deg: Float64,
+    gear: Int64,
 ) -> Comparison | None:
     """A recorded heading beside an estimated one that did not use it; None when too little is
     sure. All length n; NaN where nothing is recorded, gear 0 at rest."""
@@ -88,7 +86,7 @@ def compare(
     return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()))
 
 
-def _circular(angles_deg: _Float64) -> tuple[float, float]:
+def _circular(angles_deg: Float64) -> tuple[float, float]:
     """Circular median and 1.48 times the median deviation from it, degrees."""
     rad = np.radians(angles_deg)
     mean = np.degrees(np.arctan2(np.sin(rad).mean(), np.cos(rad).mean()))

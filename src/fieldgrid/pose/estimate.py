@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import GnssError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import ConditioningSummary, Fix, condition, summarise
@@ -23,9 +23,6 @@ from fieldgrid.pose.smooth import Drive, axle_forward_m, smooth_drive
 from fieldgrid.pose.verdict import Budget, doubt
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
 from fieldgrid.trajectory import Status, Trajectory
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +61,7 @@ class Estimate(NamedTuple):
     """A trajectory, the row of each input fix in it (in order of time), and the report."""
 
     trajectory: Trajectory
-    fix_row: _Int64
+    fix_row: Int64
     report: PoseReport
 
 
@@ -107,7 +104,7 @@ def estimate_poses(
 
 def _nose(
     placed: Placed, drive: Drive, rig: Vehicle | None, source: HeadingSource, settings: PoseSettings
-) -> tuple[_Float64, Comparison | None, list[str]]:
+) -> tuple[Float64, Comparison | None, list[str]]:
     """Recorded headings as those of the nose, NaN where none can be used; raises when they
     contradict the drive."""
     recorded = placed.recorded_deg
@@ -234,8 +231,8 @@ def _verdicts(
 
 
 def carry_lever(
-    antenna_e: _Float64, antenna_n: _Float64, heading: _Float64, lever: LeverArm
-) -> tuple[_Float64, _Float64]:
+    antenna_e: Float64, antenna_n: Float64, heading: Float64, lever: LeverArm
+) -> tuple[Float64, Float64]:
     """From a point of the vehicle to the grid origin: Eq. 3 of the lever arm, subtracted.
 
     Where the heading is NaN the point's own position is kept; such a pose is rejected.

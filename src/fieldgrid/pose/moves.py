@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import first_beyond, stations
 from fieldgrid.gear import Gears, Track, gears
 from fieldgrid.motion import Motion
@@ -15,9 +15,6 @@ from fieldgrid.pose.nodes import UNSEEN_NS, Nodes, seconds
 from fieldgrid.pose.placed import Placed
 from fieldgrid.pose.sightings import WHEEL_SIGMA_MPS
 from fieldgrid.smoother import STATES
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 STATION_M, STATION_SIGMAS = 0.05, 2.0
 """A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
@@ -32,16 +29,16 @@ STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 class Moves(NamedTuple):
     """The stations of a drive and their gears: `station` are fixes, the rest is at them."""
 
-    station: _Int64
+    station: Int64
     gears: Gears
 
 
 def find_moves(
     fixes: Placed,
     at: Nodes,
-    resting: npt.NDArray[np.bool_],
+    resting: Bool,
     motion: Motion,
-    nose_deg: _Float64,
+    nose_deg: Float64,
 ) -> Moves:
     """Stations and gears of accepted fixes; `resting` marks those at rest, `nose_deg` are
     recorded headings, NaN where there is none."""
@@ -62,11 +59,11 @@ def find_moves(
     return Moves(station, gears(track))
 
 
-def _hole_s(time_ns: _Int64) -> _Float64:
+def _hole_s(time_ns: Int64) -> Float64:
     return np.concatenate([[np.inf], np.diff(time_ns) / 1e9])
 
 
-def _turned_deg(at: Nodes, time_ns: _Int64, resting_ns: _Int64) -> _Float64:
+def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:
     """What the gyro saw on the way to each instant, its bias taken out where the vehicle rests;
     NaN on the way across a hole in it."""
     if not at.has_gyro():
@@ -84,9 +81,7 @@ def _turned_deg(at: Nodes, time_ns: _Int64, resting_ns: _Int64) -> _Float64:
     return np.asarray(np.degrees(np.concatenate([[np.nan], turned])))
 
 
-def _forward_nats(
-    points: _Float64, time_ns: _Int64, motion: Motion, nose_deg: _Float64
-) -> _Float64:
+def _forward_nats(points: Float64, time_ns: Int64, motion: Motion, nose_deg: Float64) -> Float64:
     """Log odds of forward on the way to each station, from camera, wheels and compass."""
     nats = np.zeros(len(time_ns))
     steps, wheels = motion.steps, motion.wheels
@@ -107,7 +102,7 @@ def _forward_nats(
     return nats
 
 
-def first_guess(fixes: Placed, at: Nodes, moves: Moves) -> _Float64:
+def first_guess(fixes: Placed, at: Nodes, moves: Moves) -> Float64:
     """States [n, 8] with the right gears: course over a short chord, turned in reverse."""
     station, found = moves
     points = np.stack([fixes.east_m, fixes.north_m], axis=1)[station]
@@ -132,7 +127,7 @@ def first_guess(fixes: Placed, at: Nodes, moves: Moves) -> _Float64:
     return guess
 
 
-def _chords(points: _Float64, time_s: _Float64, reach_m: float) -> tuple[_Float64, _Float64]:
+def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Float64, Float64]:
     """Course, degrees, and speed, m/s, at each point of a leg; NaN for a leg that is a point."""
     before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
     start, stop = np.where(before < 0, 0, before), np.where(after < 0, len(points) - 1, after)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Motion, Steps
-
-_Int64 = npt.NDArray[np.int64]
-_Float64 = npt.NDArray[np.float64]
 
 FILL_NS = 250_000_000
 """No two nodes are farther apart: the vehicle turns on between the fixes of a slow receiver."""
@@ -28,16 +25,16 @@ class Nodes(NamedTuple):
     `turned_rad` [n - 1] is the gyro's integral to the next node, NaN without one.
     """
 
-    time_ns: _Int64
-    fix: _Int64
-    turned_rad: _Float64
+    time_ns: Int64
+    fix: Int64
+    turned_rad: Float64
 
     def has_gyro(self) -> bool:
         """Whether a gyro saw any of the drive."""
         return bool(np.isfinite(self.turned_rad).any())
 
 
-def nodes(accepted_ns: _Int64, all_ns: _Int64, motion: Motion) -> Nodes:
+def nodes(accepted_ns: Int64, all_ns: Int64, motion: Motion) -> Nodes:
     """Nodes from the first accepted fix to the last one, and as far beyond as the camera saw
     the way from them.
 
@@ -69,7 +66,7 @@ def _followed(steps: Steps, first_ns: int, last_ns: int) -> tuple[int, int]:
     return first_ns, last_ns
 
 
-def _filled(times: _Int64) -> _Int64:
+def _filled(times: Int64) -> Int64:
     steps = np.diff(times)
     parts = np.where(steps <= UNSEEN_NS, -(-steps // FILL_NS), 1)
     start = np.repeat(times[:-1], parts)
@@ -80,7 +77,7 @@ def _filled(times: _Int64) -> _Int64:
     return np.append(filled, times[-1:])
 
 
-def _turned(times: _Int64, motion: Motion) -> _Float64:
+def _turned(times: Int64, motion: Motion) -> Float64:
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return np.full(max(len(times) - 1, 0), np.nan)
@@ -96,6 +93,6 @@ def _turned(times: _Int64, motion: Motion) -> _Float64:
     return np.where(whole, np.diff(angle), np.nan)
 
 
-def seconds(time_ns: _Int64) -> _Float64:
+def seconds(time_ns: Int64) -> Float64:
     """Seconds since the first of the instants."""
     return np.asarray((time_ns - time_ns[0]) / 1e9)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.course import NOISE_SHARE, STATION_M, Course, course, course_of_axle, stations
 from fieldgrid.pose.placed import Placed
 from fieldgrid.pose.settings import PoseSettings
 from fieldgrid.rig import Vehicle
 from fieldgrid.trajectory import MAX_GAP_NS
-
-_Float64 = npt.NDArray[np.float64]
 
 CONSTANT_SIGMA_DEG = 1.0
 """What a heading given by hand is taken to be good for."""
@@ -25,12 +23,12 @@ def constant_heading(count: int, heading_deg: float) -> Course:
     return _known(np.full(count, heading_deg), np.full(count, CONSTANT_SIGMA_DEG))
 
 
-def recorded_heading(nose_deg: _Float64, sigma_deg: _Float64) -> Course:
+def recorded_heading(nose_deg: Float64, sigma_deg: Float64) -> Course:
     """The headings that the log holds, NaN where it does not."""
     return _known(nose_deg, np.where(np.isnan(nose_deg), np.inf, sigma_deg))
 
 
-def _known(heading_deg: _Float64, sigma_deg: _Float64) -> Course:
+def _known(heading_deg: Float64, sigma_deg: Float64) -> Course:
     n = len(heading_deg)
     return Course(heading_deg, sigma_deg, np.ones(n, dtype=np.int64), np.zeros(n))
 
@@ -62,7 +60,7 @@ def course_heading(placed: Placed, rig: Vehicle | None, settings: PoseSettings) 
     return full
 
 
-def default_baseline_m(sigma_m: _Float64) -> float:
+def default_baseline_m(sigma_m: Float64) -> float:
     """A baseline for the fixes at hand: 200 sigma, between 4 and 12 m.
 
     At a fix every 0.3 m that gives about 0.3° from 2 cm. Longer ones cut corners: rows are

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.errors import GnssError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix, Verdict, position_sigma_m, quantum_m, short_term_sigma_m
 from fieldgrid.trajectory import Status
-
-_Float64 = npt.NDArray[np.float64]
 
 UNSTATED_HEADING_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
@@ -31,17 +29,17 @@ class Placed(NamedTuple):
     heading is the nose's, as the source means it.
     """
 
-    time_ns: npt.NDArray[np.int64]
-    east_m: _Float64
-    north_m: _Float64
-    up_m: _Float64
-    sigma_m: _Float64
-    noise_m: _Float64
-    quality: npt.NDArray[np.int64]
-    speed_mps: _Float64
-    recorded_deg: _Float64
-    recorded_sigma_deg: _Float64
-    ok: npt.NDArray[np.bool_]
+    time_ns: Int64
+    east_m: Float64
+    north_m: Float64
+    up_m: Float64
+    sigma_m: Float64
+    noise_m: Float64
+    quality: Int64
+    speed_mps: Float64
+    recorded_deg: Float64
+    recorded_sigma_deg: Float64
+    ok: Bool
     verdicts: tuple[Verdict, ...]
 
     def accepted(self) -> Placed:
@@ -89,7 +87,7 @@ def place(fixes: Sequence[Fix], verdicts: Sequence[Verdict], datum: Datum) -> Pl
     )
 
 
-def _column(fixes: Sequence[Fix], name: str) -> _Float64:
+def _column(fixes: Sequence[Fix], name: str) -> Float64:
     values = [getattr(fix, name) for fix in fixes]
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-_Float64 = npt.NDArray[np.float64]
+from fieldgrid.array_types import Bool, Float64
 
 HALF_WINDOW_S = 1.5
 """A vehicle at rest stays in place for this long before and after."""
@@ -18,8 +17,8 @@ WANDER_MPS = 0.25
 
 
 def at_rest(
-    time_s: _Float64, east_m: _Float64, north_m: _Float64, noise_m: _Float64, speed_mps: _Float64
-) -> npt.NDArray[np.bool_]:
+    time_s: Float64, east_m: Float64, north_m: Float64, noise_m: Float64, speed_mps: Float64
+) -> Bool:
     """Which of n fixes were taken at rest. `speed_mps` is the receiver's own, NaN: none."""
     first = np.searchsorted(time_s, time_s - HALF_WINDOW_S)
     last = np.searchsorted(time_s, time_s + HALF_WINDOW_S, side="right") - 1
@@ -35,7 +34,7 @@ def at_rest(
     return np.asarray(np.where(unsaid, long_enough & slow, said & near))
 
 
-def _believable(speed_mps: _Float64, moved_m: _Float64, span_s: _Float64) -> bool:
+def _believable(speed_mps: Float64, moved_m: Float64, span_s: Float64) -> bool:
     """Whether the receiver's speeds are those of this drive: some loggers write only zeros."""
     with np.errstate(invalid="ignore", divide="ignore"):
         driven = moved_m / span_s

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import Course
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
 from fieldgrid.pose.placed import Placed
@@ -16,9 +16,6 @@ from fieldgrid.pose.verdict import jumps
 from fieldgrid.rig import Vehicle
 from fieldgrid.trajectory import ESTIMATED
 
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
-
 
 class Rows(NamedTuple):
     """Poses of the unsteered axle (smooth) or of the antenna (else), n rows ordered by time.
@@ -26,19 +23,19 @@ class Rows(NamedTuple):
     `rejection` says why conditioning refused a fix, `remark` what it noted of an accepted one.
     """
 
-    time_ns: _Int64
-    east_m: _Float64
-    north_m: _Float64
-    up_m: _Float64
-    heading_deg: _Float64
-    heading_sigma_deg: _Float64
-    position_sigma_m: _Float64
-    relative_sigma_m: _Float64
-    speed_mps: _Float64
-    gear: _Int64
-    gear_doubt: _Float64
-    quality: _Int64
-    resting: npt.NDArray[np.bool_]
+    time_ns: Int64
+    east_m: Float64
+    north_m: Float64
+    up_m: Float64
+    heading_deg: Float64
+    heading_sigma_deg: Float64
+    position_sigma_m: Float64
+    relative_sigma_m: Float64
+    speed_mps: Float64
+    gear: Int64
+    gear_doubt: Float64
+    quality: Int64
+    resting: Bool
     rejection: list[str]
     remark: list[str]
 
@@ -47,10 +44,10 @@ def rows_of(
     source: HeadingSource,
     placed: Placed,
     drive: Drive,
-    nose_deg: _Float64,
+    nose_deg: Float64,
     rig: Vehicle | None,
     settings: PoseSettings,
-) -> tuple[Rows, _Int64]:
+) -> tuple[Rows, Int64]:
     """Rows in order of time, and the row of each fix."""
     if source.kind == "smooth":
         return _smooth_rows(placed, drive)
@@ -64,7 +61,7 @@ def rows_of(
     return rows, np.arange(len(placed.time_ns), dtype=np.int64)
 
 
-def _smooth_rows(placed: Placed, drive: Drive) -> tuple[Rows, _Int64]:
+def _smooth_rows(placed: Placed, drive: Drive) -> tuple[Rows, Int64]:
     """The nodes of the drive, each judged by what is known there, and beside them every
     rejected fix with the estimate of its time: a bad fix does not spoil the pose."""
     node = np.searchsorted(drive.time_ns, placed.time_ns)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.nodes import UNSEEN_NS, Nodes, seconds
 from fieldgrid.pose.placed import Placed
 from fieldgrid.rig import Vehicle
 from fieldgrid.smoother import Sightings
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 USUAL_ANTENNA_M = 2.0
 """How high an antenna sits when nobody says it."""
@@ -39,9 +36,9 @@ MOST_NODES_A_STEP = 40
 def sightings(
     fixes: Placed,
     at: Nodes,
-    resting: npt.NDArray[np.bool_],
+    resting: Bool,
     motion: Motion,
-    nose_deg: _Float64,
+    nose_deg: Float64,
     rig: Vehicle | None,
 ) -> Sightings:
     """All that was seen at the nodes; `resting` [n] marks nodes at rest, `nose_deg` recorded
@@ -49,7 +46,7 @@ def sightings(
     has = at.fix >= 0
     fix = at.fix[has]
 
-    def at_nodes(values: _Float64) -> _Float64:
+    def at_nodes(values: Float64) -> Float64:
         column = np.full(len(at.time_ns), np.nan)
         column[has] = values[fix]
         return column
@@ -81,11 +78,11 @@ def sightings(
     )
 
 
-def _bias_s(fixes: Placed) -> _Float64:
+def _bias_s(fixes: Placed) -> Float64:
     return np.where(fixes.quality == RTK_FLOAT, FLOAT_BIAS_S, BIAS_S)
 
 
-def _last_before(time_ns: _Int64, sorted_ns: _Int64) -> _Int64:
+def _last_before(time_ns: Int64, sorted_ns: Int64) -> Int64:
     """For each instant the last of `sorted_ns` at or before it, else the first."""
     return np.asarray(np.maximum(np.searchsorted(sorted_ns, time_ns, side="right") - 1, 0))
 
@@ -95,14 +92,14 @@ def _sway_m(rig: Vehicle | None) -> float:
     return (up_m if up_m > 0.0 else USUAL_ANTENNA_M) * float(np.radians(SWAY_DEG))
 
 
-def _repetition(time_ns: _Int64) -> _Float64:
+def _repetition(time_ns: Int64) -> Float64:
     """By how much less a fix says than an independent one: more of them, the same sway."""
     steps = np.diff(time_ns) / 1e9
     apart_s = np.minimum(np.append(steps, np.inf), np.concatenate([[np.inf], steps]))
     return np.asarray(np.sqrt(np.maximum(1.0, 2.0 * SWAY_S / np.maximum(apart_s, 1e-3))))
 
 
-def _steps(time_ns: _Int64, steps: Steps | None) -> tuple[_Int64, _Float64, _Float64]:
+def _steps(time_ns: Int64, steps: Steps | None) -> tuple[Int64, Float64, Float64]:
     """Nodes [s, 2], motions [s, 3] and sigmas [s, 2] of the camera's steps between nodes."""
     if steps is None or len(steps.start_ns) == 0:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 2))
@@ -117,7 +114,7 @@ def _steps(time_ns: _Int64, steps: Steps | None) -> tuple[_Int64, _Float64, _Flo
     return ends[near].astype(np.int64), step[near], sigma[near]
 
 
-def _wheel_speeds(time_ns: _Int64, motion: Motion) -> tuple[_Float64, _Float64]:
+def _wheel_speeds(time_ns: Int64, motion: Motion) -> tuple[Float64, Float64]:
     wheels = motion.wheels
     unknown = np.full(len(time_ns), np.nan)
     if wheels is None or not (wheels.speed_mps < -WHEEL_SIGMA_MPS).any():
@@ -128,7 +125,7 @@ def _wheel_speeds(time_ns: _Int64, motion: Motion) -> tuple[_Float64, _Float64]:
     return speed, spread
 
 
-def _at(sorted_ns: _Int64, time_ns: _Int64) -> _Int64:
+def _at(sorted_ns: Int64, time_ns: Int64) -> Int64:
     """Index of the nearest of `sorted_ns` to each instant."""
     after = np.clip(np.searchsorted(sorted_ns, time_ns), 1, len(sorted_ns) - 1)
     earlier = time_ns - sorted_ns[after - 1] < sorted_ns[after] - time_ns

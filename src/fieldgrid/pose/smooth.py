@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.moves import Moves, find_moves, first_guess
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
@@ -16,9 +16,6 @@ from fieldgrid.pose.rest import at_rest
 from fieldgrid.pose.sightings import sightings
 from fieldgrid.rig import Vehicle
 from fieldgrid.smoother import Sightings, Smoothed, smooth
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 LEAST_HEADING_SIGMA_DEG = 0.3
 """What no sighting shows: an axle out of line, a vehicle that crabs on a side slope."""
@@ -46,23 +43,23 @@ class Drive(NamedTuple):
     probability that it is the other one; `gyro_bias_dps` is NaN without a gyro.
     """
 
-    time_ns: _Int64
-    fix: _Int64
-    east_m: _Float64
-    north_m: _Float64
-    heading_deg: _Float64
-    heading_sigma_deg: _Float64
-    position_sigma_m: _Float64
-    relative_sigma_m: _Float64
-    speed_mps: _Float64
-    gear: _Int64
-    doubt: _Float64
-    resting: npt.NDArray[np.bool_]
+    time_ns: Int64
+    fix: Int64
+    east_m: Float64
+    north_m: Float64
+    heading_deg: Float64
+    heading_sigma_deg: Float64
+    position_sigma_m: Float64
+    relative_sigma_m: Float64
+    speed_mps: Float64
+    gear: Int64
+    doubt: Float64
+    resting: Bool
     gyro_bias_dps: float
 
 
 def smooth_drive(
-    placed: Placed, motion: Motion, rig: Vehicle | None, nose_deg: _Float64 | None = None
+    placed: Placed, motion: Motion, rig: Vehicle | None, nose_deg: Float64 | None = None
 ) -> Drive:
     """The batch estimate from accepted fixes (`placed`) and the vehicle's own motion.
 
@@ -86,14 +83,14 @@ def smooth_drive(
     return _drive(at, seen, found, moves, node_rest, at.has_gyro())
 
 
-def _turning(at: Nodes, time_ns: _Int64) -> npt.NDArray[np.bool_]:
+def _turning(at: Nodes, time_ns: Int64) -> Bool:
     """Where the gyro sees a vehicle turn on the spot, which its position does not show."""
     rate = np.nan_to_num(at.turned_rad) / np.maximum(np.diff(at.time_ns) / 1e9, 1e-3)
     node = np.clip(np.searchsorted(at.time_ns, time_ns), 0, max(len(rate) - 1, 0))
     return np.abs(rate[node]) > TURNING_RAD_S if len(rate) else np.zeros(len(time_ns), np.bool_)
 
 
-def _driven(time_ns: _Int64, steps: Steps | None) -> npt.NDArray[np.bool_]:
+def _driven(time_ns: Int64, steps: Steps | None) -> Bool:
     """Nodes during a step of the camera that is one."""
     change = np.zeros(len(time_ns) + 1, dtype=np.int64)
     if steps is not None:
@@ -121,7 +118,7 @@ def axle_forward_m(rig: Vehicle) -> float:
     return rig.antenna.forward_m if axle_m is None else axle_m
 
 
-def _lasting(against: npt.NDArray[np.bool_], time_s: _Float64) -> npt.NDArray[np.bool_]:
+def _lasting(against: Bool, time_s: Float64) -> Bool:
     """Where the estimate goes against its gears for longer than a cusp may be misplaced: then
     nobody knows which way the vehicle went."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], against, [False]]).astype(np.int8)))
@@ -131,7 +128,7 @@ def _lasting(against: npt.NDArray[np.bool_], time_s: _Float64) -> npt.NDArray[np
     return found
 
 
-def _near_recorded(seen: Sightings) -> npt.NDArray[np.bool_]:
+def _near_recorded(seen: Sightings) -> Bool:
     """Nodes whose heading is as good as recorded, so that it does not hang on the gear."""
     recorded = np.flatnonzero(np.isfinite(seen.nose_rad))
     if recorded.size == 0:
@@ -150,7 +147,7 @@ def _drive(
     seen: Sightings,
     found: Smoothed,
     moves: Moves,
-    resting: npt.NDArray[np.bool_],
+    resting: Bool,
     gyro: bool,
 ) -> Drive:
     fix_station = np.searchsorted(moves.station, _last_fix(at.fix), side="right") - 1
@@ -179,6 +176,6 @@ def _drive(
     )
 
 
-def _last_fix(fix: _Int64) -> _Int64:
+def _last_fix(fix: Int64) -> Int64:
     """For each node the latest fix at or before it."""
     return np.asarray(np.maximum.accumulate(fix))

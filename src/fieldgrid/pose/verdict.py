@@ -6,12 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.pose.settings import PoseSettings
-
-_Float64 = npt.NDArray[np.float64]
 
 JUMP_SIGMAS, JUMP_DEG = 4.0, 5.0
 """A nose does not turn faster than its tightest turn by more than this."""
@@ -56,12 +54,12 @@ def doubt(
 
 
 def jumps(
-    east_m: _Float64,
-    north_m: _Float64,
-    heading_deg: _Float64,
-    sigma_deg: _Float64,
+    east_m: Float64,
+    north_m: Float64,
+    heading_deg: Float64,
+    sigma_deg: Float64,
     min_turn_radius_m: float,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Which of n headings jump away from both neighbours further than a vehicle can turn.
 
     The paper's indicator: a few isolated jumps corrupt a map, so their grids are discarded.

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.calibrated import Calibration, rectified_here, taken_as_rectified
 from fieldgrid.recording.calibration_yaml import image_size, load_yaml, matrix
@@ -20,8 +20,6 @@ from fieldgrid.rectify import (
     rectify_by_projections,
 )
 from fieldgrid.rig import DepthCamera
-
-_Float64 = npt.NDArray[np.float64]
 
 _INTRINSICS = ((0, 0), (1, 1), (0, 2), (1, 2))  # fx, fy, cx, cy
 
@@ -76,11 +74,11 @@ class _Info(NamedTuple):
             )
         return info
 
-    def matrix(self, key: str, shape: tuple[int, int] | None) -> _Float64:
+    def matrix(self, key: str, shape: tuple[int, int] | None) -> Float64:
         return matrix(self.document, key, shape, self.path)
 
     @property
-    def distortion(self) -> _Float64:
+    def distortion(self) -> Float64:
         key = "distortion_coefficients"
         return self.matrix(key, None) if key in self.document else np.zeros(0)
 

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.files import read_text
-
-_Float64 = npt.NDArray[np.float64]
 
 _MAX_BYTES = 1 << 20
 
@@ -69,14 +67,14 @@ def resolution(document: Mapping[str, Any], path: Path) -> tuple[int, int]:
 
 def matrix(
     document: Mapping[str, Any], key: str, shape: tuple[int, int] | None, path: Path
-) -> _Float64:
+) -> Float64:
     """The matrix `key`, of `shape` or of any; its numbers stand below `data`."""
     entry = document.get(key)
     data = entry.get("data") if isinstance(entry, dict) else None
     return _numbers(data, key, shape, path)
 
 
-def rows(document: Mapping[str, Any], key: str, shape: tuple[int, int], path: Path) -> _Float64:
+def rows(document: Mapping[str, Any], key: str, shape: tuple[int, int], path: Path) -> Float64:
     """The matrix `key`, written as a list of rows."""
     lines = document.get(key)
     flat: list[object] = []
@@ -86,13 +84,13 @@ def rows(document: Mapping[str, Any], key: str, shape: tuple[int, int], path: Pa
     return _numbers(flat, key, shape, path)
 
 
-def listed(document: Mapping[str, Any], key: str, count: int | None, path: Path) -> _Float64:
+def listed(document: Mapping[str, Any], key: str, count: int | None, path: Path) -> Float64:
     """The list `key`, of `count` numbers or of any."""
     values = _numbers(document.get(key), key, None if count is None else (1, count), path)
     return values.ravel()
 
 
-def _numbers(data: object, key: str, shape: tuple[int, int] | None, path: Path) -> _Float64:
+def _numbers(data: object, key: str, shape: tuple[int, int] | None, path: Path) -> Float64:
     try:
         found = [float(v) for v in data] if isinstance(data, list) else [math.nan]
     except (TypeError, ValueError, OverflowError):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
 from fieldgrid.recording.frame_table import TABLE, Layout
@@ -19,8 +20,6 @@ from fieldgrid.recording.pcd import parse_pcd
 from fieldgrid.recording.ply import parse_ply
 from fieldgrid.recording.protocol import CloudFrame, Frame
 from fieldgrid.recording.stored import Shot
-
-_Float32 = npt.NDArray[np.float32]
 
 SUFFIXES = frozenset({".ply", ".pcd", ".las", ".laz", ".npy", ".bin"})
 """File name endings of clouds, in lower case."""
@@ -61,7 +60,7 @@ class CloudFile:
         """The path."""
         return str(self.path)
 
-    def read(self) -> _Float32:
+    def read(self) -> Float32:
         """Points [n, 3], metres: x right, y down, z forward. What is not finite, or beyond any
         range, is left out."""
         points = _points(self.path)
@@ -99,7 +98,7 @@ class CloudKind:
         return CloudFrame(shot.frame_id, shot.time_ns, CloudFile(folder / name, self.axes))
 
 
-def to_optical(points: _Float32, axes: str) -> _Float32:
+def to_optical(points: Float32, axes: str) -> Float32:
     """Points [n, 3] with axes like flu as x right, y down, z forward: axes that change places
     and signs, exactly."""
     out = np.empty_like(points)

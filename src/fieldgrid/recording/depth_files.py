@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
 from fieldgrid.recording.frame_table import Layout
@@ -21,7 +22,6 @@ from fieldgrid.recording.npy import parse_npy
 from fieldgrid.recording.protocol import DepthFrame, Frame
 from fieldgrid.recording.stored import Shot
 
-_Float32 = npt.NDArray[np.float32]
 _Any = npt.NDArray[np.generic]
 
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".pfm"})
@@ -67,7 +67,7 @@ class DepthFile:
         """The path."""
         return str(self.path)
 
-    def read(self) -> _Float32:
+    def read(self) -> Float32:
         """Depth along the optical axis [row, column], metres; NaN where there is none."""
         values = _decode(read_bytes(self.path, _MAX_BYTES), self.path)
         stated = self.format
@@ -90,7 +90,7 @@ class DepthFile:
                     measured - np.float32(stated.offset_px)
                 )
             known &= (measured > _NEAREST_M) & (measured < _FARTHEST_M)
-        depth_m: _Float32 = np.where(known, measured, np.float32(np.nan))
+        depth_m: Float32 = np.where(known, measured, np.float32(np.nan))
         return depth_m
 
     def sha256(self) -> str:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path, PurePath
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.recording.calibration_kalibr import pinhole
@@ -27,8 +27,6 @@ from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_
 from fieldgrid.recording.table_time import find_time
 from fieldgrid.recording.tables import open_table
 from fieldgrid.rectify import RawCamera, Rectification, is_rotation, rectify_by_pose
-
-_Float64 = npt.NDArray[np.float64]
 
 LOOKS_FOR = "mav0 with cam0 and cam1"
 
@@ -172,7 +170,7 @@ def _camera(path: Path, name: str) -> RawCamera:
     return pinhole(load_yaml(path), path, name, coefficients="distortion_coefficients")
 
 
-def _pose(path: Path) -> _Float64:
+def _pose(path: Path) -> Float64:
     """T_BS, once it is sure to be a rigid motion."""
     T = matrix(load_yaml(path), "T_BS", (4, 4), path)
     is_near = bool((np.abs(T[:3, 3]) < _MAX_AWAY_M).all())

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
+from fieldgrid.array_types import Float64, Index
 from fieldgrid.errors import RecordingError
 from fieldgrid.gnss import Fix
 from fieldgrid.recording.columns import (
@@ -26,8 +26,6 @@ from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recording.qualities import by_sigma, read_qualities
 from fieldgrid.recording.table_time import TimeColumn, find_time
 from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
-
-_Float64 = npt.NDArray[np.float64]
 
 _OWN = {
     "lat": "lat_deg", "lon": "lon_deg", "height": "height_m", "quality": "quality",
@@ -131,7 +129,7 @@ class _Plan:
         columns = [fields.get(name, [None] * keep.size) for name in Fix._fields]
         return list(map(Fix._make, zip(*columns, strict=True)))
 
-    def _optional(self, block: Block, keep: npt.NDArray[np.intp]) -> dict[str, list[Any]]:
+    def _optional(self, block: Block, keep: Index) -> dict[str, list[Any]]:
         """What fixes may lack, by the field of a fix."""
         value = {r: self._numbers(r, block)[keep] for r in _NUMBERS if r in self.places}
         sigma = value.get("sigma")
@@ -139,7 +137,7 @@ class _Plan:
             sigma = value["accuracy"] * (self._length("accuracy") / np.sqrt(2.0))
         elif sigma is not None:
             sigma = sigma * self._length("sigma")
-        fields: dict[str, _Float64 | None] = {
+        fields: dict[str, Float64 | None] = {
             "sigma_m": sigma,
             "hdop": value.get("hdop"),
             "age_s": value.get("age"),
@@ -155,7 +153,7 @@ class _Plan:
             said["satellites"] = self._satellites(block, keep)
         return said
 
-    def _numbers(self, role: str, block: Block) -> _Float64:
+    def _numbers(self, role: str, block: Block) -> Float64:
         return self.table.numbers(block, self.places[role])
 
     def _unit(self, role: str) -> tuple[str, float]:
@@ -174,7 +172,7 @@ class _Plan:
             else (factor * speed_factor(unit))
         )
 
-    def _heights(self, block: Block) -> _Float64:
+    def _heights(self, block: Block) -> Float64:
         if "height" not in self.places:
             return np.zeros(len(block.rows))
         said = self.columns.height_units
@@ -184,17 +182,15 @@ class _Plan:
         self.counts["rows without a height: taken as 0 m"] += int(missing.sum())
         return np.where(missing, 0.0, heights)
 
-    def _degrees(self, role: str, value: dict[str, _Float64]) -> _Float64 | None:
+    def _degrees(self, role: str, value: dict[str, Float64]) -> Float64 | None:
         if role not in value:
             return None
         return np.degrees(value[role]) if is_radians(self._unit(role)[0]) else value[role]
 
-    def _wrapped(self, angles: _Float64 | None) -> _Float64 | None:
+    def _wrapped(self, angles: Float64 | None) -> Float64 | None:
         return None if angles is None else wrap_deg(angles)
 
-    def _heading(
-        self, value: dict[str, _Float64], block: Block, keep: npt.NDArray[np.intp]
-    ) -> _Float64 | None:
+    def _heading(self, value: dict[str, Float64], block: Block, keep: Index) -> Float64 | None:
         """Headings clockwise from north; NaN where they are marked as not valid."""
         if "heading" not in value:
             return None
@@ -211,9 +207,7 @@ class _Plan:
             angle = np.where(invalid, np.nan, angle)
         return angle
 
-    def _qualities(
-        self, block: Block, keep: npt.NDArray[np.intp], sigma: _Float64 | None
-    ) -> list[int]:
+    def _qualities(self, block: Block, keep: Index, sigma: Float64 | None) -> list[int]:
         if "quality" not in self.places:
             listed: list[int] = [1] * keep.size if sigma is None else by_sigma(sigma).tolist()
             return listed
@@ -223,12 +217,12 @@ class _Plan:
         self.unknown.update(read.unknown)
         return read.codes
 
-    def _satellites(self, block: Block, keep: npt.NDArray[np.intp]) -> list[int | None]:
+    def _satellites(self, block: Block, keep: Index) -> list[int | None]:
         cells = self._kept("satellites", block, keep)
         known = {cell: _fewest(cell) for cell in set(cells)}
         return [known[cell] for cell in cells]
 
-    def _kept(self, role: str, block: Block, keep: npt.NDArray[np.intp]) -> list[str]:
+    def _kept(self, role: str, block: Block, keep: Index) -> list[str]:
         """The cells of the rows that become fixes."""
         cells = block.cells(self.places[role])
         return cells if keep.size == len(cells) else [cells[k] for k in keep]
@@ -262,7 +256,7 @@ class _Plan:
         return tuple(notes + [f"{name}: {n} {what}." for what, n in self.counts.items() if n])
 
 
-def _or_none(values: _Float64) -> list[float | None]:
+def _or_none(values: Float64) -> list[float | None]:
     listed = values.tolist()
     return [v if v == v else None for v in listed] if np.isnan(values).any() else listed
 

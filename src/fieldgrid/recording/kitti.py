@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.kitti_calibration import (
@@ -22,9 +22,6 @@ from fieldgrid.recording.options import Options
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
 from fieldgrid.rig import Rig
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 LOOKS_FOR = "one KITTI drive *_sync with image_00 .. image_03 and oxts"
 
@@ -124,7 +121,7 @@ def _shots(drive: Path, left: str, right: str) -> list[Shot]:
     ]
 
 
-def _oxts(drive: Path) -> tuple[_Int64, _Float64]:
+def _oxts(drive: Path) -> tuple[Int64, Float64]:
     """The times of the rows of oxts, and the rows."""
     names = _listing(drive / "oxts")
     times_ns = _read_stamps(drive / "oxts", len(names), "rows of oxts")

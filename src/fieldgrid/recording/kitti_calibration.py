@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording.files import read_text
 from fieldgrid.rectify import camera_from_projections
 from fieldgrid.rig import LeverArm, Mount, Rig
-
-_Float64 = npt.NDArray[np.float64]
 
 CAMERA_HEIGHT_M = 1.65
 """Height of the cameras above the road: in KITTI's paper and drawing, in none of its files."""
@@ -30,10 +28,10 @@ _VEHICLE_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
 class KittiCalibration(NamedTuple):
     """What the three calibration files say of one pair of cameras."""
 
-    left: _Float64  # projection from rectified camera 0, 3 x 4 px
-    right: _Float64
+    left: Float64  # projection from rectified camera 0, 3 x 4 px
+    right: Float64
     size_px: tuple[int, int]
-    T_rect_imu: _Float64
+    T_rect_imu: Float64
     source: str
 
     def rig(self) -> Rig:
@@ -52,7 +50,7 @@ class KittiCalibration(NamedTuple):
         return Rig(camera, mount, antenna)
 
 
-def mount_angles_deg(R_vehicle_camera: _Float64) -> tuple[float, float, float]:
+def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
     """Tilt, roll and yaw in degrees: the inverse of :meth:`fieldgrid.rig.Mount.rotation`."""
     R = R_vehicle_camera
     tilt = math.atan2(-R[2, 2], -R[2, 1])
@@ -61,7 +59,7 @@ def mount_angles_deg(R_vehicle_camera: _Float64) -> tuple[float, float, float]:
     return math.degrees(tilt), math.degrees(roll), math.degrees(yaw)
 
 
-def _centre(projection: _Float64) -> _Float64:
+def _centre(projection: Float64) -> Float64:
     """Optical centre in the frame of rectified camera 0, metres."""
     try:
         return np.asarray(-np.linalg.solve(projection[:, :3], projection[:, 3]), dtype=np.float64)
@@ -99,7 +97,7 @@ def _find(drive: Path, name: str) -> Path:
     )
 
 
-def _transform(path: Path) -> _Float64:
+def _transform(path: Path) -> Float64:
     table = read_entries(path)
     T = np.eye(4)
     T[:3, :3] = _rotation(table, "R", path)
@@ -107,7 +105,7 @@ def _transform(path: Path) -> _Float64:
     return T
 
 
-def _rotation(table: dict[str, str], key: str, path: Path) -> _Float64:
+def _rotation(table: dict[str, str], key: str, path: Path) -> Float64:
     R = numbers(table, key, 9, path).reshape(3, 3)
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise CalibrationError(f"{path}: {key} is no rotation; restore the file.")
@@ -121,7 +119,7 @@ def read_entries(path: Path) -> dict[str, str]:
     return {key.strip(): values for key, _, values in lines}
 
 
-def numbers(table: dict[str, str], key: str, count: int, path: Path) -> _Float64:
+def numbers(table: dict[str, str], key: str, count: int, path: Path) -> Float64:
     """The `count` numbers of an entry."""
     values = np.array(floats(table.get(key, ""), path), dtype=np.float64)
     if values.size != count or not (np.abs(values) < 1e9).all():

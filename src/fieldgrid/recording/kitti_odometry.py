@@ -9,9 +9,9 @@ import math
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
@@ -26,8 +26,6 @@ from fieldgrid.recording.settings_file import SETTINGS, Settings, Start, read_se
 from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
 from fieldgrid.rectify import camera_from_projections
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-
-_Float64 = npt.NDArray[np.float64]
 
 LOOKS_FOR = "a KITTI sequence with calib.txt, times.txt, image_0 and image_1"
 
@@ -111,7 +109,7 @@ def _shots(path: Path, left: str, right: str, times_ns: list[int]) -> list[Shot]
     ]
 
 
-def _projection(path: Path, number: str) -> _Float64:
+def _projection(path: Path, number: str) -> Float64:
     file = path / _CALIBRATION
     return numbers(read_entries(file), f"P{number}", 12, file).reshape(3, 4)
 
@@ -132,7 +130,7 @@ def _own_mount(path: Path, options: Options) -> tuple[Mount, tuple[str, ...]]:
     return Mount(CAMERA_HEIGHT_M, 0.0), (note,)
 
 
-def _first_camera(left_projection: _Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
+def _first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
     """The optical centre of camera 0, of which the poses are."""
     left_from_first_m = -float(left_projection[0, 3]) / camera.focal_px
     aside_m = np.array([-left_from_first_m - camera.baseline_m / 2.0, 0.0, 0.0])
@@ -164,7 +162,7 @@ def _pose_files(path: Path) -> tuple[Path, ...]:
     return path / _POSES, beside
 
 
-def _poses(path: Path, count: int) -> _Float64:
+def _poses(path: Path, count: int) -> Float64:
     """Camera 0 in the frame of its first image (x right, y down, z forward), [n, 3, 4]."""
     values = np.array(floats(read_text(path), path))
     if values.size != 12 * count or not (np.abs(values) < 1e7).all():
@@ -179,7 +177,7 @@ def _poses(path: Path, count: int) -> _Float64:
 
 
 def _fixes(
-    poses: _Float64, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
+    poses: Float64, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
 ) -> list[Fix]:
     """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
     R_vehicle_camera = mount.rotation()

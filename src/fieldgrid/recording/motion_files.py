@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
 from fieldgrid.recording.columns import Columns, speed_factor, take_apart
 from fieldgrid.recording.table_time import find_time
 from fieldgrid.recording.tables import Table, open_table
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 AXES = "flu"
 """How an IMU is mounted when nothing is said: x forward, y left, z up."""
@@ -51,8 +48,8 @@ class MotionFiles(NamedTuple):
 class Series(NamedTuple):
     """Values with their times, increasing."""
 
-    time_ns: _Int64
-    values: _Float64
+    time_ns: Int64
+    values: Float64
 
 
 def directions(axes: str) -> tuple[tuple[int, int, int], ...]:
@@ -151,7 +148,7 @@ def _read(table: Table, name: str, factor: float, notes: list[str]) -> Series:
     return series
 
 
-def in_order(times_ns: _Int64, values: _Float64) -> tuple[Series, int]:
+def in_order(times_ns: Int64, values: Float64) -> tuple[Series, int]:
     """The values with a time, times increasing, the first of each; and how many are left out."""
     known = (times_ns > 0) & np.isfinite(values)
     kept_ns, kept = times_ns[known], values[known]

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.angles import heading_from_yaw_rad
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Gyro, Motion
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 FIELDS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
@@ -27,7 +24,7 @@ _INTERPOLATED = -1
 _QUALITY_OF_POSMODE = {_INTERPOLATED: 6, 2: 1, 3: 1, 4: 2, 5: 5, 6: 4, 7: 9, 8: 2, 9: 2}
 
 
-def oxts_fixes(time_ns: _Int64, rows: _Float64) -> list[Fix]:
+def oxts_fixes(time_ns: Int64, rows: Float64) -> list[Fix]:
     """A fix for each row of `rows` (n x 30, :data:`FIELDS`) at its UTC time."""
     value = {name: rows[:, k] for k, name in enumerate(FIELDS)}
     speeds = np.hypot(value["vf"], value["vl"])
@@ -56,7 +53,7 @@ def oxts_fixes(time_ns: _Int64, rows: _Float64) -> list[Fix]:
     ]
 
 
-def oxts_motion(time_ns: _Int64, rows: _Float64) -> Motion:
+def oxts_motion(time_ns: Int64, rows: Float64) -> Motion:
     """The gyro about the vehicle's vertical, without the rows that KITTI interpolated."""
     real = rows[:, FIELDS.index("posmode")] != _INTERPOLATED
     order = np.argsort(time_ns[real], kind="stable")

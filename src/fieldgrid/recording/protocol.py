@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-import numpy as np
-import numpy.typing as npt
-
+from fieldgrid.array_types import Float32, Int64, UInt8
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.rig import Rig
 
-Image = npt.NDArray[np.uint8]
+Image = UInt8
 """A grey image [row, column], row 0 at the top."""
 
 
@@ -41,14 +39,14 @@ class ImageSource(Source, Protocol):
 class DepthSource(Source, Protocol):
     """Where one image of depths comes from."""
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """Depth along the optical axis [row, column], metres; NaN where there is none."""
 
 
 class CloudSource(Source, Protocol):
     """Where one point cloud comes from."""
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """Points [n, 3], metres in the sensor's frame: x right, y down, z forward; all finite."""
 
 
@@ -162,8 +160,8 @@ class Stream:
     kind: str
     role: str
     count: int
-    stamp_ns: npt.NDArray[np.int64]
-    receive_ns: npt.NDArray[np.int64] | None = None
+    stamp_ns: Int64
+    receive_ns: Int64 | None = None
 
 
 def _size(image: Image) -> str:
@@ -207,7 +205,7 @@ class Recording(Protocol):
     def streams(self) -> Sequence[Stream]:
         """Everything that was recorded, also what is not used."""
 
-    def frame_times_ns(self) -> npt.NDArray[np.int64]:
+    def frame_times_ns(self) -> Int64:
         """Times of the frames as the camera stamped them, shape (frame_count,), increasing."""
 
     def frames(self) -> Iterator[Frame]:

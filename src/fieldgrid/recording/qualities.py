@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
+
 # The first that occurs in the text decides, so that "RTK float" is not "RTK".
 _WORDS: tuple[tuple[str, int], ...] = (
     (r"no[ _-]?(gps|gnss)?[ _-]?(fix|solution|position)|invalid|not[ _]available|unavailable", 0),
@@ -76,7 +78,7 @@ def from_position_status(status: int) -> int:
     return status if status <= 8 else 0
 
 
-def by_sigma(sigma_m: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def by_sigma(sigma_m: npt.ArrayLike) -> Int64:
     """GGA's codes by the error that the receiver states, 1 where that is nothing above 0:
     centimetres need carrier phases."""
     sigma = np.asarray(sigma_m, dtype=np.float64)

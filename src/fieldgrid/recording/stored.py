@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
@@ -86,7 +86,7 @@ class StoredRecording:
         """How many frames there are."""
         return len(self.shots)
 
-    def frame_times_ns(self) -> npt.NDArray[np.int64]:
+    def frame_times_ns(self) -> Int64:
         """Times of the frames, shape (frame_count,), increasing."""
         return np.array([shot.time_ns for shot in self.shots], dtype=np.int64)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.columns import Columns, guess, time_candidates
 from fieldgrid.recording.tables import Block, Table
@@ -20,8 +18,6 @@ from fieldgrid.recording.times import (
     to_utc_ns,
     zone_s,
 )
-
-_Int64 = npt.NDArray[np.int64]
 
 _OWN = ("time_ns", "timestamp_utc_s")
 
@@ -36,7 +32,7 @@ class TimeColumn(NamedTuple):
     week_place: int | None = None
     notes: tuple[str, ...] = ()
 
-    def utc_ns(self, block: Block) -> _Int64:
+    def utc_ns(self, block: Block) -> Int64:
         """UTC nanoseconds of some rows, 0 where there is no time after 1980."""
         cells = self._cells(block)
         try:

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import open_log_bytes
-
-_Float64 = npt.NDArray[np.float64]
 
 COMMENTS = ("#", "%")
 DELIMITERS = ",;\t|"
@@ -91,7 +89,7 @@ class Table:
             line = block.line + len(block.rows)
             block = Block(line, list(islice(self._rows, _BLOCK_ROWS)))
 
-    def numbers(self, block: Block, column: int) -> _Float64:
+    def numbers(self, block: Block, column: int) -> Float64:
         """One column as numbers, NaN where there is none; an error names line and cell."""
         cells = block.cells(column)
         if self.decimal_comma:

@@ -9,13 +9,11 @@ from decimal import Decimal, InvalidOperation
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.gnss.gps_time import GPS_EPOCH_UNIX_S, unix_ns
 from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS
 from fieldgrid.recording.tables import NOTHING
-
-_Int64 = npt.NDArray[np.int64]
 
 NO_TIME = 0
 """What stands for an empty cell, and for a time before 1980: the receiver had none yet."""
@@ -95,7 +93,7 @@ def _is_compact_date(cell: str) -> bool:
     return re.fullmatch(date_time, cell) is not None
 
 
-def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> _Int64:
+def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> Int64:
     """UTC nanoseconds of a column, :data:`NO_TIME` where there is none.
 
     A cell that cannot be read raises :class:`UnreadableTimeError`, which has its place.
@@ -107,7 +105,7 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> _I
     return _valid(_on_scale(_decimal_ns(cells, scale.places), scale))
 
 
-def gps_week_ns(weeks: Sequence[str], seconds: Sequence[str], places: int) -> _Int64:
+def gps_week_ns(weeks: Sequence[str], seconds: Sequence[str], places: int) -> Int64:
     """UTC nanoseconds of GPS weeks (not modulo 1024) and times of week in a unit."""
     return _valid(_from_gps(_decimal_ns(weeks, 0), _decimal_ns(seconds, places)))
 
@@ -120,14 +118,14 @@ class UnreadableTimeError(ValueError):
         self.place = place
 
 
-def _on_scale(since_origin_ns: _Int64, scale: TimeScale) -> _Int64:
+def _on_scale(since_origin_ns: Int64, scale: TimeScale) -> Int64:
     if scale.gps:
         return _from_gps(*np.divmod(since_origin_ns, _WEEK_NS))
     known = (since_origin_ns > 0) & (since_origin_ns <= MAX_TIME_NS)
     return np.where(known, since_origin_ns + scale.origin_s * _S, NO_TIME)
 
 
-def _from_gps(weeks: _Int64, of_week_ns: _Int64) -> _Int64:
+def _from_gps(weeks: Int64, of_week_ns: Int64) -> Int64:
     times_ns = []
     for week, rest_ns in zip(weeks.tolist(), of_week_ns.tolist(), strict=True):
         try:
@@ -137,11 +135,11 @@ def _from_gps(weeks: _Int64, of_week_ns: _Int64) -> _Int64:
     return np.array(times_ns, dtype=np.int64)
 
 
-def _valid(time_ns: _Int64) -> _Int64:
+def _valid(time_ns: Int64) -> Int64:
     return np.where((time_ns >= MIN_TIME_NS) & (time_ns <= MAX_TIME_NS), time_ns, NO_TIME)
 
 
-def _decimal_ns(cells: Sequence[str], places: int) -> _Int64:
+def _decimal_ns(cells: Sequence[str], places: int) -> Int64:
     """Decimal numbers times 10^places, exactly; digits beyond are cut off."""
     count, zeros = len(cells), "0" * places
     try:
@@ -172,7 +170,7 @@ def _one_decimal(cell: str, place: int, places: int) -> int:
     return min(int(value.scaleb(places)), MAX_TIME_NS + 1)
 
 
-def _civil_ns(cells: Sequence[str], scale: TimeScale) -> _Int64:
+def _civil_ns(cells: Sequence[str], scale: TimeScale) -> Int64:
     # Rows of one second share their start, and those of all seconds their ends.
     starts: dict[str, int | None] = {}
     ends: dict[str, int | None] = {}

@@ -11,8 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.ros.db3 import Db3File, is_db3
 from fieldgrid.ros.definitions import decode, has_header
@@ -109,7 +109,7 @@ class Bag:
         """Remove what was unpacked; the bag cannot be read any more."""
         self._stack.close()
 
-    def stamps(self, topic: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def stamps(self, topic: str) -> tuple[Int64, Int64]:
         """The stamps in the headers of a topic's messages, 0 where the type has no header, and
         the times at which they were received: nanoseconds, in the order of `messages`."""
         found = self._topic(topic)

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
 
-_Float64 = npt.NDArray[np.float64]
 
-
-def factor(band: _Float64) -> _Float64:
+def factor(band: Float64) -> Float64:
     """Cholesky factor of a positive definite matrix in LAPACK's lower banded form.
 
     `band[i - j, j]` is element (i, j), i >= j; the factor has the same form.
     """
-    result: _Float64 = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+    result: Float64 = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
     return result
 
 
-def solve(lower: _Float64, right: _Float64) -> _Float64:
+def solve(lower: Float64, right: Float64) -> Float64:
     """Solution of the system whose factor is `lower`."""
-    result: _Float64 = scipy.linalg.cho_solve_banded((lower, True), right, check_finite=False)
+    result: Float64 = scipy.linalg.cho_solve_banded((lower, True), right, check_finite=False)
     return result
 
 

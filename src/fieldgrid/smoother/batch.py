@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.banded import factor, inverse_blocks, solve
-
-_Float64 = npt.NDArray[np.float64]
 
 MOST_ROUNDS = 25
 ENOUGH_M, ENOUGH_RAD = 3e-3, 3e-4
@@ -44,7 +42,7 @@ CLEAR_NATS = 2.0
 STRETCHES, STRETCH_NODES = 4, 1000
 """A longer drive is looked at in so many places, to learn how restless it is."""
 
-_System = tuple[_Float64, _Float64, _Float64]
+_System = tuple[Float64, Float64, Float64]
 
 
 class Sightings(NamedTuple):
@@ -61,21 +59,21 @@ class Sightings(NamedTuple):
     [s, 2] the sigma of way and turn.
     """
 
-    time_s: _Float64
-    fix_m: _Float64
-    fix_sigma_m: _Float64
-    fix_bias_m: _Float64
-    fix_bias_s: _Float64
-    nose_rad: _Float64
-    nose_sigma_rad: _Float64
-    speed_mps: _Float64
-    speed_sigma_mps: _Float64
-    turned_rad: _Float64
-    seen: npt.NDArray[np.bool_]
-    standing: npt.NDArray[np.bool_]
-    step_nodes: npt.NDArray[np.int64]
-    step: _Float64
-    step_sigma: _Float64
+    time_s: Float64
+    fix_m: Float64
+    fix_sigma_m: Float64
+    fix_bias_m: Float64
+    fix_bias_s: Float64
+    nose_rad: Float64
+    nose_sigma_rad: Float64
+    speed_mps: Float64
+    speed_sigma_mps: Float64
+    turned_rad: Float64
+    seen: Bool
+    standing: Bool
+    step_nodes: Int64
+    step: Float64
+    step_sigma: Float64
 
     def part(self, start: int, stop: int) -> Sightings:
         """What was seen from node `start` to before node `stop`."""
@@ -102,19 +100,19 @@ class Smoothed(NamedTuple):
     `fix_off_m` and `step_off_m` are how far fixes and steps lie from the estimate.
     """
 
-    state: _Float64
-    position_sigma_m: _Float64
-    relative_sigma_m: _Float64
-    heading_sigma_rad: _Float64
-    fix_off_m: _Float64
-    step_off: _Float64
+    state: Float64
+    position_sigma_m: Float64
+    relative_sigma_m: Float64
+    heading_sigma_rad: Float64
+    fix_off_m: Float64
+    step_off: Float64
     rounds: int
     restlessness: float
 
 
 def smooth(
     seen: Sightings,
-    start: _Float64,
+    start: Float64,
     lever_m: tuple[float, float] = (0.0, 0.0),
     step_ahead_m: float = 0.0,
 ) -> Smoothed:
@@ -139,19 +137,19 @@ def smooth(
 
 class _Problem(NamedTuple):
     seen: Sightings
-    lever_m: _Float64
+    lever_m: Float64
     step_ahead_m: float
 
 
 class _Solution(NamedTuple):
-    x: _Float64
+    x: Float64
     weights: _Weights
     rounds: int
-    last_change: _Float64
+    last_change: Float64
 
 
 def _converged(
-    problem: _Problem, start: _Float64, weights: _Weights, most_rounds: int = MOST_ROUNDS
+    problem: _Problem, start: Float64, weights: _Weights, most_rounds: int = MOST_ROUNDS
 ) -> _Solution:
     """Rounds of least squares until nothing moves, each with the weights of the one before."""
     x, now, rounds = start.copy(), weights, 0
@@ -184,7 +182,7 @@ def _adapted(problem: _Problem, found: _Solution, restlessness: float) -> _Solut
     return _converged(problem, found.x, found.weights)
 
 
-def _blind(seen: Sightings) -> npt.NDArray[np.bool_]:
+def _blind(seen: Sightings) -> Bool:
     """Steps [n - 1] on which no fix is near."""
     fixes_s = seen.time_s[np.isfinite(seen.fix_sigma_m)]
     at = np.concatenate([[-np.inf], fixes_s, [np.inf]])  # a stretch may have none
@@ -217,7 +215,7 @@ def _restlessness(problem: _Problem, found: _Solution) -> float:
     return RESTLESSNESSES[at]
 
 
-def _stretches(problem: _Problem, x: _Float64) -> list[tuple[_Problem, _Float64]]:
+def _stretches(problem: _Problem, x: Float64) -> list[tuple[_Problem, Float64]]:
     """Parts of a drive that stand for it, each with its states."""
     n = len(x)
     if n <= STRETCHES * STRETCH_NODES:
@@ -232,7 +230,7 @@ def _stretches(problem: _Problem, x: _Float64) -> list[tuple[_Problem, _Float64]
     ]
 
 
-def _log_likelihood(problem: _Problem, start: _Float64, restlessness: float) -> float:
+def _log_likelihood(problem: _Problem, start: Float64, restlessness: float) -> float:
     """Of the sightings, every drive considered: Laplace's approximation, up to a constant."""
     first = _converged(problem, start, _stated_weights(problem.seen))
     solution = _adapted(problem, first, restlessness)
@@ -252,25 +250,25 @@ def _stated_weights(seen: Sightings) -> _Weights:
 
 
 class _Weights(NamedTuple):
-    fix: _Float64
-    nose: _Float64
-    speed: _Float64
-    step: _Float64
-    steering: _Float64
+    fix: Float64
+    nose: Float64
+    speed: Float64
+    step: Float64
+    steering: Float64
 
 
 class _Off(NamedTuple):
-    fix_m: _Float64
-    nose_rad: _Float64
-    speed_mps: _Float64
-    step: _Float64
+    fix_m: Float64
+    nose_rad: Float64
+    speed_mps: Float64
+    step: Float64
 
 
-def _squared_inverse(sigma: _Float64) -> _Float64:
+def _squared_inverse(sigma: Float64) -> Float64:
     return np.where(np.isnan(sigma), 0.0, 1.0 / np.where(np.isnan(sigma), 1.0, sigma) ** 2)
 
 
-def _normal_equations(problem: _Problem, x: _Float64, weights: _Weights) -> tuple[_System, _Off]:
+def _normal_equations(problem: _Problem, x: Float64, weights: _Weights) -> tuple[_System, _Off]:
     """The normal equations, and how far each sighting is off."""
     seen = problem.seen
     reach = int(np.diff(seen.step_nodes).max()) if len(seen.step_nodes) else 1
@@ -307,7 +305,7 @@ def _normal_equations(problem: _Problem, x: _Float64, weights: _Weights) -> tupl
 def _robust(weights: _Weights, off: _Off) -> _Weights:
     """Student's weights for the next round; 1 sigma off costs nothing, 10 nearly everything."""
 
-    def less(weight: _Float64, squared: _Float64, size: int) -> _Float64:
+    def less(weight: Float64, squared: Float64, size: int) -> Float64:
         share = (OUTLIER_FREEDOM + size) / (OUTLIER_FREEDOM + weight * squared)
         return weight * np.minimum(share, 1.0)
 
@@ -322,7 +320,7 @@ def _robust(weights: _Weights, off: _Off) -> _Weights:
 
 
 def _with_sigmas(
-    found: _Solution, blocks: _Float64, seen: Sightings, off: _Off, restlessness: float
+    found: _Solution, blocks: Float64, seen: Sightings, off: _Off, restlessness: float
 ) -> Smoothed:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     east, north, phi = model.E, model.N, model.PHI

@@ -9,11 +9,9 @@ second; and the slow part of the receiver's error in units of its own sigma.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
-
-_Float64 = npt.NDArray[np.float64]
 
 STATES = 8
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
@@ -61,18 +59,18 @@ STANDING_MPS = 0.01
 """How exactly a standing vehicle stands."""
 
 
-def usual_steering(step_s: _Float64) -> _Float64:
+def usual_steering(step_s: Float64) -> Float64:
     """Variance of the curvature's change over steps [n - 1] of a drive not looked at yet."""
     return np.asarray(CURVATURE_SIGMA**2 * (1.0 - np.exp(-2.0 * step_s / CURVATURE_S)))
 
 
 def local_steering(
-    curvature: _Float64,
-    variance: _Float64,
-    onward: _Float64,
-    time_s: _Float64,
+    curvature: Float64,
+    variance: Float64,
+    onward: Float64,
+    time_s: Float64,
     restlessness: float,
-) -> _Float64:
+) -> Float64:
     """The same by what the curvatures [n] do around each step, as far as that is known:
     `variance` [n] is theirs, `onward` [n] their covariance with the next one.
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.images import baseline_m
 from fieldgrid.recording.bag.messages import field
@@ -25,8 +25,6 @@ from fieldgrid.rectify import (
 from fieldgrid.rig import DepthCamera, StereoCamera
 from fieldgrid.ros import Topic
 
-_Float64 = npt.NDArray[np.float64]
-
 _MOST_COEFFICIENTS = 64
 
 
@@ -36,7 +34,7 @@ class Pair(NamedTuple):
 
     camera: StereoCamera
     rectifier: Rectifier | None
-    R_rect_left: _Float64
+    R_rect_left: Float64
     notes: tuple[str, ...]
 
 
@@ -44,10 +42,10 @@ class _Info(NamedTuple):
     """A sensor_msgs/CameraInfo of either ROS; `source` is what errors call it."""
 
     size_px: tuple[int, int]
-    K: _Float64
-    D: _Float64
-    R: _Float64
-    P: _Float64
+    K: Float64
+    D: Float64
+    R: Float64
+    P: Float64
     model: str
     source: str
 
@@ -119,7 +117,7 @@ def disparity_camera(
     return _depth_camera(info, P, baseline_m(image))
 
 
-def _depth_camera(info: _Info, P: _Float64, baseline: float | None) -> DepthCamera:
+def _depth_camera(info: _Info, P: Float64, baseline: float | None) -> DepthCamera:
     values = (float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
     try:
         return DepthCamera(*info.size_px, *values, baseline)
@@ -163,7 +161,7 @@ def _info(
     return info if info.R.any() else info._replace(R=np.eye(3))
 
 
-def _matrix(message: Any, name: str, shape: tuple[int, ...], source: str) -> _Float64:
+def _matrix(message: Any, name: str, shape: tuple[int, ...], source: str) -> Float64:
     matrix = np.asarray(field(message, name), dtype=np.float64)
     fits = matrix.size <= _MOST_COEFFICIENTS if -1 in shape else matrix.size == math.prod(shape)
     if not (fits and np.isfinite(matrix).all()):

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float32, Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.images import MessageSource
-
-_Float32 = npt.NDArray[np.float32]
-_Float64 = npt.NDArray[np.float64]
 
 MAX_POINTS = 20_000_000
 """More points than any sweep has."""
@@ -23,7 +20,7 @@ _FLOATS: dict[int, np.dtype[Any]] = {
     8: np.dtype(np.float64),
 }  # PointField's own numbers
 
-R_OPTICAL_FLU: _Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+R_OPTICAL_FLU: Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Directions forward, left, up as right, down, forward."""
 
 
@@ -36,7 +33,7 @@ class MessageCloud(MessageSource):
 
     R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
-    def read(self) -> _Float32:
+    def read(self) -> Float32:
         """Points [n, 3], metres, finite: x right, y down, z forward."""
         points = points_of(self.decoded(), self.name)
         turn = np.array(self.R, dtype=np.float32).reshape(3, 3)
@@ -46,7 +43,7 @@ class MessageCloud(MessageSource):
         return points @ turn.T
 
 
-def points_of(message: Any, name: str) -> _Float32:
+def points_of(message: Any, name: str) -> Float32:
     """The points [n, 3] of a sensor_msgs/PointCloud2 in its own axes, without those that are not
     finite or beyond any range."""
     width, height = int(message.width), int(message.height)

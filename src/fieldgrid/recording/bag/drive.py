@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, GnssError, RecordingError
 from fieldgrid.gnss import Fix
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
@@ -23,8 +23,6 @@ from fieldgrid.recording.motion_files import AXES, directions, in_order
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.stream_log import nmea_notes
 from fieldgrid.ros import Bag
-
-_Float64 = npt.NDArray[np.float64]
 
 _OPTICAL_AXES = "rdf"
 
@@ -127,7 +125,7 @@ def find_motion(
     return Motion(gyro=gyro, wheels=wheels), tuple(notes)
 
 
-def _upwards(readings: Readings, mounting: Mounting | None) -> tuple[_Float64, str]:
+def _upwards(readings: Readings, mounting: Mounting | None) -> tuple[Float64, str]:
     axes = AXES if mounting is None else mounting.imu_axes
     if axes == AXES:
         frame = readings.frame_ids.get("imu", "")
@@ -141,7 +139,7 @@ def _upwards(readings: Readings, mounting: Mounting | None) -> tuple[_Float64, s
     ), f"axes taken as {axes}"
 
 
-def _rate(rates: _Float64, row: _Float64) -> _Float64:
+def _rate(rates: Float64, row: Float64) -> Float64:
     """The rate about an axis; an axis that is one of the IMU's own gives its very numbers."""
     own = int(np.abs(row).argmax())
     if np.count_nonzero(row) == 1 and abs(row[own]) == 1.0:

@@ -12,13 +12,11 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.order import WINDOW, Clock, Ordered, clock, ordered, pair
 from fieldgrid.ros import Bag, Message
-
-_Int64 = npt.NDArray[np.int64]
 
 MOST_HELD = 2 * WINDOW
 """How many messages of one topic wait for those of another at most."""
@@ -28,10 +26,10 @@ class Plan(NamedTuple):
     """The frames: their times, increasing, and for each topic the time and the place among its
     messages of what a frame takes from it. `notes` are remarks, a sentence each."""
 
-    time_ns: _Int64
+    time_ns: Int64
     topics: tuple[str, ...]
-    message_ns: tuple[_Int64, ...]
-    places: tuple[_Int64, ...]
+    message_ns: tuple[Int64, ...]
+    places: tuple[Int64, ...]
     notes: tuple[str, ...]
 
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray, Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.messages import decoded, field
 from fieldgrid.recording.images import MAX_PIXELS, decode_image
 from fieldgrid.recording.pixels import Pixels, layout, to_grey
 from fieldgrid.recording.protocol import Image
 from fieldgrid.ros import Bag, Message
-
-_Float32 = npt.NDArray[np.float32]
 
 MILLIMETRES, METRES = ("16UC1", "mono16"), "32FC1"
 """Encodings of depths."""
@@ -93,7 +91,7 @@ class CompressedImage(MessageSource):
 class DepthImage(MessageSource):
     """A sensor_msgs/Image of depths: 16UC1 in millimetres or 32FC1 in metres."""
 
-    def read(self) -> _Float32:
+    def read(self) -> Float32:
         """Depth along the optical axis, metres; NaN where there is none."""
         message = self.decoded()
         if message.encoding in MILLIMETRES:
@@ -117,7 +115,7 @@ class DisparityImage(MessageSource):
         """The image inside."""
         return self.decoded().image
 
-    def read(self) -> _Float32:
+    def read(self) -> Float32:
         """Depth along the optical axis, metres; NaN where there is no disparity."""
         message = self.decoded()
         if message.image.encoding != METRES:
@@ -139,7 +137,7 @@ class DisparityImage(MessageSource):
         return _known(depth_m)
 
 
-def _known(depth_m: _Float32) -> _Float32:
+def _known(depth_m: Float32) -> Float32:
     """The depths, NaN in place of those that are none."""
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
     return depth_m
@@ -150,7 +148,7 @@ def baseline_m(message: Any) -> float:
     return float(field(message, "t"))
 
 
-def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> npt.NDArray[Any]:
+def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> AnyArray:
     """The pixels of a sensor_msgs/Image [row, column] or [row, column, channel], in the
     machine's byte order; nothing is copied where that can be avoided."""
     width, height, step = int(message.width), int(message.height), int(message.step)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.clouds import R_OPTICAL_FLU
 from fieldgrid.recording.bag.readings import Readings
@@ -19,8 +19,6 @@ from fieldgrid.recording.mounting import Mounting, estimating, missing_mounting
 from fieldgrid.recording.options import Options
 from fieldgrid.recording.places import mounting_place
 from fieldgrid.rig import LeverArm, Mount
-
-_Float64 = npt.NDArray[np.float64]
 
 GROUND, BASE = "base_footprint", "base_link"
 """Frames by the convention of ROS: on the ground below the vehicle, and on the vehicle."""
@@ -38,7 +36,7 @@ class Mounted(NamedTuple):
     """The mounting of a sensor, the turn of points that it does not tell, and remarks."""
 
     mounting: Mounting
-    R_sensor: _Float64
+    R_sensor: Float64
     notes: tuple[str, ...] = ()
 
 
@@ -49,9 +47,9 @@ class SensorFrame(NamedTuple):
     which is the middle of a pair even where its left camera alone gives the depths."""
 
     name: str
-    R: _Float64
-    origin_m: _Float64
-    measured_m: _Float64
+    R: Float64
+    origin_m: Float64
+    measured_m: Float64
 
 
 def find_mounting(
@@ -139,7 +137,7 @@ def is_optical(frame: str) -> bool:
     return "optical" in frame.lower()
 
 
-def optical(frame: str, readings: Readings, axes: str | None = None) -> _Float64:
+def optical(frame: str, readings: Readings, axes: str | None = None) -> Float64:
     """Turns directions of a sensor's frame into right, down, forward.
 
     `axes` are where its x, y and z point, when that is said. Else frames whose name says so are
@@ -157,7 +155,7 @@ def optical(frame: str, readings: Readings, axes: str | None = None) -> _Float64
     return R_OPTICAL_FLU
 
 
-def vertical_row(imu_frame: str, readings: Readings) -> _Float64 | None:
+def vertical_row(imu_frame: str, readings: Readings) -> Float64 | None:
     """What of an IMU's three rates is the rate about the vehicle's vertical, upwards: a row of
     three numbers; None where no static transform tells it."""
     for base in (BASE, GROUND):

@@ -6,12 +6,10 @@ import heapq
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Bool, Index, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS
-
-_Int64 = npt.NDArray[np.int64]
 
 WINDOW = 16
 """How many messages of one topic wait for an earlier one at most; each may hold an image."""
@@ -27,7 +25,7 @@ class Clock(NamedTuple):
     """Times of all messages of a topic, 0 where there is none, and whether they are those of
     the recorder, for want of stamps."""
 
-    time_ns: _Int64
+    time_ns: Int64
     received: bool
 
 
@@ -38,8 +36,8 @@ class Ordered(NamedTuple):
     time; `timeless` those without a time.
     """
 
-    time_ns: _Int64
-    place: _Int64
+    time_ns: Int64
+    place: Int64
     late: int
     timeless: int
 
@@ -48,18 +46,18 @@ class Paired(NamedTuple):
     """Which of `left` belongs to which of `right`, both increasing; how far apart they are at
     most, and how many of either are left over."""
 
-    left: npt.NDArray[np.intp]
-    right: npt.NDArray[np.intp]
+    left: Index
+    right: Index
     apart_ns: int
     unpaired: tuple[int, int]
 
 
-def is_utc(time_ns: _Int64) -> npt.NDArray[np.bool_]:
+def is_utc(time_ns: Int64) -> Bool:
     """Whether times can be UTC: a clock that counts from the start of a machine is not."""
     return (time_ns >= MIN_TIME_NS) & (time_ns <= MAX_TIME_NS)
 
 
-def clock(topic: str, stamp_ns: _Int64, receive_ns: _Int64, *, received: bool = False) -> Clock:
+def clock(topic: str, stamp_ns: Int64, receive_ns: Int64, *, received: bool = False) -> Clock:
     """The header stamps of a topic, or the times of the recorder where those are no UTC.
 
     `received` asks for the recorder's. Raises RecordingError where neither is UTC.
@@ -77,11 +75,11 @@ def clock(topic: str, stamp_ns: _Int64, receive_ns: _Int64, *, received: bool = 
     return Clock(np.where(known, receive_ns, 0), True)
 
 
-def _example(time_ns: _Int64) -> int:
+def _example(time_ns: Int64) -> int:
     return int(time_ns[0]) if len(time_ns) else 0
 
 
-def ordered(time_ns: _Int64) -> Ordered:
+def ordered(time_ns: Int64) -> Ordered:
     """Messages with these times (0 for none) in order, as a reader can have them that holds at
     most :data:`WINDOW`: what comes later than that is left out."""
     place = np.flatnonzero(time_ns > 0)
@@ -107,7 +105,7 @@ def ordered(time_ns: _Int64) -> Ordered:
     return Ordered(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
 
 
-def pair(left_ns: _Int64, right_ns: _Int64) -> Paired:
+def pair(left_ns: Int64, right_ns: Int64) -> Paired:
     """Moments of two cameras, increasing each, that are one: equal stamps first, then the
     nearest of the rest within a quarter of the usual interval and :data:`MAX_APART_NS`."""
     _, left, right = np.intersect1d(left_ns, right_ns, assume_unique=True, return_indices=True)
@@ -132,14 +130,12 @@ def pair(left_ns: _Int64, right_ns: _Int64) -> Paired:
     )
 
 
-def _tolerance_ns(left_ns: _Int64, right_ns: _Int64) -> int:
+def _tolerance_ns(left_ns: Int64, right_ns: Int64) -> int:
     intervals = [np.median(np.diff(t)) for t in (left_ns, right_ns) if len(t) > 1]
     return min(MAX_APART_NS, int(min(intervals) / 4)) if intervals else MAX_APART_NS
 
 
-def _nearest(
-    left_ns: _Int64, right_ns: _Int64, within_ns: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _nearest(left_ns: Int64, right_ns: Int64, within_ns: int) -> tuple[Index, Index]:
     """Places of the pairs that are the nearest to each other on either side."""
     if not (len(left_ns) and len(right_ns)):
         none = np.zeros(0, dtype=np.intp)
@@ -151,7 +147,7 @@ def _nearest(
     return here[mutual], of_left[mutual]
 
 
-def _nearest_one(times_ns: _Int64, others_ns: _Int64) -> npt.NDArray[np.intp]:
+def _nearest_one(times_ns: Int64, others_ns: Int64) -> Index:
     after = np.clip(np.searchsorted(others_ns, times_ns), 0, len(others_ns) - 1)
     before = np.maximum(after - 1, 0)
     is_before = np.abs(times_ns - others_ns[before]) <= np.abs(others_ns[after] - times_ns)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.gnss import Fix, NmeaLog, NmeaStream
 from fieldgrid.recording.bag.messages import decoded
@@ -21,9 +21,6 @@ from fieldgrid.recording.bag.topics import FIXES, static_transforms
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.qualities import by_sigma
 from fieldgrid.ros import Bag, Message
-
-_Float64 = npt.NDArray[np.float64]
-_Int64 = npt.NDArray[np.int64]
 
 _CALIBRATIONS = ("left_info", "right_info", "depth_info")
 _UNLIMITED = 1 << 60
@@ -35,15 +32,15 @@ _QUALITY_OF_STATUS = {_NO_FIX: 0, 0: 1, 1: 9, 2: 2}
 class Turns(NamedTuple):
     """Rates of turn about the axes of an IMU, rad/s [n, 3], in the order of the record."""
 
-    time_ns: _Int64
-    rates_rad_s: _Float64
+    time_ns: Int64
+    rates_rad_s: Float64
 
 
 class Speeds(NamedTuple):
     """Speeds along the x axis of the vehicle, m/s, in the order of the record."""
 
-    time_ns: _Int64
-    speed_mps: _Float64
+    time_ns: Int64
+    speed_mps: Float64
 
 
 @dataclass
@@ -105,7 +102,7 @@ class _Pass:
         self._bag, self._roles = bag, roles
         self._nmea = NmeaStream(max_undated=_UNLIMITED)
         self._sentences: list[Fix] = []
-        self._clocks: dict[str, _Int64] = {}
+        self._clocks: dict[str, Int64] = {}
         self._counts: Counter[str] = Counter()
         self._turn_ns, self._turn_xyz = array("q"), array("d")
         self._speed_ns, self._speed = array("q"), array("d")

@@ -9,9 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-import numpy.typing as npt
-
+from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Fix
@@ -64,7 +62,7 @@ class BagRecording:
         """How many frames there are."""
         return len(self.plan.time_ns)
 
-    def frame_times_ns(self) -> npt.NDArray[np.int64]:
+    def frame_times_ns(self) -> Int64:
         """Times of the frames, shape (frame_count,), increasing."""
         return self.plan.time_ns.copy()
 

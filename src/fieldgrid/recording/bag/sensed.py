@@ -8,8 +8,8 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.cloud import points_per_sr
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording.bag.cameras import depth_camera, disparity_camera, stereo_pair
@@ -26,8 +26,6 @@ from fieldgrid.recording.pixels import BITS, significant_bits
 from fieldgrid.recording.protocol import CloudFrame, DepthFrame, Frame, PairRectifier, StereoFrame
 from fieldgrid.rig import DepthCamera, Lidar, Sensor, StereoCamera
 from fieldgrid.ros import Bag
-
-_Float64 = npt.NDArray[np.float64]
 
 _CALIBRATION = "calibration"
 _SAMPLES = 5
@@ -72,7 +70,7 @@ def _stereo(opened: Opened) -> Sensed:
     return Sensed(pair.camera, frame, plan, (*pair.notes, *notes), pair.rectifier, bits)
 
 
-def _pair_frame(name: str, R: _Float64, camera: StereoCamera) -> SensorFrame:
+def _pair_frame(name: str, R: Float64, camera: StereoCamera) -> SensorFrame:
     middle_m = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
     return SensorFrame(name, R, middle_m, middle_m)
 
@@ -116,7 +114,7 @@ def _first(bag: Bag, plan: Plan) -> Any:
     return decoded(bag, taken.message)
 
 
-def find_lidar(opened: Opened, plan: Plan, R: _Float64) -> Lidar:
+def find_lidar(opened: Opened, plan: Plan, R: Float64) -> Lidar:
     """The lidar as the settings say it, else by the first clouds that have enough points."""
     if opened.settings.points_per_sr is not None:
         return Lidar(opened.settings.points_per_sr)
@@ -156,7 +154,7 @@ def _bits(opened: Opened, plan: Plan) -> tuple[int, tuple[str, ...]]:
 
 
 def frame_maker(
-    opened: Opened, sensed: Sensed, sensor: Sensor, R: _Float64
+    opened: Opened, sensed: Sensed, sensor: Sensor, R: Float64
 ) -> Callable[[int, int, tuple[Taken, ...]], Frame]:
     """What makes a frame of its number, its time and its messages."""
     bag, kind = opened.bag, opened.choice.kind

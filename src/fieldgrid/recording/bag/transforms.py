@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
-
-_Float64 = npt.NDArray[np.float64]
 
 _DEEPEST = 64
 _MAX_FRAMES = 10_000
@@ -19,8 +17,8 @@ _FARTHEST_M, _UNIT = 1e6, 0.01
 class Place(NamedTuple):
     """A frame seen from another: R turns its directions into the other's, `at_m` is its origin."""
 
-    R: _Float64
-    at_m: _Float64
+    R: Float64
+    at_m: Float64
 
 
 class Transforms:
