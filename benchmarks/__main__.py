@@ -34,8 +34,8 @@ from fieldgrid.localgrid import (
     local_ground,
 )
 from fieldgrid.recording import open_recording
-from fieldgrid.settings import resolve
-from fieldgrid.stereo import StereoSettings, make_matcher
+from fieldgrid.settings import StereoSettings, resolve
+from fieldgrid.stereo import make_matcher
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import MeanFold, footprint, universal_axes
 

@@ -22,7 +22,8 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.odometry import Features, Refusal, Step, features, step
 from fieldgrid.recording import Image, open_recording
 from fieldgrid.rig import Rig
-from fieldgrid.stereo import StereoSettings, make_matcher
+from fieldgrid.settings import StereoSettings
+from fieldgrid.stereo import make_matcher
 
 ROAD = EXAMPLE.parents[2] / "shared" / "data" / "kitti_2011_09_30_drive_0020"
 ROAD_FIRST = 13

@@ -19,10 +19,11 @@ import numpy.typing as npt
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
 from fieldgrid.gnss.fields import checksum
-from fieldgrid.pose import PoseSettings, estimate_poses
+from fieldgrid.pose import estimate_poses
 from fieldgrid.recording.bare import open_bare
 from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.motion_files import read_motion
+from fieldgrid.settings import PoseSettings
 from fieldgrid.track import summarise_track, write_track
 
 _Float64 = npt.NDArray[np.float64]

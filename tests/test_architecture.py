@@ -17,8 +17,9 @@ PACKAGE = "fieldgrid"
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
     ("array_types",),
-    ("errors", "geodesy", "angles", "kernel", "publish"),
+    ("documents", "errors", "geodesy", "angles", "kernel", "publish"),
     ("lattice", "rig", "trajectory", "grids", "motion"),
+    ("settings",),
     ("cloud", "depth"),
     (
         "gnss",
@@ -34,7 +35,7 @@ LAYERS = (
         "ros",
     ),
     ("pose", "localgrid", "recording", "moments", "cost"),
-    ("mapfile", "settings"),
+    ("mapfile",),
     ("rows", "route", "export", "costmap", "figures", "track", "evaluation", "view"),
     ("build", "live"),
     ("inspection", "mounting", "convert"),

@@ -19,12 +19,12 @@ from fieldgrid.build import build_map, local_grid
 from fieldgrid.cloud import points_per_sr
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import OBSTACLE_ABOVE, GridSpec, LocalGrid
-from fieldgrid.localgrid import DensitySettings, FrameGround, LocalGridder
+from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import CloudFrame, open_recording
 from fieldgrid.recording.cloud_files import to_optical
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
-from fieldgrid.settings import resolve
+from fieldgrid.settings import DensitySettings, resolve
 
 pyarrow_feather = pytest.importorskip("pyarrow.feather")
 

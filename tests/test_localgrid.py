@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from fieldgrid.grids import OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.localgrid import (
-    DensitySettings,
     LocalGridder,
     density_gain,
     local_ground,
@@ -19,7 +18,8 @@ from fieldgrid.localgrid import (
     scale_density,
 )
 from fieldgrid.rig import Mount, Rig
-from fieldgrid.stereo import Disparity, StereoSettings
+from fieldgrid.settings import DensitySettings, StereoSettings
+from fieldgrid.stereo import Disparity
 from tests.scenes import Box, Ground, paper_rig, render
 
 RIG = paper_rig()

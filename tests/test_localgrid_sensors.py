@@ -17,14 +17,14 @@ from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.localgrid import (
     SPARSE_POINTS,
-    DensitySettings,
     FrameGround,
     LocalGridder,
     points_needed,
     reliable_range_m,
 )
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig, StereoCamera
-from fieldgrid.stereo import Disparity, StereoSettings
+from fieldgrid.settings import DensitySettings, StereoSettings
+from fieldgrid.stereo import Disparity
 from tests.scenes import Box, Ground, depth_rig, depths, lidar_rig, paper_rig, render, sweep
 
 SPEC = GridSpec(10.0, 15.0, 0.05)

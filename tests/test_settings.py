@@ -13,8 +13,7 @@ import pytest
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec
-from fieldgrid.settings import BuildSettings, resolve
-from fieldgrid.stereo import MatcherKind
+from fieldgrid.settings import BuildSettings, MatcherKind, resolve
 from fieldgrid.transfer import Transfer
 
 
@@ -59,7 +58,7 @@ def test_a_flag_that_was_not_given_does_not_beat_the_file(tmp_path: Path) -> Non
 
 
 def test_a_flag_of_zero_was_given() -> None:
-    fails(r"map\.cell_m = 0\.0 cannot be", None, {"map": {"cell_m": 0.0}})
+    fails(r"map\.cell_m = 0\.0 \(--cell\) cannot be", None, {"map": {"cell_m": 0.0}})
 
 
 def test_what_was_passed_in_is_not_changed(tmp_path: Path) -> None:

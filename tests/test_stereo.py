@@ -15,15 +15,8 @@ from pydantic import ValidationError
 
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-from fieldgrid.stereo import (
-    INVALID,
-    MatcherKind,
-    SearchRegion,
-    StereoMatcher,
-    StereoSettings,
-    search_region,
-    whole_image,
-)
+from fieldgrid.settings import MatcherKind, StereoSettings
+from fieldgrid.stereo import INVALID, SearchRegion, StereoMatcher, search_region, whole_image
 from tests.scenes import paper_rig
 
 SMALL = StereoCamera(240, 120, 200.0, 120.0, 60.0, 0.2)

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fieldgrid.array_types import Float32, Float64, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
@@ -29,12 +28,12 @@ from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.kernel import kernel
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
+from fieldgrid.settings import DensitySettings, StereoSettings
 from fieldgrid.stereo import (
     SUBPIXELS,
     Disparity,
     SearchRegion,
     StereoMatcher,
-    StereoSettings,
     search_region,
 )
 
@@ -42,48 +41,6 @@ SPARSE_SHARE, SPARSE_POINTS = 0.1, 2
 """A cell of a lidar needs no more points than a tenth of those that a wall through it, or bare
 ground in it, would give, and no more than two: a lidar makes no false matches, and two points in
 one cell are no rain drop."""
-
-
-class DensitySettings(BaseModel):
-    """What of the point cloud enters a local grid, and how counts become 3D density.
-
-    3D density is the number of points in a cell's column of the slice per m³, compensated for
-    range: d_c = d·(R/R0)^p. Times (R0/f)², the area that one pixel sees at R0, it is the
-    facing surface in m² per m³, which does not depend on the camera; 255 stands for
-    `saturation_m2_per_m3` of it, in every frame. A point of a lidar stands for the area that
-    is its share of a steradian, so densities of all sensors compare.
-
-    `min_points` guard against false matches. A lidar makes none, and takes few points where it is
-    far, so one or two do (:func:`points_needed`). Depths and points nearer than `min_range_m` are
-    those of the vehicle itself; what is nearest in a pair is for the stereo settings to say.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    slice_bottom_m: float = Field(default=0.2, ge=0.02, le=5.0)
-    slice_top_m: float = Field(default=2.2, gt=0.05, le=20.0)
-    min_range_m: float = Field(default=1.0, ge=0.0, le=50.0)
-    max_range_m: float = Field(default=15.0, gt=1.0, le=200.0)
-    max_range_sigma_m: float = Field(default=0.2, gt=0.01, le=10.0)
-    range_exponent: float = Field(default=2.0, ge=0.0, le=4.0)
-    reference_range_m: float = Field(default=8.0, gt=0.5, le=100.0)
-    max_gain: float = Field(default=4.0, ge=1.0, le=100.0)
-    min_points: int = Field(default=5, ge=1, le=1000)
-    min_ground_points: int = Field(default=2, ge=1, le=1000)
-    saturation_m2_per_m3: float = Field(default=0.2, gt=0.0, le=100.0)
-
-    @model_validator(mode="after")
-    def _slice_has_height(self) -> DensitySettings:
-        if self.slice_top_m <= self.slice_bottom_m + 0.05:
-            raise ValueError(
-                f"the slice from {self.slice_bottom_m} to {self.slice_top_m} m has no height"
-            )
-        return self
-
-    @property
-    def slice_m(self) -> float:
-        """Thickness of the slice, ΔZ = Z_max - Z_min."""
-        return self.slice_top_m - self.slice_bottom_m
 
 
 class FrameGround(NamedTuple):

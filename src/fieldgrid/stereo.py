@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import threading
-from enum import StrEnum
 from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from fieldgrid.array_types import Int16, UInt8
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import Rig, StereoCamera
+from fieldgrid.settings import MatcherKind, StereoSettings
 
 SUBPIXELS = 16
 """Disparities are int16 in sixteenths of a pixel, as OpenCV writes them."""
@@ -23,41 +22,6 @@ INVALID = np.int16(-SUBPIXELS)
 
 LEVEL_MARGIN_DEG = 4.0
 """How far the vehicle may pitch before the slice leaves the searched rows."""
-
-
-class MatcherKind(StrEnum):
-    """Which of OpenCV's matchers: from best to fastest on vegetation, sgbm, sgbm3way, bm."""
-
-    SGBM_3WAY = "sgbm3way"
-    SGBM = "sgbm"
-    BM = "bm"
-
-
-class StereoSettings(BaseModel):
-    """How pairs are matched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    matcher: MatcherKind = MatcherKind.SGBM_3WAY
-    block_px: int | None = Field(
-        default=None, ge=3, le=51, description="Odd; 9 for sgbm3way and sgbm, 15 for bm."
-    )
-    uniqueness_percent: int = Field(default=10, ge=0, le=50)
-    left_right_px: int = Field(default=1, ge=0, le=10, description="0 switches the check off.")
-    speckle_px: int = Field(default=100, ge=0, le=10_000, description="Smaller blobs are dropped.")
-    speckle_step_px: int = Field(default=2, ge=1, le=16)
-    disparity_sigma_px: float = Field(default=0.25, gt=0.0, le=5.0)
-    min_range_m: float = Field(default=3.0, gt=0.1, le=50.0)
-
-    def block(self) -> int:
-        """The block size in pixels, the matcher's own when none is set."""
-        block = self.block_px or (15 if self.matcher is MatcherKind.BM else 9)
-        if block % 2 == 0 or (self.matcher is MatcherKind.BM and block < 5):
-            raise ConfigError(
-                f"A block of {block} px does not fit {self.matcher.value}; give an odd number, "
-                "5 or more for bm."
-            )
-        return block
 
 
 class SearchRegion(NamedTuple):

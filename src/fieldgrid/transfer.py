@@ -24,6 +24,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.settings import Transfer as Transfer  # noqa: PLC0414 - users set it, and it is used here
 from fieldgrid.trajectory import Pose
 
 AREA_SHIFT = 2
@@ -31,13 +32,6 @@ AREA_SHIFT = 2
 
 CELL_WEIGHT = 1 << (2 * AREA_SHIFT)
 """Weight of one whole local cell; a part has weight 1."""
-
-
-class Transfer(StrEnum):
-    """Where the value of a local cell goes."""
-
-    CENTRE = "centre"
-    AREA = "area"
 
 
 class Averaging(StrEnum):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.gnss import Fix, GateLimits, Kind, condition
+from fieldgrid.gnss import Fix, Kind, condition
 from fieldgrid.gnss.climb import climb_mps, spoilt
+from fieldgrid.settings import GateLimits
 from fieldgrid.trajectory import Status
 
 SECOND = 1_000_000_000

@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss import DEFAULT_LIMITS, Fix, GateLimits, condition, position_sigma_m
+from fieldgrid.gnss import DEFAULT_LIMITS, Fix, condition, position_sigma_m
 from fieldgrid.gnss.summary import summarise
 from fieldgrid.gnss.verdict import Kind, Verdict
+from fieldgrid.settings import GateLimits
 from fieldgrid.trajectory import Status
 from tests.gnss.sentences import NOON, SECOND, read
 

@@ -20,7 +20,6 @@ from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import (
     Budget,
     Estimate,
-    PoseSettings,
     carry_lever,
     datum_of,
     default_baseline_m,
@@ -30,6 +29,7 @@ from fieldgrid.pose import (
 from fieldgrid.pose.moves import _turned_deg
 from fieldgrid.pose.nodes import nodes
 from fieldgrid.rig import LeverArm, Rig
+from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status, Trajectory
 from tests.scenes import Leg, Path, drive, paper_rig
 from tests.simulated import (

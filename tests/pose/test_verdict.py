@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.pose import Budget, PoseSettings
+from fieldgrid.pose import Budget
 from fieldgrid.pose.verdict import doubt, jumps
+from fieldgrid.settings import PoseSettings
 
 PLAIN = PoseSettings()
 UNKNOWN = "heading unknown: none is recorded, and the vehicle does not move"

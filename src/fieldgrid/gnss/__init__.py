@@ -7,7 +7,7 @@ from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
 from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
-from fieldgrid.gnss.verdict import DEFAULT_LIMITS, GateLimits, Kind, Verdict
+from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Kind, Verdict
 
 __all__ = [
     "DEFAULT_LIMITS",
@@ -15,7 +15,6 @@ __all__ = [
     "ConditioningSummary",
     "Fix",
     "FixScatter",
-    "GateLimits",
     "Kind",
     "NmeaLog",
     "NmeaStream",

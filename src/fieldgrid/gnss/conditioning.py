@@ -20,7 +20,8 @@ from fieldgrid.gnss.climb import SPOILT_S, climb_mps, spoilt
 from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
 from fieldgrid.gnss.motion_gate import Course, Step, course_of, follow, step_between
 from fieldgrid.gnss.repeats import held_ns
-from fieldgrid.gnss.verdict import DEFAULT_LIMITS, GateLimits, Kind, Verdict
+from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Kind, Verdict
+from fieldgrid.settings import GateLimits
 from fieldgrid.trajectory import Status
 
 __all__ = ["DEFAULT_LIMITS", "GateLimits", "Kind", "Verdict", "condition"]

@@ -15,8 +15,8 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gnss.scatter import short_term_sigma_m
-from fieldgrid.gnss.verdict import GateLimits
 from fieldgrid.kernel import kernel
+from fieldgrid.settings import GateLimits
 
 _AROUND_S = 1.0
 _LEAST_AROUND, _MOST_AROUND = 5, 12  # steps on either side of a fix that tell its velocity

@@ -22,7 +22,8 @@ from fieldgrid.odometry import Features, features
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame
 from fieldgrid.recording.protocol import pair_of
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
-from fieldgrid.stereo import SUBPIXELS, StereoMatcher, StereoSettings, whole_image
+from fieldgrid.settings import StereoSettings
+from fieldgrid.stereo import SUBPIXELS, StereoMatcher, whole_image
 
 STEP_PX = 4
 """Every fourth pixel of every fourth row is enough for the ground."""

@@ -5,7 +5,7 @@ from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, PoseReport, carry_lever, estimate_poses
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.placed import datum_of, no_fix_sentence
-from fieldgrid.pose.settings import HeadingSource, PoseSettings, heading_source
+from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.verdict import Budget
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "Estimate",
     "HeadingSource",
     "PoseReport",
-    "PoseSettings",
     "carry_lever",
     "datum_of",
     "default_baseline_m",

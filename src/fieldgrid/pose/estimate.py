@@ -18,10 +18,11 @@ from fieldgrid.pose.clock import ClockOffset, clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.placed import Placed, datum_of, no_fix_sentence, place
 from fieldgrid.pose.rows import Rows, rows_of
-from fieldgrid.pose.settings import HeadingSource, PoseSettings, heading_source
+from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.smooth import Drive, axle_forward_m, smooth_drive
 from fieldgrid.pose.verdict import Budget, doubt
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
+from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status, Trajectory
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.course import NOISE_SHARE, STATION_M, Course, course, course_of_axle, stations
 from fieldgrid.pose.placed import Placed
-from fieldgrid.pose.settings import PoseSettings
 from fieldgrid.rig import Vehicle
+from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import MAX_GAP_NS
 
 CONSTANT_SIGMA_DEG = 1.0

@@ -10,10 +10,11 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import Course
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
 from fieldgrid.pose.placed import Placed
-from fieldgrid.pose.settings import HeadingSource, PoseSettings
+from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.smooth import Drive
 from fieldgrid.pose.verdict import jumps
 from fieldgrid.rig import Vehicle
+from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import ESTIMATED
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64
-from fieldgrid.pose.settings import PoseSettings
+from fieldgrid.settings import PoseSettings
 
 JUMP_SIGMAS, JUMP_DEG = 4.0, 5.0
 """A nose does not turn faster than its tightest turn by more than this."""

@@ -1,0 +1,104 @@
+"""How a setting is declared: once, with its default, range, unit, flag and meaning.
+
+The flags of the commands, the checks of a settings file and `docs/settings.md` all follow from
+the declarations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
+
+
+class Flag(NamedTuple):
+    """A flag that sets one number or word, or two numbers when there is a `separator`."""
+
+    name: str
+    metavar: str
+    separator: str = ""
+    example: str = ""
+
+
+class Settings(BaseModel):
+    """A table of settings: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def setting(
+    default: Any, says: str, *, flag: Flag | None = None, usual: str = "", **limits: Any
+) -> Any:
+    """A setting: `says` is its meaning in a few words, `usual` what None stands for, and `limits`
+    are those of pydantic (`gt`, `ge`, `lt`, `le`, `min_length`)."""
+    return Field(
+        default=default,
+        description=says,
+        json_schema_extra={"flag": flag and list(flag), "usual": usual},
+        **limits,
+    )
+
+
+class Declared(NamedTuple):
+    """A setting with its place, such as ("pose", "gnss", "max_hdop")."""
+
+    path: tuple[str, ...]
+    info: FieldInfo
+
+    @property
+    def table(self) -> str:
+        """The table of a settings file that it is in."""
+        return ".".join(self.path[:-1])
+
+    @property
+    def flag(self) -> Flag | None:
+        """The flag that sets it, if there is one."""
+        flag = self._extra("flag")
+        return None if flag is None else Flag(*flag)
+
+    @property
+    def usual(self) -> str:
+        """The default in words."""
+        return self._extra("usual") or described(self.info.default)
+
+    def _extra(self, key: str) -> Any:
+        extra = self.info.json_schema_extra
+        return extra.get(key) if isinstance(extra, dict) else None
+
+    @property
+    def limits(self) -> str:
+        """The range in words: "0.1 to 50", "above 0, up to 90"; nothing where there is none."""
+        words = []
+        for limit in self.info.metadata:
+            match limit:
+                case Ge(ge=low):
+                    words.append(f"from {low}")
+                case Gt(gt=low):
+                    words.append(f"above {low}")
+                case Le(le=high):
+                    words.append(f"to {high}")
+                case Lt(lt=high):
+                    words.append(f"below {high}")
+        return " ".join(words)
+
+
+def declared(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[Declared]:
+    """All settings of a model and of the tables in it, in the order of their declaration."""
+    for name, info in model.model_fields.items():
+        kind = info.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from declared(kind, (*path, name))
+        else:
+            yield Declared((*path, name), info)
+
+
+def described(value: object) -> str:
+    """A default as it is written in help and documents."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (frozenset, tuple)):
+        return ", ".join(map(str, sorted(value)))
+    return "" if value is None else str(value)

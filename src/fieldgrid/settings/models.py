@@ -1,0 +1,275 @@
+"""Every setting of a build, with its default, range, flag and meaning.
+
+Numbers are metres, degrees, seconds, pixels or metres a second, as their names say.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from pydantic import model_validator
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.settings.declare import Flag, Settings, setting
+
+if TYPE_CHECKING:
+    from fieldgrid.grids import GridSpec
+
+_GRID = Flag("--grid", "WxL", "x", "6.65x14")
+_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "0.2:2.2")
+
+
+class Transfer(StrEnum):
+    """Where the value of a local cell goes."""
+
+    CENTRE = "centre"
+    AREA = "area"
+
+
+class MatcherKind(StrEnum):
+    """Which of OpenCV's matchers: from best to fastest on vegetation, sgbm, sgbm3way, bm."""
+
+    SGBM_3WAY = "sgbm3way"
+    SGBM = "sgbm"
+    BM = "bm"
+
+
+class GridSettings(Settings):
+    """The vehicle-fixed local grid."""
+
+    width_m: float = setting(10.0, "local grid: metres across, centred on the vehicle", flag=_GRID)
+    length_m: float = setting(15.0, "local grid: metres ahead", flag=_GRID)
+    cell_m: float = setting(0.05, "local cell, L_L", flag=Flag("--local-cell", "M"))
+
+    def spec(self) -> GridSpec:
+        """The validated geometry."""
+        from fieldgrid.grids import GridSpec  # late: the command line asks for flags only
+
+        return GridSpec(self.width_m, self.length_m, self.cell_m)
+
+
+class MapSettings(Settings):
+    """The universal grid of a new map. An existing map keeps its own."""
+
+    cell_m: float | None = setting(
+        None,
+        "universal cell, L_U, not below L_L; of a new map",
+        usual="that of the local grid",
+        flag=Flag("--cell", "M"),
+        gt=0.0,
+    )
+    transfer: Transfer | None = setting(
+        None,
+        "local to universal cells: centre (the paper), or area (no holes); of a new map",
+        usual="centre",
+        flag=Flag("--transfer", "centre|area"),
+    )
+
+
+class StereoSettings(Settings):
+    """How pairs are matched."""
+
+    matcher: MatcherKind = setting(
+        MatcherKind.SGBM_3WAY,
+        "stereo matcher; sgbm is a little more precise, bm is fast and sparse",
+        flag=Flag("--matcher", "sgbm3way|sgbm|bm"),
+    )
+    block_px: int | None = setting(
+        None, "side of the compared blocks, odd", usual="9, of bm 15", ge=3, le=51
+    )
+    uniqueness_percent: int = setting(
+        10, "by how much the best match must beat the second", ge=0, le=50
+    )
+    left_right_px: int = setting(
+        1, "how far the match back from the right image may be off; 0 is no check", ge=0, le=10
+    )
+    speckle_px: int = setting(100, "smaller blobs of disparity are dropped", ge=0, le=10_000)
+    speckle_step_px: int = setting(2, "disparity step within a blob", ge=1, le=16)
+    disparity_sigma_px: float = setting(0.25, "for the sigma of a range", gt=0.0, le=5.0)
+    min_range_m: float = setting(
+        3.0, "nearest point searched; sets the number of disparities", gt=0.1, le=50.0
+    )
+
+    def block(self) -> int:
+        """The block size in pixels, the matcher's own when none is set."""
+        block = self.block_px or (15 if self.matcher is MatcherKind.BM else 9)
+        if block % 2 == 0 or (self.matcher is MatcherKind.BM and block < 5):
+            raise ConfigError(
+                f"A block of {block} px does not fit {self.matcher.value}; give an odd number, "
+                "5 or more for bm."
+            )
+        return block
+
+
+class DensitySettings(Settings):
+    """What of the point cloud enters a local grid, and how counts become 3D density.
+
+    3D density is the number of points in a cell's column of the slice per m³, compensated for
+    range: d_c = d·(R/R0)^p. Times (R0/f)², the area that one pixel sees at R0, it is the
+    facing surface in m² per m³, which does not depend on the camera; 255 stands for
+    `saturation_m2_per_m3` of it, in every frame. A point of a lidar stands for the area that
+    is its share of a steradian, so densities of all sensors compare.
+
+    `min_points` guard against false matches. A lidar makes none, and takes few points where it is
+    far, so one or two do (:func:`fieldgrid.localgrid.points_needed`).
+    """
+
+    slice_bottom_m: float = setting(
+        0.2, "lower end of the slice, above the local ground", flag=_SLICE, ge=0.02, le=5.0
+    )
+    slice_top_m: float = setting(
+        2.2, "upper end of the slice, above the local ground", flag=_SLICE, gt=0.05, le=20.0
+    )
+    min_range_m: float = setting(
+        1.0,
+        "nearer depths and points belong to the vehicle; stereo pairs use stereo.min_range_m",
+        ge=0.0,
+        le=50.0,
+    )
+    max_range_m: float = setting(
+        15.0,
+        "farthest points used; fewer where the range is unsure",
+        flag=Flag("--max-range", "M"),
+        gt=1.0,
+        le=200.0,
+    )
+    max_range_sigma_m: float = setting(
+        0.2, "points whose range is less sure are left out", gt=0.01, le=10.0
+    )
+    range_exponent: float = setting(
+        2.0, "2 for facing surfaces, 3 for the ground and walls alongside", ge=0.0, le=4.0
+    )
+    reference_range_m: float = setting(8.0, "R0", gt=0.5, le=100.0)
+    max_gain: float = setting(4.0, "cap of (R/R0)^p", ge=1.0, le=100.0)
+    min_points: int = setting(
+        5, "fewer in a cell are no obstacle; a lidar needs at most 2", ge=1, le=1000
+    )
+    min_ground_points: int = setting(2, "fewer do not make a cell free", ge=1, le=1000)
+    saturation_m2_per_m3: float = setting(0.2, "what 255 stands for", gt=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _slice_has_height(self) -> DensitySettings:
+        if self.slice_top_m <= self.slice_bottom_m + 0.05:
+            raise ValueError(
+                f"the slice from {self.slice_bottom_m} to {self.slice_top_m} m has no height"
+            )
+        return self
+
+    @property
+    def slice_m(self) -> float:
+        """Thickness of the slice, ΔZ = Z_max - Z_min."""
+        return self.slice_top_m - self.slice_bottom_m
+
+
+class GateLimits(Settings):
+    """What a fix must satisfy.
+
+    From fix to fix a vehicle may leave its even motion by `speed_margin_mps` and
+    `max_acceleration_mps2`, along the track or across it; a stamp may be off by `timing_s`, for
+    hosts buffer; and `sigmas` standard deviations of a displacement are noise. Where fixes are
+    missing it drives at `max_speed_mps` at most, and up or down at `max_climb_mps`.
+
+    Fixes that agree with each other but not with those before or after them are a solution that
+    has moved, and are followed, when they are `moved_fixes` over `moved_s` seconds; fewer are
+    rejected, and so is an excursion of less than twice that from which the solution returns.
+    Of fixes worse than most of the log up to four times as many are asked.
+    """
+
+    allowed_quality: frozenset[int] = setting(
+        frozenset({1, 2, 3, 4, 5, 9}), "GGA qualities that are used", min_length=1
+    )
+    min_satellites: int = setting(5, "fewer satellites reject a fix", ge=0, le=50)
+    max_hdop: float = setting(4.0, "a larger HDOP rejects a fix", gt=0.0, le=100.0)
+    # u-blox keeps a fixed solution for 60 s without corrections, NavCom for 15 s, and the error
+    # then grows by a few cm a minute: after half a minute it is still that of RTK.
+    max_age_s: float = setting(
+        30.0, "age of a correction of the carrier phase (qualities 4, 5)", gt=0.0, le=3600.0
+    )
+    # PPP and SBAS send orbits and clocks every few minutes, and receivers use them for as long
+    # (NovAtel 360 s): beside the decimetres that such a fix is good for, age says little.
+    max_code_age_s: float = setting(
+        300.0, "age of a correction of SBAS, DGPS or PPP (2, 9)", gt=0.0, le=3600.0
+    )
+    speed_margin_mps: float = setting(
+        1.0, "how far a fix may leave the even motion of those around it", ge=0.0, le=20.0
+    )
+    max_acceleration_mps2: float = setting(4.0, "the same, by acceleration", gt=0.0, le=50.0)
+    max_speed_mps: float = setting(40.0, "where fixes are missing", gt=0.0, le=500.0)
+    max_climb_mps: float = setting(3.0, "up or down, where fixes are missing", gt=0.0, le=100.0)
+    timing_s: float = setting(0.1, "how late the stamp of a fix may be", ge=0.0, le=5.0)
+    sigmas: float = setting(4.0, "how many standard deviations are noise", gt=0.0, le=20.0)
+    moved_fixes: int = setting(
+        10, "a solution that has moved is followed after so many fixes", ge=2, le=10_000
+    )
+    moved_s: float = setting(3.0, "and after so long", ge=0.0, le=600.0)
+
+
+class PoseSettings(Settings):
+    """How poses are estimated and judged."""
+
+    heading: str = setting(
+        "smooth",
+        "where headings come from: smooth (all that the drive carries), course (the paper), "
+        "recorded, constant:DEG",
+        flag=Flag("--heading", "smooth|course|recorded|constant:DEG"),
+    )
+    visual_odometry: bool = setting(
+        True,
+        "whether smooth uses the camera's own motion",
+        flag=Flag("--visual-odometry/--no-visual-odometry", ""),
+    )
+    cell_budget_m: float | None = setting(
+        None,
+        "how far off a cell at the far end of a grid may be, 1-sigma, by heading and position in "
+        "the receiver's own frame",
+        usual="map.cell_m, at least 0.25",
+        flag=Flag("--budget", "M"),
+        gt=0.0,
+        le=10.0,
+    )
+    max_heading_sigma_deg: float = setting(
+        3.0, "poses that are less sure are rejected", gt=0.0, le=90.0
+    )
+    max_position_sigma_m: float = setting(
+        2.0,
+        "poses that are less sure are rejected; absolute, the receiver's slow error included",
+        gt=0.0,
+        le=100.0,
+    )
+    max_gear_doubt: float = setting(
+        0.02, "poses that may as well be in the other gear are rejected", gt=0.0, le=0.5
+    )
+    max_heading_offset_deg: float = setting(
+        5.0, "a recorded heading farther off the drive's own is an error", gt=0.0, le=45.0
+    )
+    baseline_m: float | None = setting(
+        None, "over which course is fitted", usual="200 sigma, 4 to 12", gt=0.1, le=100.0
+    )
+    min_turn_radius_m: float = setting(
+        1.0,
+        "a heading that jumps farther than this allows is rejected (course, recorded)",
+        gt=0.0,
+        le=50.0,
+    )
+    gnss: GateLimits = GateLimits()
+
+    @property
+    def uses_camera(self) -> bool:
+        """Whether poses want the motion that the camera saw."""
+        return self.visual_odometry and self.heading == "smooth"
+
+
+class BuildSettings(Settings):
+    """Everything that decides what a map says; the resolved values go into it with a session."""
+
+    grid: GridSettings = GridSettings()
+    stereo: StereoSettings = StereoSettings()
+    density: DensitySettings = DensitySettings()
+    pose: PoseSettings = PoseSettings()
+    map: MapSettings = MapSettings()
+
+    @property
+    def universal_cell_m(self) -> float:
+        """L_U in metres."""
+        return self.grid.cell_m if self.map.cell_m is None else self.map.cell_m

@@ -1,0 +1,74 @@
+"""From a settings file and flags to checked settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from fieldgrid.documents import MAX_BYTES, parse_toml
+from fieldgrid.errors import ConfigError
+from fieldgrid.settings.declare import declared
+from fieldgrid.settings.models import BuildSettings
+
+Overrides = Mapping[str, Mapping[str, Any]]
+"""What flags say: {table: {key: value}}; a value of None was not given."""
+
+
+def resolve(path: Path | None, overrides: Overrides) -> BuildSettings:
+    """Settings from a TOML file (or none) with `overrides` on top.
+
+    Unknown keys and impossible values are a ConfigError that names them.
+    """
+    tables = {} if path is None else _read(path)
+    flagged = set()
+    for table, values in overrides.items():
+        given = {key: value for key, value in values.items() if value is not None}
+        base = tables.get(table, {})
+        if given and isinstance(base, dict):  # else the check below says that it is no table
+            tables[table] = {**base, **given}
+            flagged |= {(table, key) for key in given}
+    try:
+        settings = BuildSettings.model_validate(tables)
+    except ValidationError as error:
+        raise ConfigError(_sentence(error, path, flagged)) from error
+    settings.grid.spec()
+    return settings
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(
+            f"The settings file {path} cannot be read ({error.strerror}); check its path."
+        ) from error
+    if len(content) > MAX_BYTES:
+        raise ConfigError(
+            f"The settings file {path} has more than {MAX_BYTES} bytes; give a TOML file of "
+            "settings."
+        )
+    try:
+        return parse_toml(content.decode())
+    except ValueError as error:
+        raise ConfigError(f"The settings file {path} is not TOML: {error}.") from error
+
+
+def _sentence(error: ValidationError, path: Path | None, flagged: set[tuple[str, str]]) -> str:
+    first = error.errors()[0]
+    place = tuple(map(str, first["loc"]))
+    name = ".".join(place) or "settings"
+    flags = {one.path: one.flag for one in declared(BuildSettings)}
+    flag = flags.get(place[:2]) if place[:2] in flagged else None
+    where = f" in {path}" if path is not None and flag is None else ""
+    if flag is not None:
+        where = f" ({flag.name.partition('/')[0]})"
+    if first["type"] == "extra_forbidden":
+        return f"There is no setting {name}{where}; `docs/settings.md` lists all."
+    message = str(first["msg"]).removeprefix("Value error, ")
+    return (
+        f"Setting {name} = {first['input']!r}{where} cannot be: {message[0].lower()}{message[1:]}."
+    )
