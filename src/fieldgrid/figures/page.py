@@ -1,0 +1,37 @@
+"""A figure's page: made without pyplot, and saved whole or not at all."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.publish import replacing
+
+
+def new_figure(size_in: tuple[float, float]) -> Figure:
+    """A figure of a size in inches whose parts make room for each other."""
+    figure = Figure(figsize=size_in, dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure, whole or not at all, in the format that the name ends in.
+
+    An earlier file of that name is replaced. Raises ConfigError for a name of no known format,
+    MapWriteError where it cannot be written.
+    """
+    path = Path(path)
+    written = BytesIO()
+    try:
+        figure.savefig(written, format=path.suffix.lstrip(".").lower() or "png")
+    except ValueError as error:
+        raise ConfigError(
+            f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
+        ) from error
+    with replacing(path) as draft:
+        draft.write_bytes(written.getvalue())
