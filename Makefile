@@ -10,7 +10,7 @@ SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench crash accuracy heading fuzz format lock clean
+.PHONY: help demo test check docs dist bench crash accuracy heading fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,6 +29,17 @@ check: .venv/installed ## Check style, types, and the code and commands in the d
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy --strict src tools
 	$(PY) tools/check_docs.py
+
+docs: .venv/installed ## Build the documentation site into build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(PY) tools/docs_site.py build/site
+
+dist: .venv/installed build/uv/bin/uv ## Build the wheel and the sdist, and check them as a stranger meets them
+	@rm -rf dist
+	$(PY) -m build --no-isolation >build/dist.log || { cat build/dist.log; exit 1; }
+	$(BIN)/twine check --strict dist/*
+	$(PY) tools/check_dist.py dist/*.whl --uv build/uv/bin/uv
+	$(PY) tools/check_dist.py dist/*.whl --uv build/uv/bin/uv --lowest
 
 bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks
