@@ -101,7 +101,7 @@ def _drive(name: str, folder: Path, parts: dict[str, tuple[str, ...]]) -> Iterat
     for log in LOGS:
         with open_recording(folder, f"gnss_{log}.nmea") as drive:
             gyro, rig = drive.motion().gyro, drive.rig
-            fixes = sorted(drive.fixes(), key=lambda fix: fix.time_ns)
+            fixes = drive.fixes().in_order()
         verdicts = condition(fixes)
         placed = place(fixes, verdicts, datum_of(fixes, verdicts))
         for part, beginnings in parts.items():

@@ -29,6 +29,7 @@ from benchmarks.heading_scores import DATA, make_fixes, numbers, percent, table
 from fieldgrid.angles import wrap_deg
 from fieldgrid.geodesy import Datum
 from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.quality import Quality
 from fieldgrid.recording import open_log
 
 FOLDER = DATA / "gnss" / "isoxml_harvester"
@@ -137,10 +138,9 @@ def _near(row: _Int64, to: int, seconds: _Float64) -> bool:
 
 
 def estimate(log: Log, speeds: bool) -> Estimate:
-    fixes = make_fixes(log.time_ns, log.lat_deg, log.lon_deg, np.full(len(log.time_ns), 1))
+    fixes = make_fixes(log.time_ns, log.lat_deg, log.lon_deg, Quality.UNKNOWN)
     if speeds:
-        pairs = zip(fixes, log.speed_mps.tolist(), strict=True)
-        fixes = [fix._replace(speed_mps=speed) for fix, speed in pairs]
+        fixes = fixes.replace(speed_mps=log.speed_mps)
     return estimate_poses(fixes)
 
 

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.pose import estimate_poses
+from fieldgrid.quality import Quality
 
 FOLDER = DATA / "kitti_oxts"
 RTK = ("2011_09_26_drive_0001", "2011_09_26_drive_0018", "2011_09_30_drive_0020")
@@ -28,7 +29,7 @@ _Bool = npt.NDArray[np.bool_]
 
 class Log(NamedTuple):
     name: str
-    fixes: list[Fix]
+    fixes: FixColumns
     truth_deg: _Float64
     moving: _Bool
     turning: _Bool
@@ -53,16 +54,16 @@ def read_log(path: Path, told: str) -> Log:
     text = table(path, ("timestamp", *names))
     stamps = np.array([t.replace(" ", "T") for t in text["timestamp"]], dtype="datetime64[ns]")
     value = {name: numbers(text[name]) for name in names}
-    fixes = [
-        Fix(time, lat, lon, alt if told == TOLD[1] else 0.0, 1)
-        if told != TOLD[0]
-        else Fix(time, lat, lon, alt, QUALITY_OF_POSMODE.get(int(mode), 0), sigma_m=sigma)
-        for time, lat, lon, alt, mode, sigma in zip(
-            stamps.astype(np.int64).tolist(),
-            *(value[name].tolist() for name in ("lat", "lon", "alt", "posmode", "pos_accuracy")),
-            strict=True,
-        )
-    ]
+    with_quality = told == TOLD[0]
+    qualities = [QUALITY_OF_POSMODE.get(int(mode), 0) for mode in value["posmode"]]
+    fixes = FixColumns.of(
+        stamps.astype(np.int64),
+        lat_deg=value["lat"],
+        lon_deg=value["lon"],
+        height_m=value["alt"] if told != TOLD[2] else 0.0,
+        quality=qualities if with_quality else Quality.UNKNOWN,
+        sigma_m=value["pos_accuracy"] if with_quality else np.nan,
+    )
     return Log(
         path.stem,
         fixes,
@@ -73,7 +74,7 @@ def read_log(path: Path, told: str) -> Log:
 
 
 def measure(log: Log) -> Errors:
-    times = np.array([fix.time_ns for fix in log.fixes], dtype=np.int64)
+    times = log.fixes.time_ns
     try:
         poses = poses_at(estimate_poses(log.fixes).trajectory, times)
     except GnssError:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from benchmarks import EXAMPLE
 from fieldgrid.angles import wrap_deg
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.trajectory import Status, Trajectory
 
 DATA = EXAMPLE.parents[2] / "shared" / "data"
@@ -85,11 +85,16 @@ def numbers(texts: Iterable[str]) -> _Float64:
 
 
 def make_fixes(
-    time_ns: _Int64, lat_deg: _Float64, lon_deg: _Float64, quality: _Int64, height_m: float = 0.0
-) -> list[Fix]:
+    time_ns: _Int64,
+    lat_deg: _Float64,
+    lon_deg: _Float64,
+    quality: npt.ArrayLike,
+    height_m: float = 0.0,
+) -> FixColumns:
     """Fixes that say nothing but where, when and of which quality."""
-    columns = (time_ns.tolist(), lat_deg.tolist(), lon_deg.tolist(), quality.tolist())
-    return [Fix(t, lat, lon, height_m, q) for t, lat, lon, q in zip(*columns, strict=True)]
+    return FixColumns.of(
+        time_ns, lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, quality=quality
+    )
 
 
 def circular_median_deg(angles_deg: _Float64) -> float:

@@ -23,6 +23,7 @@ from benchmarks.heading_scores import (
     table,
 )
 from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion
 from fieldgrid.pose import Estimate, estimate_poses
@@ -92,7 +93,8 @@ def estimate(variant: Variant) -> tuple[Estimate, Rig]:
         fixes, motion, rig, datum = drive.fixes(), drive.motion(), drive.rig, drive.datum_hint
     if not variant.gyro:
         motion = Motion()
-        fixes = [fix._replace(speed_mps=None, heading_deg=None, course_deg=None) for fix in fixes]
+        unsaid = np.full(len(fixes), np.nan)
+        fixes = fixes.replace(speed_mps=unsaid, heading_deg=unsaid, course_deg=unsaid)
     found = estimate_poses(fixes, rig if variant.mounted else None, datum, motion=motion)
     return found, rig
 
@@ -219,7 +221,7 @@ def _rows_line(
     )
 
 
-def _robot(quality: int) -> tuple[list, _Float64, _Float64]:
+def _robot(quality: int) -> tuple[FixColumns, _Float64, _Float64]:
     text = table(FOLDER / "Image_GPS.csv", ("Computer_Time", "Latitude", "Longitude"))
     stamps = []
     for stamp in text["Computer_Time"]:

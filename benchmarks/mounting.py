@@ -109,7 +109,7 @@ def lane_of(folder: Path, lane: str) -> Drive:
     wanted = [row["segment"] == lane for row in _truth(folder)]
     with open_recording(folder, "gnss_rtk.nmea") as drive:
         shots = [shot for shot, inside in zip(drive.frames(), wanted, strict=True) if inside]
-        log = list(drive.fixes())
+        log = drive.fixes()
         return Drive(drive.rig, shots, name=lane, log=log, datum_hint=drive.datum_hint)
 
 

@@ -6,7 +6,8 @@ import math
 import re
 
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss import Fix, NmeaStream, parse_nmea
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import NmeaStream, parse_nmea
 from fieldgrid.gnss.fields import checksum
 from fieldgrid.gnss.nmea_framing import unicore_crc
 from fuzz.target import Target, real_starts

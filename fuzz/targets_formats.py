@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from fieldgrid.errors import FieldgridError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
 from fieldgrid.recording import open_log
 from fuzz.target import Target, real_starts

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.angles import wrap_deg
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.rig import LeverArm
 
@@ -127,7 +128,7 @@ def fixes_of(
     quality: int = 4,
     speed: bool = False,
     heading_sigma_deg: float | None = None,
-) -> list[Fix]:
+) -> FixColumns:
     """The fixes of an antenna, placed from the axle, with white noise.
 
     With a `heading_sigma_deg` they have recorded headings, with an error of that size.
@@ -143,22 +144,19 @@ def fixes_of(
     heading = np.degrees(sampled.heading_rad)
     if heading_sigma_deg is not None:
         heading = heading + random.normal(0.0, heading_sigma_deg, n)
-    return [
-        Fix(
-            int(time_ns(sampled.time_s)[k]),
-            float(lat[k]),
-            float(lon[k]),
-            float(height[k]),
-            quality=quality,
-            satellites=12,
-            hdop=0.8,
-            age_s=1.0,
-            speed_mps=abs(float(sampled.speed_mps[k])) if speed else None,
-            heading_deg=None if heading_sigma_deg is None else float(heading[k]),
-            heading_sigma_deg=heading_sigma_deg,
-        )
-        for k in range(n)
-    ]
+    return FixColumns.of(
+        time_ns(sampled.time_s),
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=height,
+        quality=quality,
+        satellites=12,
+        hdop=0.8,
+        age_s=1.0,
+        speed_mps=np.abs(sampled.speed_mps) if speed else np.nan,
+        heading_deg=np.nan if heading_sigma_deg is None else wrap_deg(heading),
+        heading_sigma_deg=np.nan if heading_sigma_deg is None else heading_sigma_deg,
+    )
 
 
 def gyro_of(

@@ -17,8 +17,8 @@ PACKAGE = "fieldgrid"
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
     ("array_types",),
-    ("documents", "errors", "geodesy", "angles", "kernel", "publish"),
-    ("lattice", "rig", "trajectory", "grids", "motion"),
+    ("documents", "errors", "quality", "geodesy", "angles", "kernel", "publish"),
+    ("fixes", "lattice", "rig", "trajectory", "grids", "motion"),
     ("settings",),
     ("cloud", "depth"),
     (

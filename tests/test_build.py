@@ -46,8 +46,8 @@ from fieldgrid.errors import (
     RecordingError,
 )
 from fieldgrid.evaluation import Evaluation, evaluate, read_truth
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.lattice import Bounds
 from fieldgrid.localgrid import LocalGridder
@@ -168,7 +168,7 @@ def test_the_session_keeps_what_made_it(two_lanes_map: Path) -> None:
         inputs = from_arrays(universal.session_inputs(info.name))
         steps = visual_odometry(drive, jobs=2)
         expected = estimate_trajectory(drive, steps=steps)
-        fixes, motion = list(drive.fixes()), drive.motion()
+        fixes, motion = drive.fixes(), drive.motion()
         frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
         first = next(iter(universal.frames()))
     assert info.source == "gnss/gnss_rtk.nmea"
@@ -1005,7 +1005,7 @@ class LongDrive:
             left, right = Watched(pair.left, self.images), Watched(pair.right, self.images)
             yield StereoFrame(f"{k:06d}", time_ns, left, right, pair.size_px)
 
-    def fixes(self) -> Sequence[Fix]:
+    def fixes(self) -> FixColumns:
         return self._of.fixes()
 
     def gnss_sha256(self) -> str:

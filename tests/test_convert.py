@@ -22,8 +22,9 @@ import fieldgrid as fg
 from fieldgrid.build import build_map
 from fieldgrid.convert import Images, convert_recording, nav_sat_fix
 from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.quality import Quality
 from fieldgrid.recording import DepthFrame, open_recording
 from fieldgrid.recording.bag.readings import fix_of
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
@@ -256,7 +257,8 @@ def test_clouds(tmp_path: Path) -> None:
     out = tmp_path / "cloud.mcap"
     drive = swept(Mount(1.9, 3.0, -2.0), sweeps=2)
     drive = replace(drive, rig=replace(drive.rig, mount=Mount(1.9, 3.0, -2.0)))
-    drive.log = [Fix(START_NS + k * 10**8, 40.0, -3.0, 700.0, 4) for k in range(5)]
+    times = START_NS + np.arange(5) * 10**8
+    drive.log = FixColumns.of(times, lat_deg=40.0, lon_deg=-3.0, height_m=700.0, quality=4)
     convert_recording(drive, out)
     (_, cloud), _ = messages(out)["/lidar/points"]
     assert [field.name for field in cloud.fields] == ["x", "y", "z"]
@@ -286,13 +288,15 @@ def test_gyro_and_wheels_come_back(make_drive: MakeDrive, tmp_path: Path) -> Non
     st.none() | st.floats(0.001, 20.0),
 )
 def test_a_fix_keeps_what_the_message_can_hold(quality: int, sigma_m: float | None) -> None:
-    """Beside a stated error the quality is told by that, as of other loggers."""
+    """Of decimetres the message does not tell how they were solved."""
     fix = Fix(START_NS, 41.65, -4.72, 790.0, quality, sigma_m=sigma_m)
     again = fix_of(nav_sat_fix(fix), START_NS)
     assert again[:4] == fix[:4]
     assert (again.quality == 0) == (quality == 0)
     if sigma_m is not None:
         assert again.sigma_m == pytest.approx(sigma_m)
+    elif quality == Quality.RTK_FLOAT:
+        assert (again.quality, again.sigma_m) == (Quality.DIFFERENTIAL, pytest.approx(0.25))
     else:
         assert again.quality == quality
 

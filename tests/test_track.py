@@ -15,8 +15,9 @@ import pytest
 
 from fieldgrid import publish
 from fieldgrid.errors import DatumError, MapExistsError, MapWriteError
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix, condition
+from fieldgrid.gnss import condition
 from fieldgrid.gnss.summary import summarise
 from fieldgrid.pose import Comparison, Estimate, PoseReport, estimate_poses
 from fieldgrid.track import COLUMNS, grouped_reasons, summarise_track, track_rows, write_track
@@ -61,7 +62,7 @@ def log_of(count: int) -> list[Fix]:
 
 
 def report() -> PoseReport:
-    fixes = log_of(30)
+    fixes = FixColumns.of_rows(log_of(30))
     verdicts = condition(fixes)
     return PoseReport(summarise(fixes, verdicts), None, None, float("nan"), ("A remark.",))
 
@@ -143,7 +144,7 @@ def test_a_row_an_input_fix_in_order_of_time() -> None:
     fixes = log_of(40)
     fixes[20] = fixes[20]._replace(quality=0)
     fixes[30] = fixes[30]._replace(lat_deg=fixes[30].lat_deg + 0.001)  # 111 m to the north
-    found = estimate_poses(list(reversed(fixes)), datum=DATUM)
+    found = estimate_poses(FixColumns.of_rows(reversed(fixes)), datum=DATUM)
     rows = [dict(zip(COLUMNS, row, strict=True)) for row in track_rows(found)]
     assert [int(row["time_ns"]) for row in rows] == [fix.time_ns for fix in fixes]
     for k, why in ((20, "quality 0"), (30, "jump of 111")):

@@ -22,10 +22,6 @@ MAX_GAP_NS = 1_500_000_000
 1 Hz may be late."""
 
 
-ESTIMATED = 6
-"""GGA's quality of a position that no fix gave."""
-
-
 class Status(StrEnum):
     """The verdict on a fix or a pose.
 
@@ -61,9 +57,9 @@ class Pose:
 class Trajectory:
     """Poses of the grid origin, ordered by time. All arrays have length n.
 
-    `gear` is +1 forward, -1 reverse, 0 at rest. `quality` is GGA's code of the fix, 6
-    (estimated) in rows without one. `heading_source` names how headings were found (smooth,
-    course, recorded, constant:DEG).
+    `gear` is +1 forward, -1 reverse, 0 at rest. `quality` is that of the fix
+    (:class:`~fieldgrid.fixes.Quality`), estimated in rows without one. `heading_source` names how
+    headings were found (smooth, course, recorded, constant:DEG).
     """
 
     datum: Datum

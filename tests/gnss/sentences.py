@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldgrid.gnss import Fix, NmeaLog, parse_nmea
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import NmeaLog, parse_nmea
 
 SECOND = 1_000_000_000
 JUNE_15 = 1_308_096_000 * SECOND  # 2011-06-15T00:00:00Z

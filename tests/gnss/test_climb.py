@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.gnss import Fix, Kind, condition
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import Gate
 from fieldgrid.gnss.climb import climb_mps, spoilt
 from fieldgrid.settings import GateLimits
-from fieldgrid.trajectory import Status
+from tests.gnss.judged import judge
 
 SECOND = 1_000_000_000
 
@@ -32,30 +33,30 @@ def test_steep_ground_and_noise_are_driven_over() -> None:
     k = np.arange(200)
     noise = np.random.default_rng(4).normal(0.0, 0.8, len(k))
     hill = 30.0 * np.sin(2.0 * np.pi * k / 5.0 / 120.0)  # up to 1.6 m/s
-    assert {v.status for v in condition(drive(hill + noise))} == {Status.OK}
+    assert all(v.ok for v in judge(drive(hill + noise)))
 
 
 def test_a_spike_is_no_climb() -> None:
     height = np.zeros(100)
     height[50] = 40.0
-    assert {v.kind for v in condition(drive(height))} == {Kind.NONE}
+    assert {v.gate for v in judge(drive(height))} == {Gate.NONE}
 
 
 def test_a_runaway_height_is_rejected_with_its_surroundings() -> None:
     height = np.concatenate([np.zeros(200), 1.2 * np.arange(50), np.full(200, 60.0)])
-    verdicts = condition(drive(height))
-    kinds = [verdict.kind for verdict in verdicts]
-    assert set(kinds) == {Kind.NONE, Kind.CLIMB}
-    assert set(kinds[160:290]) == {Kind.CLIMB}
-    assert set(kinds[:130]) == set(kinds[320:]) == {Kind.NONE}
+    verdicts = judge(drive(height))
+    kinds = [verdict.gate for verdict in verdicts]
+    assert set(kinds) == {Gate.NONE, Gate.CLIMB}
+    assert set(kinds[160:290]) == {Gate.CLIMB}
+    assert set(kinds[:130]) == set(kinds[320:]) == {Gate.NONE}
     assert verdicts[225].reason == "height climbs at 6.0 m/s: the solution has come apart"
     assert verdicts[170].reason == "height runs away within 10 s: the solution has come apart"
 
 
 def test_the_limit_is_settable() -> None:
     height = 1.2 * np.arange(100)
-    verdicts = condition(drive(height), GateLimits(max_climb_mps=10.0))
-    assert {verdict.kind for verdict in verdicts} == {Kind.NONE}
+    verdicts = judge(drive(height), GateLimits(max_climb_mps=10.0))
+    assert {verdict.gate for verdict in verdicts} == {Gate.NONE}
 
 
 def test_what_is_near_a_climb_is_spoilt() -> None:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.gnss import Fix, condition
+from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.gnss import Gate, condition
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
-from fieldgrid.gnss.verdict import Kind, Verdict
-from fieldgrid.trajectory import Status
+from tests.gnss.judged import Judged, judge
 
 SharedData = Callable[[str], Path]
 
@@ -35,13 +35,13 @@ def iso_ns(text: str) -> int:
     return nanoseconds((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp())
 
 
-def judged(fixes: list[Fix]) -> tuple[list[Verdict], ConditioningSummary]:
-    verdicts = condition(fixes)
-    return verdicts, summarise(fixes, verdicts)
+def judged(fixes: list[Fix]) -> tuple[list[Judged], ConditioningSummary]:
+    log = FixColumns.of_rows(fixes)
+    return judge(fixes), summarise(log, condition(log))
 
 
-def counts(summary: ConditioningSummary) -> dict[Kind, int]:
-    return {reason.kind: reason.fixes for reason in summary.rejected}
+def counts(summary: ConditioningSummary) -> dict[Gate, int]:
+    return {reason.gate: reason.fixes for reason in summary.rejected}
 
 
 @pytest.mark.parametrize(
@@ -67,14 +67,12 @@ def test_of_a_real_tractor_only_repeats_are_rejected(
         for row in table
     ]  # fmt: skip
     verdicts, summary = judged(fixes)
-    assert set(counts(summary)) <= {Kind.REPEAT, Kind.QUALITY}
-    assert counts(summary).get(Kind.REPEAT, 0) / len(fixes) == pytest.approx(repeated, abs=0.02)
+    assert set(counts(summary)) <= {Gate.REPEAT, Gate.QUALITY}
+    assert counts(summary).get(Gate.REPEAT, 0) / len(fixes) == pytest.approx(repeated, abs=0.02)
     assert summary.seams == ()
     assert summary.quantum_m == pytest.approx(0.0185, abs=1e-4)
     assert 0.005 <= summary.short_term_sigma_m <= 0.02
-    used = [
-        fix for fix, verdict in zip(fixes, verdicts, strict=True) if verdict.status is Status.OK
-    ]
+    used = [fix for fix, verdict in zip(fixes, verdicts, strict=True) if verdict.ok]
     moving = [
         (a.lat_deg, a.lon_deg) == (b.lat_deg, b.lon_deg)
         for a, b in pairwise(used)
@@ -95,7 +93,7 @@ def test_the_jumps_of_a_real_tractor_are_found(shared_data: SharedData) -> None:
             if row["lat"]
         ]  # fmt: skip
         verdicts, summary = judged(fixes)
-        jumps = [k for k, verdict in enumerate(verdicts) if verdict.kind is Kind.JUMP]
+        jumps = [k for k, verdict in enumerate(verdicts) if verdict.gate is Gate.JUMP]
         assert 3 <= len(jumps) <= 12
         assert verdicts[jumps[0]].reason.startswith("jump of 28.75 m in 1.00 s implies 29 m/s")
         assert summary.accepted >= len(fixes) - 15
@@ -125,7 +123,7 @@ def test_the_steps_of_a_lawn_tractor_between_two_solutions(shared_data: SharedDa
         for r in rows(path)
     ]
     verdicts, summary = judged(fixes)
-    assert [verdicts[k].kind for k in (2706, 2707, 2790)] == [Kind.JUMP] * 3
+    assert [verdicts[k].gate for k in (2706, 2707, 2790)] == [Gate.JUMP] * 3
     assert summary.accepted >= 0.997 * len(fixes)
 
 
@@ -142,7 +140,7 @@ def test_cars_and_rovers_are_kept_whole(shared_data: SharedData) -> None:
             ]  # fmt: skip
             verdicts, summary = judged(fixes)
             if path.stem.endswith("0093"):  # without satellites, 170 m down in half a minute
-                assert {v.kind for v in verdicts[:330]} == {Kind.CLIMB}
+                assert {v.gate for v in verdicts[:330]} == {Gate.CLIMB}
                 assert 20 < summary.accepted < 110
             else:
                 assert (summary.accepted, summary.seams) == (len(fixes), ()), path.name
@@ -169,5 +167,5 @@ def test_the_rows_of_a_real_vineyard_are_kept_whole(shared_data: SharedData) -> 
         for r in rows(shared_data("vineyard_gnss_rows/Image_GPS.csv"))
     ]
     verdicts, summary = judged(fixes)
-    assert {verdict.status for verdict in verdicts} == {Status.OK}
+    assert all(verdict.ok for verdict in verdicts)
     assert len(summary.gaps) >= 10  # pauses of up to 84 s

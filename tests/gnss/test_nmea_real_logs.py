@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss import Fix, NmeaStream, parse_nmea
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import NmeaStream, parse_nmea
 from tests.conftest import SHARED_DATA
 
 SharedData = Callable[[str], Path]

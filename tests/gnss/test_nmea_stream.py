@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.gnss import Fix, NmeaStream, parse_nmea
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import NmeaStream, parse_nmea
 from tests.gnss.sentences import NOON, SECOND, gga, parse, rmc, sentence
 
 
@@ -214,7 +215,7 @@ def test_a_log_of_rmc_alone_gives_fixes_of_no_height() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mode", "quality"), [("A", 1), ("D", 2), ("P", 3), ("R", 4), ("F", 5), ("E", 6), ("", 1)]
+    ("mode", "quality"), [("A", 1), ("D", 2), ("P", 3), ("R", 4), ("F", 5), ("E", 6), ("", -1)]
 )
 def test_the_mode_of_rmc_is_a_quality(mode: str, quality: int) -> None:
     assert [fix.quality for fix in parse(alone("120000", mode))] == [quality]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.gnss import Fix, condition
-from fieldgrid.gnss.verdict import Kind
-from fieldgrid.trajectory import Status
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import Gate
+from tests.gnss.judged import judge
 from tests.gnss.sentences import NOON, SECOND
 
 M_PER_DEG = 111_195.0
@@ -37,21 +37,21 @@ def written(
 
 
 def repeats(fixes: list[Fix]) -> list[int]:
-    return [k for k, v in enumerate(condition(fixes)) if v.kind is Kind.REPEAT]
+    return [k for k, v in enumerate(judge(fixes)) if v.gate is Gate.REPEAT]
 
 
 def test_a_logger_quicker_than_its_receiver_repeats_positions() -> None:
     """40 Hz of a receiver with 10 Hz: three of four rows."""
     fixes = written([1.0] * 20, row_s=0.025, receiver_s=0.1)
     assert repeats(fixes) == [k for k in range(800) if k % 4]
-    verdicts = condition(fixes)
+    verdicts = judge(fixes)
     assert verdicts[1].reason == "repeats the position of the fix 0.03 s before"
     assert verdicts[403].reason == "repeats the position of the fix 0.07 s before"
 
 
 def test_they_repeat_where_it_stands_too_but_not_all() -> None:
     fixes = written([1.0] * 10 + [0.0] * 10 + [1.0] * 10, row_s=0.025, receiver_s=0.1)
-    kept = [k for k, v in enumerate(condition(fixes)) if v.status is Status.OK]
+    kept = [k for k, v in enumerate(judge(fixes)) if v.ok]
     standing = [k for k in kept if 420 <= k < 780]
     assert standing == list(range(420, 780, 4))  # what the receiver can have made
 
@@ -62,7 +62,7 @@ def test_a_receiver_that_hangs_while_the_vehicle_moves() -> None:
         f._replace(lat_deg=fixes[50].lat_deg) if 50 < k < 56 else f for k, f in enumerate(fixes)
     ]
     assert repeats(hung) == [51, 52, 53, 54, 55]
-    assert condition(hung)[55].reason == "repeats the position of the fix 1.00 s before"
+    assert judge(hung)[55].reason == "repeats the position of the fix 1.00 s before"
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -71,9 +71,9 @@ def test_a_receiver_that_hangs_while_the_vehicle_moves() -> None:
 def test_a_vehicle_that_stops_and_goes_stands(row_s: float, rounded_deg: float, told: bool) -> None:
     speeds = [1.5] * 10 + [1.0, 0.5, 0.2] + [0.0] * 10 + [0.2, 0.5, 1.0] + [1.5] * 10
     fixes = written(speeds, row_s=row_s, receiver_s=row_s, rounded_deg=rounded_deg, told=told)
-    verdicts = condition(fixes)
+    verdicts = judge(fixes)
     standing = range(round(13.5 / row_s), round(22.5 / row_s))
-    assert {verdicts[k].status for k in standing} == {Status.OK}
+    assert all(verdicts[k].ok for k in standing)
 
 
 def test_slow_motion_on_coarse_positions_is_no_repeat() -> None:
@@ -92,7 +92,7 @@ def test_a_row_written_twice_is_kept_once(speed: float) -> None:
     fixes = written([speed] * 10, row_s=0.2, receiver_s=0.2)
     twice = [*fixes[:20], fixes[19], *fixes[20:]]
     assert repeats(twice) == [20]
-    assert condition(twice)[20].reason == "repeats the fix before it, place and time"
+    assert judge(twice)[20].reason == "repeats the fix before it, place and time"
 
 
 def test_a_wild_fix_beside_it_does_not_make_a_standing_vehicle_move() -> None:

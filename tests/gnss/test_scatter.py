@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.gnss import Fix, condition
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
 from tests.gnss.sentences import NOON, SECOND
 
@@ -151,10 +151,10 @@ def test_a_vehicle_that_stands_does_not_show_it() -> None:
     assert quantum_m([], []) == 0.0
 
 
-def log(noise_m: float, sigma_m: float) -> list[Fix]:
+def log(noise_m: float, sigma_m: float) -> FixColumns:
     east_m, north_m = lane_and_turns(600, 0.2)
     rng = np.random.default_rng(4)
-    return [
+    return FixColumns.of_rows(
         Fix(
             int(t),
             41.65 + (n + a) / M_PER_DEG,
@@ -166,22 +166,15 @@ def log(noise_m: float, sigma_m: float) -> list[Fix]:
         for t, e, n, (a, b) in zip(
             times(600, 0.2), east_m, north_m, rng.normal(0.0, noise_m, (600, 2)), strict=True
         )
-    ]
+    )
 
 
 def test_of_a_log_it_is_never_more_than_the_receiver_says() -> None:
     calm, noisy = log(0.04, 0.3), log(0.2, 0.1)
-    assert scatter(calm, condition(calm)).short_term_sigma_m == pytest.approx(0.04, rel=0.3)
-    assert scatter(calm, condition(calm)).quantum_m == 0.0
-    assert scatter(noisy, condition(noisy)).short_term_sigma_m == pytest.approx(0.1)
+    assert scatter(calm).short_term_sigma_m == pytest.approx(0.04, rel=0.3)
+    assert scatter(calm).quantum_m == 0.0
+    assert scatter(noisy).short_term_sigma_m == pytest.approx(0.1)
 
 
-def test_rejected_fixes_have_no_part_in_it() -> None:
-    fixes = log(0.04, 0.3)
-    wild = [
-        f._replace(quality=0, lat_deg=f.lat_deg + 1e-4 * (k % 3)) if k % 2 else f
-        for k, f in enumerate(fixes)
-    ]
-    assert scatter(wild, condition(wild)).short_term_sigma_m == pytest.approx(0.04, rel=0.3)
-    none = [f._replace(quality=0) for f in fixes]
-    assert scatter(none, condition(none)) == FixScatter(0.0, 0.001)
+def test_of_no_fixes_there_is_none() -> None:
+    assert scatter(FixColumns.of([])) == FixScatter(0.0, 0.001)

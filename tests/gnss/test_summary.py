@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from fieldgrid.gnss import Fix, condition
-from fieldgrid.gnss.summary import Gap, ReasonCount, summarise
-from fieldgrid.gnss.verdict import Kind
+from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.gnss import Gate, condition
+from fieldgrid.gnss.summary import ConditioningSummary, Gap, ReasonCount, summarise
 from tests.gnss.sentences import NOON, SECOND
 
 
@@ -25,16 +25,21 @@ def log() -> list[Fix]:
     return [*fixes[:30], *fixes[38:]]
 
 
+def summary_of(fixes: list[Fix]) -> ConditioningSummary:
+    columns = FixColumns.of_rows(fixes)
+    return summarise(columns, condition(columns))
+
+
 def test_it_counts_what_was_rejected_and_measures_what_is_left() -> None:
     fixes = log()
-    summary = summarise(fixes, condition(fixes))
+    summary = summary_of(fixes)
     assert (summary.fixes, summary.accepted) == (92, 88)
     assert summary.rejected == (
         ReasonCount(
-            Kind.QUALITY, 3, fixes[10].time_ns, fixes[12].time_ns,
+            Gate.QUALITY, 3, fixes[10].time_ns, fixes[12].time_ns,
             "quality 0 (none) is not allowed",
         ),
-        ReasonCount(Kind.SATELLITES, 1, fixes[5].time_ns, fixes[5].time_ns, "3 satellites < 5"),
+        ReasonCount(Gate.SATELLITES, 1, fixes[5].time_ns, fixes[5].time_ns, "3 satellites < 5"),
     )  # fmt: skip
     assert summary.quality == ((0, 3), (4, 84), (5, 5))
     assert summary.gaps == (Gap(fixes[29].time_ns, fixes[29].lat_deg, -4.72, 1.8),)
@@ -48,23 +53,23 @@ def test_it_counts_what_was_rejected_and_measures_what_is_left() -> None:
 
 def test_it_can_be_written_as_json() -> None:
     fixes = log()
-    summary = summarise(fixes, condition(fixes))
+    summary = summary_of(fixes)
     read = json.loads(json.dumps(summary.as_dict()))
     assert read["rejected"][0] == {
-        "kind": "quality",
+        "gate": "quality",
         "fixes": 3,
         "first_ns": fixes[10].time_ns,
         "last_ns": fixes[12].time_ns,
         "example": "quality 0 (none) is not allowed",
     }
-    assert read["quality"] == {"0": 3, "4": 84, "5": 5}
+    assert read["quality"] == {"none": 3, "RTK fixed": 84, "RTK float": 5}
     assert read["gaps"][0]["seconds"] == 1.8
     assert read["seams"][0]["time_ns"] == fixes[52].time_ns
     assert set(read) == set(summary._fields)
 
 
 def test_of_nothing_there_is_nothing_to_say() -> None:
-    summary = summarise([], [])
+    summary = summary_of([])
     assert summary[:7] == (0, 0, (), (), (), (), 0.0)
     single = log()[:1]
-    assert summarise(single, condition(single)).rate_hz == 0.0
+    assert summary_of(single).rate_hz == 0.0

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
 
 SharedData = Callable[[str], Path]

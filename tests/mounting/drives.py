@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording import CloudFrame, Frame, StereoFrame, Stream
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig, StereoCamera
@@ -55,7 +55,7 @@ class Drive:
     rig: Rig
     shots: list[Frame]
     name: str = "rendered"
-    log: list[Fix] = field(default_factory=list)
+    log: FixColumns = field(default_factory=lambda: FixColumns.of([]))
     datum_hint: Datum | None = None
     gnss_source: str = ""
     notes: tuple[str, ...] = ()
@@ -74,7 +74,7 @@ class Drive:
     def frames(self) -> Iterator[Frame]:
         return iter(self.shots)
 
-    def fixes(self) -> Sequence[Fix]:
+    def fixes(self) -> FixColumns:
         return self.log
 
     def gnss_sha256(self) -> str:

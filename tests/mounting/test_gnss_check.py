@@ -25,7 +25,7 @@ def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Drive,
     sigma = None if heading_off_deg is None else 0.1
     log = fixes_of(truth, noise_m=0.01, heading_sigma_deg=sigma)
     if heading_off_deg is not None:
-        log = [fix._replace(heading_deg=(fix.heading_deg or 0.0) + heading_off_deg) for fix in log]
+        log = log.replace(heading_deg=log.heading_deg + heading_off_deg)
     drive.log = log
     n = int(40.0 / PERIOD_S)
     zeros = np.zeros(n)
@@ -91,7 +91,8 @@ def test_curves_gaps_and_lone_fixes_are_not_compared() -> None:
     assert check_against_gnss(drive, time_ns(np.zeros(1)), steps) == (
         "No fixes, so nothing was compared with them."
     )
-    drive.log = [fix._replace(quality=0) for fix in straight(1.0)[0].log]
+    log = straight(1.0)[0].log
+    drive.log = log.replace(quality=np.zeros(len(log), dtype=np.int64))
     said = check_against_gnss(drive, time_ns(np.zeros(1)), steps)
     assert isinstance(said, str)
     assert said.startswith("Nothing was compared with the fixes: ")

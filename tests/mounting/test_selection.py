@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.mounting.selection import OF_FRAMES, STRETCHES, stretches, usual_every
 from tests.simulated import DATUM, START
 
 
-def fixes(speed_mps: float, *, quality: int = 4, rest_s: int = 0) -> list[Fix]:
+def fixes(speed_mps: float, *, quality: int = 4, rest_s: int = 0) -> FixColumns:
     """Fixes at 5 Hz, eastward, after some seconds at rest."""
     found = []
     for k in range(5 * (rest_s + 20)):
@@ -18,7 +18,7 @@ def fixes(speed_mps: float, *, quality: int = 4, rest_s: int = 0) -> list[Fix]:
         east = speed_mps * max(time_s - rest_s, 0.0)
         lat, lon, height = (float(v) for v in DATUM.to_geodetic(east, 0.0, 0.0))
         found.append(Fix(START + round(time_s * 1e9), lat, lon, height, quality))
-    return found
+    return FixColumns.of_rows(found)
 
 
 def frame_times(rate_hz: float, count: int = 50) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_standing_still_does_not_slow_the_drive_down() -> None:
 
 
 def test_without_speed_every_frame_is_taken() -> None:
-    assert usual_every(frame_times(10.0), []) == 1
+    assert usual_every(frame_times(10.0), FixColumns.of([])) == 1
     assert usual_every(frame_times(10.0), fixes(1.0, quality=0)) == 1
     assert usual_every(frame_times(10.0), fixes(0.0)) == 1
     assert usual_every(frame_times(10.0, 1), fixes(1.0)) == 1

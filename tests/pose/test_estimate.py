@@ -14,8 +14,9 @@ from pydantic import ValidationError
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import ConfigError, GnssError
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix, Verdict, condition
+from fieldgrid.gnss import Gate, Verdicts, condition
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import (
     Budget,
@@ -94,8 +95,9 @@ def heading_error_deg(found: Trajectory, path: Path) -> _Float64:
     return np.abs(wrap_deg(found.heading_deg - path.heading_deg))
 
 
-def poses(fixes: Sequence[Fix], rig: Rig | None, heading: str) -> Trajectory:
-    return estimate_poses(fixes, rig, DATUM, PoseSettings(heading=heading)).trajectory
+def poses(fixes: Sequence[Fix] | FixColumns, rig: Rig | None, heading: str) -> Trajectory:
+    columns = fixes if isinstance(fixes, FixColumns) else FixColumns.of_rows(fixes)
+    return estimate_poses(columns, rig, DATUM, PoseSettings(heading=heading)).trajectory
 
 
 # --- the lever arm
@@ -293,11 +295,12 @@ def test_the_datum_is_the_first_accepted_fix_rounded() -> None:
         ),
         PLAIN._replace(time_ns=START + SECOND),
     ]
-    assert datum_of(fixes, condition(fixes)) == Datum(39.1234568, -1.9876543, 700.123)
+    log = FixColumns.of_rows(fixes)
+    assert datum_of(log, condition(log)) == Datum(39.1234568, -1.9876543, 700.123)
 
 
 def test_a_drive_has_the_datum_that_it_is_given_or_its_own() -> None:
-    fixes = fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True)
+    fixes = FixColumns.of_rows(fixes_along(drive([Leg(9.0)]), LeverArm(0, 0, 0), recorded=True))
     other = Datum(39.51, -1.1, 650.0)
     assert estimate_poses(fixes, paper_rig(), other).trajectory.datum == other
     own = estimate_poses(fixes, paper_rig()).trajectory
@@ -314,22 +317,24 @@ def test_without_a_usable_fix_the_commonest_reason_is_told() -> None:
         PLAIN._replace(time_ns=START + k * SECOND, satellites=3 if k < 2 else 12, hdop=9.0)
         for k in range(6)
     ]
-    for attempt in (lambda: estimate_poses(fixes, paper_rig()), lambda: datum_of(fixes, VERDICTS)):
+    log = FixColumns.of_rows(fixes)
+    for attempt in (lambda: estimate_poses(log, paper_rig()), lambda: datum_of(log, VERDICTS)):
         with pytest.raises(GnssError, match="None of the 6 fixes") as caught:
             attempt()
         assert "HDOP 9 > 4" in str(caught.value)
         assert "--gnss" in str(caught.value)
 
 
-VERDICTS = [
-    *[Verdict(Status.REJECTED, "3 satellites < 5")] * 2,
-    *[Verdict(Status.REJECTED, "HDOP 9 > 4")] * 4,
-]
+VERDICTS = Verdicts(
+    np.zeros(6, dtype=np.bool_),
+    (*[Gate.SATELLITES] * 2, *[Gate.HDOP] * 4),
+    (*["3 satellites < 5"] * 2, *["HDOP 9 > 4"] * 4),
+)
 
 
 def test_no_fix_at_all_is_told() -> None:
     with pytest.raises(GnssError, match="no position at all"):
-        estimate_poses([], paper_rig())
+        estimate_poses(FixColumns.of([]), paper_rig())
 
 
 def test_rejected_fixes_stay_as_rows_with_their_reasons() -> None:
@@ -363,9 +368,9 @@ def test_the_seam_of_a_solution_that_has_moved_is_accepted_with_its_reason() -> 
     fixes = fixes_along(path, LeverArm(0, AXLE_M, 2.6), recorded=True)
     moved = [fix._replace(lat_deg=fix.lat_deg + 1e-4) for fix in fixes[60:]]
     fixes = [*fixes[:60], *moved]
-    verdicts = condition(fixes)
+    verdicts = condition(FixColumns.of_rows(fixes))
     found = poses(fixes, paper_rig(antenna=LeverArm(0, AXLE_M, 2.6)), "recorded")
-    (seam,) = [k for k, v in enumerate(verdicts) if v.status is Status.OK and v.reason]
+    (seam,) = [k for k, reason in enumerate(verdicts.reason) if verdicts.ok[k] and reason]
     assert "the solution has moved" in found.reason[seam]
     assert found.status[seam] is Status.OK
 
@@ -390,7 +395,8 @@ def test_poses_that_are_not_sure_enough_are_rejected_in_words() -> None:
     assert found.reason[10] == "position sigma 4.50 m > 2 m"
     assert np.flatnonzero(~found.accepted).tolist() == [0, 1, 2, 3, 4, 10]
     wider = PoseSettings(heading="recorded", max_heading_sigma_deg=6.0, max_position_sigma_m=5.0)
-    assert estimate_poses(unsure, paper_rig(), DATUM, wider).trajectory.accepted.all()
+    log = FixColumns.of_rows(unsure)
+    assert estimate_poses(log, paper_rig(), DATUM, wider).trajectory.accepted.all()
 
 
 def test_a_fix_without_its_recorded_heading_is_rejected() -> None:
@@ -414,12 +420,13 @@ def estimate(
     *,
     motion: Motion | None = None,
     rig: Rig | None = None,
-    fixes: Sequence[Fix] | None = None,
+    fixes: Sequence[Fix] | FixColumns | None = None,
     settings: PoseSettings | None = None,
     budget: Budget | None = None,
 ) -> Estimate:
     fixes = fixes_of(simulated, 0.2, 0.01) if fixes is None else fixes
-    return estimate_poses(fixes, rig, DATUM, settings, motion, budget)
+    columns = fixes if isinstance(fixes, FixColumns) else FixColumns.of_rows(fixes)
+    return estimate_poses(columns, rig, DATUM, settings, motion, budget)
 
 
 def off_deg(found: Trajectory, simulated: Drive) -> _Float64:
@@ -479,7 +486,7 @@ def test_the_same_drive_has_the_same_bits(heading: str) -> None:
     settings = PoseSettings(heading=heading)
     one, two, shuffled = (
         estimate(simulated, motion=motion, fixes=some, settings=settings)
-        for some in (fixes, fixes, [fixes[k] for k in order])
+        for some in (fixes, fixes, fixes[order])
     )
     for other in (two, shuffled):
         for name in ("time_ns", "east_m", "north_m", "up_m", "heading_deg", "position_sigma_m",
@@ -520,7 +527,7 @@ def test_who_never_moves_has_no_heading() -> None:
 
 def test_rejected_fixes_get_the_estimate_of_their_time() -> None:
     simulated = simulate(SLALOM, 35.0, speed_mps=1.5)
-    fixes = fixes_of(simulated, 0.2, 0.01)
+    fixes = list(fixes_of(simulated, 0.2, 0.01))
     fixes[0] = fixes[0]._replace(quality=0)
     fixes[-1] = fixes[-1]._replace(hdop=9.0)
     fixes[30] = fixes[30]._replace(lat_deg=fixes[30].lat_deg + 1e-4)  # 11 m aside

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError, RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix
 from fieldgrid.recording import Columns, FixLog, columns_from_text, open_log
 from fieldgrid.recording.qualities import read_qualities
 
@@ -176,7 +176,7 @@ def test_rows_without_a_position_are_counted_and_empty_lines_are_not(tmp_path: P
 
 def test_values_that_are_missing_are_none_and_heights_zero(tmp_path: Path) -> None:
     fix = only(tmp_path, f"time,lat,lon,alt,hdop,sats,speed\n{START_S},41,-4,N/A,,,NaN\n")
-    assert fix == Fix(START_NS, 41.0, -4.0, 0.0, 1)
+    assert fix == Fix(START_NS, 41.0, -4.0, 0.0)
     log = read(tmp_path, f"time,lat,lon\n{START_S},41,-4\n")
     assert "log.csv: no column height_m; heights are taken as 0 m." in log.notes
 
@@ -184,8 +184,8 @@ def test_values_that_are_missing_are_none_and_heights_zero(tmp_path: Path) -> No
 def test_without_a_quality_the_stated_error_judges(tmp_path: Path) -> None:
     rows = [f"{START_S + k},41,-4,{s}\n" for k, s in enumerate((0.014, 0.3, 2.0, "", 0))]
     log = read(tmp_path, "time,lat,lon,sigma_m\n" + "".join(rows))
-    assert [fix.quality for fix in log.fixes] == [4, 5, 1, 1, 1]
-    assert "judged by the stated error" in log.notes[-1]
+    assert [fix.quality for fix in log.fixes] == [4, -1, -1, -1, -1]
+    assert "stated errors up to 5 cm are taken for RTK fixed" in log.notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,8 @@ def test_without_a_quality_the_stated_error_judges(tmp_path: Path) -> None:
     [
         ("4", 4), ("5.0", 5), ("RTK Fixed", 4), ("RTK_FLOAT", 5), ("DGPS", 2), ("No Fix", 0),
         ("GPS fix", 1), ("single", 1), ("SBAS", 9), ("FIX", 4), ("3D fix", 1), ("float", 5),
-        ("['fix', 'float']", 5), ("['fix', 'fix']", 4), ("", 0), ("Estimated", 6), ("PPP", 2),
+        ("['fix', 'float']", 5), ("['fix', 'fix']", 4), ("", -1), ("n/a", -1), ("nan", -1),
+        ("Estimated", 6), ("PPP", 2),
         ("narrow_int", 4), ("invalid", 0), ("none", 0), ("DGPS fix", 2),
     ],
 )  # fmt: skip
@@ -203,10 +204,10 @@ def test_qualities_are_numbers_or_words(cell: str, code: int) -> None:
 
 def test_a_quality_that_is_not_known_is_said(tmp_path: Path) -> None:
     log = read(tmp_path, f"time,lat,lon,quality\n{START_S},41,-4,splendid\n{START_S},41,-4,15\n")
-    assert [fix.quality for fix in log.fixes] == [1, 1]
-    assert log.notes[-1] == "log.csv: quality '15', 'splendid' is not known; taken as 1 (GPS)."
+    assert [fix.quality for fix in log.fixes] == [-1, -1]
+    assert log.notes[-1] == "log.csv: quality '15', 'splendid' is not known; taken as unknown."
     status = read(tmp_path, f"time,lat,lon,status\n{START_S},41,-4,2\n")  # NavSatFix: 2 is GBAS
-    assert (status.fixes[0].quality, "not known" in status.notes[-1]) == (1, True)
+    assert (status.fixes[0].quality, "not known" in status.notes[-1]) == (-1, True)
 
 
 # --- the text itself
@@ -216,7 +217,7 @@ def test_a_quality_that_is_not_known_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_delimiters_and_encodings(delimiter: str, encoding: str, tmp_path: Path) -> None:
     text = f"time,lat,lon,où\r\n{START_S},41,-4,là\r\n".replace(",", delimiter)
-    assert only(tmp_path, text.encode(encoding)) == Fix(START_NS, 41.0, -4.0, 0.0, 1)
+    assert only(tmp_path, text.encode(encoding)) == Fix(START_NS, 41.0, -4.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -300,10 +301,10 @@ def test_any_text_is_a_table_or_an_error(
     [
         ("gnss/acorn_rover/around_barn_gps.csv", 175, 4, True),
         ("gnss/isoxml_harvester/csv/TotalsTests_TLG00003.csv", 4336, 1, False),
-        ("gnss/lawn_tractor_5hz/collins_dr_62_A_from_rosbag_run1.csv", 8788, 1, False),
-        ("gnss/padova_tractor/padova_part1_0650_0828.csv", 5871, 1, True),
+        ("gnss/lawn_tractor_5hz/collins_dr_62_A_from_rosbag_run1.csv", 8788, -1, False),
+        ("gnss/padova_tractor/padova_part1_0650_0828.csv", 5871, -1, True),
         ("gnss/tractor2025/compact/stationary_engine_on_20260805.csv", 1189, 4, True),
-        ("vineyard_gnss_rows/Image_GPS.csv", 2085, 1, False),
+        ("vineyard_gnss_rows/Image_GPS.csv", 2085, -1, False),
         ("kitti_oxts/2011_09_26_drive_0001.csv", 108, 4, True),
     ],
 )

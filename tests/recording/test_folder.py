@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import CalibrationError, FieldgridError, GnssError, RecordingError
+from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording import Columns, Recording, open_recording
 from fieldgrid.rig import LeverArm, Mount, StereoCamera, nose_heading_deg
@@ -41,7 +41,7 @@ OPENCV: dict[str, Any] = {
 }  # fmt: skip
 SHAPES = {"K": (3, 3), "D": (1, 5), "R": (3, 3), "T": (3, 1), "P": (3, 4)}
 CSV_LOG = "time_ns,lat_deg,lon_deg,height_m\n1308133815000000000,41.65,-4.72,787.4\n"
-CSV_FIX = Fix(1_308_133_815_000_000_000, 41.65, -4.72, 787.4, 1)
+CSV_FIX = Fix(1_308_133_815_000_000_000, 41.65, -4.72, 787.4)
 
 
 def opencv_yaml(matrices: dict[str, Any], size: tuple[int, int] | None = (64, 48)) -> str:
@@ -111,7 +111,7 @@ def test_a_sound_folder_is_read_whole(drive: Path) -> None:
         assert recording.datum_hint is None
         assert list(recording.fixes()) == [CSV_FIX]
         assert recording.gnss_source == "gnss/log.csv"
-        assert recording.notes == ("log.csv: no column quality; taken as 1 (GPS).",)
+        assert recording.notes == ("log.csv: no column quality; it is unknown.",)
         assert recording.frame_count == 3
         expected = [(START_S + k) * 1_000_000_000 + 100_000_000 for k in range(3)]
         assert recording.frame_times_ns().tolist() == expected

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix
+from fieldgrid.quality import Quality
 from fieldgrid.recording import open_log
 
 SharedData = Callable[[str], Path]
@@ -53,7 +54,7 @@ def write(folder: Path, header: str, data: bytes, name: str = "TLG00001") -> Non
 def test_all_attributes_are_read_and_values_hold_until_they_change(folder: Path) -> None:
     log = open_log(folder / "TLG00001.bin")
     first = Fix(START_NS, 41.65, -4.72, 787.4, 4, 17, 0.7, speed_mps=1.5)
-    assert log.fixes == (first, first._replace(time_ns=START_NS + 10**9))
+    assert list(log.fixes) == [first, first._replace(time_ns=START_NS + 10**9)]
     assert log.notes == ("TLG00001.bin: speed from the logged value DDI 018D.",)
 
 
@@ -70,21 +71,21 @@ def test_header_and_folder_lead_to_the_log(folder: Path) -> None:
 def test_what_is_not_there_is_assumed_and_said(folder: Path) -> None:
     write(folder, PLAIN.format(""), plain() + values() + plain(1, 5) + values())
     log = open_log(folder)
-    assert log.fixes == (
-        Fix(START_NS, 41.65, -4.72, 0.0, 1),
-        Fix(START_NS + 10**9, 41.65, -4.72, 0.0, 5),
-    )
+    assert list(log.fixes) == [
+        Fix(START_NS, 41.65, -4.72, 0.0, Quality.UNKNOWN),
+        Fix(START_NS + 10**9, 41.65, -4.72, 0.0, Quality.RTK_FLOAT),
+    ]
     assert log.notes == (
         "TLG00001.bin: no UTC in the records; the terminal's clock is taken for UTC.",
         "TLG00001.bin: no heights; taken as 0 m.",
-        "TLG00001.bin: the position status is not available; taken as 1 (GPS).",
+        "TLG00001.bin: no position status: the quality is unknown.",
     )
 
 
 def test_constants_of_the_header_hold_for_all_records(folder: Path) -> None:
     header = '<TIM A=""><PTN A="" B="" C="12500" D="2"/></TIM>'
     write(folder, header, struct.pack("<IHii", NOON_MS, DAY, 416500000, -47200000) + values())
-    assert open_log(folder).fixes == (Fix(START_NS, 41.65, -4.72, 12.5, 2),)
+    assert list(open_log(folder).fixes) == [Fix(START_NS, 41.65, -4.72, 12.5, Quality.DIFFERENTIAL)]
 
 
 def test_values_that_are_not_available_are_none(folder: Path) -> None:

@@ -18,7 +18,6 @@ from fieldgrid.gnss import condition
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.recording.kitti_calibration import mount_angles_deg
 from fieldgrid.rig import Mount
-from fieldgrid.trajectory import Status
 
 SharedData = Callable[[str], Path]
 Matrix = npt.NDArray[np.float64]
@@ -261,9 +260,9 @@ def test_interpolated_rows_of_the_real_drive_are_rejected(shared_data: SharedDat
     left, right = next(recording.frames()).images()
     assert left.shape == right.shape == (370, 1226)
     verdicts = condition(recording.fixes())
-    rejected = [k for k, v in enumerate(verdicts) if v.status is Status.REJECTED]
+    rejected = np.flatnonzero(~verdicts.ok).tolist()
     assert rejected == list(range(12))
-    assert {verdicts[k].reason for k in rejected} == {"quality 6 (estimated) is not allowed"}
+    assert {verdicts.reason[k] for k in rejected} == {"quality 6 (estimated) is not allowed"}
 
 
 def test_fixes_and_rig_reproduce_the_camera_poses_of_kitti(shared_data: SharedData) -> None:
@@ -292,10 +291,9 @@ FLU_FROM_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 
 def camera_positions(recording: Recording, attitude: Matrix) -> tuple[Matrix, Matrix]:
     """Frames between accepted fixes, and their camera positions by the fixes and the rig."""
-    verdicts = condition(recording.fixes())
-    fixes = [f for f, v in zip(recording.fixes(), verdicts, strict=True) if v.status is Status.OK]
-    imu = kitti_metres(*np.array([fix[1:4] for fix in fixes]).T)
-    times = np.array([fix.time_ns for fix in fixes])
+    fixes = recording.fixes()[condition(recording.fixes()).ok]
+    imu = kitti_metres(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    times = fixes.time_ns
     images = recording.frame_times_ns()
     frames = np.flatnonzero((images >= times[0]) & (images <= times[-1]))
     since = times[0]

@@ -59,7 +59,7 @@ def test_of_two_protocols_the_one_with_more_positions_is_taken(path: Path) -> No
 def test_messages_without_a_position_are_said(path: Path) -> None:
     path.write_bytes(message((10, 9), bytes(60)))
     log = open_log(path)
-    assert log.fixes == ()
+    assert len(log.fixes) == 0
     assert log.notes == (
         "drive.dat: 1 UBX messages, but no NAV-PVT with a position; switch it on.",
     )
@@ -68,7 +68,8 @@ def test_messages_without_a_position_are_said(path: Path) -> None:
 @pytest.mark.parametrize("data", [b"", b"\r\n", b"\0" * 1000])
 def test_an_empty_file_is_said_to_be_empty(data: bytes, path: Path) -> None:
     path.write_bytes(data)
-    assert open_log(path) == ((), ("drive.dat: the file is empty.",), open_log(path).motion)
+    log = open_log(path)
+    assert (len(log.fixes), log.notes) == (0, ("drive.dat: the file is empty.",))
 
 
 @pytest.mark.parametrize("data", [b"PK\x03\x04" + bytes(range(256)), b"just words\nof a diary\n"])

@@ -5,7 +5,7 @@ With them poses can be estimated again, by other rules or a better program, with
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,14 +13,10 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix, FixColumns, known_codes
 from fieldgrid.motion import Gyro, Motion, Steps, WheelSpeed
 
 Arrays = dict[str, npt.NDArray[np.generic]]
-
-_INTEGERS = frozenset({"time_ns", "quality", "satellites", "heading_quality"})
-_NOT_SAID = -1
-"""Stands for None among integers, which have no NaN."""
 
 _Part = TypeVar("_Part", Gyro, WheelSpeed, Steps)
 
@@ -29,7 +25,7 @@ class Inputs(NamedTuple):
     """The fixes in the order of the log, the drive's own motion, and which frames (by their
     times, image clock offset included) had their ground found."""
 
-    fixes: list[Fix]
+    fixes: FixColumns
     motion: Motion
     frame_ns: Int64
     ground_found: Bool
@@ -40,7 +36,7 @@ def to_arrays(inputs: Inputs) -> Arrays:
     arrays: Arrays = {
         "frame_ns": inputs.frame_ns,
         "ground_found": inputs.ground_found.astype(np.uint8),
-        **_fix_columns(inputs.fixes),
+        **{f"fix.{name}": column for name, column in inputs.fixes.columns().items()},
     }
     for kind, part in inputs.motion._asdict().items():
         if part is not None:
@@ -64,40 +60,26 @@ def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Inputs:
         )
         frame_ns = np.asarray(arrays["frame_ns"], dtype=np.int64)
         ground = np.asarray(arrays["ground_found"]).astype(np.bool_)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise MapError(
             f"The session's inputs are damaged: {error}; run fieldgrid verify."
         ) from error
     return Inputs(fixes, motion, frame_ns, ground)
 
 
-def _fix_columns(fixes: Sequence[Fix]) -> Arrays:
-    columns: Arrays = {}
-    for k, name in enumerate(Fix._fields):
-        values = [fix[k] for fix in fixes]
-        if name in _INTEGERS:
-            filled = [_NOT_SAID if value is None else value for value in values]
-            columns[f"fix.{name}"] = np.array(filled, dtype=np.int64)
-        else:
-            reals = [np.nan if value is None else value for value in values]
-            columns[f"fix.{name}"] = np.array(reals, dtype=np.float64)
-    return columns
-
-
-def _fixes(arrays: Mapping[str, npt.NDArray[np.generic]]) -> list[Fix]:
-    count = len(arrays["fix.time_ns"])
-    columns = []
-    for name in Fix._fields:
-        key = f"fix.{name}"
-        # What this version may say of a fix and the writer's could not is not said.
-        unsaid = name in Fix._field_defaults and key not in arrays
-        values = [None] * count if unsaid else arrays[key].tolist()
-        if name in _INTEGERS:
-            values = [None if value == _NOT_SAID else value for value in values]
-        elif name in Fix._field_defaults:
-            values = [None if value != value else value for value in values]
-        columns.append(values)
-    return [Fix(*row) for row in zip(*columns, strict=True)]
+def _fixes(arrays: Mapping[str, npt.NDArray[np.generic]]) -> FixColumns:
+    """The columns that are kept; what the writer could not say yet is not said."""
+    names = [
+        name
+        for name in Fix._fields
+        if f"fix.{name}" in arrays or name not in Fix._field_defaults or name == "quality"
+    ]
+    columns: dict[str, Any] = {name: arrays[f"fix.{name}"] for name in names}
+    for name in {"quality", "heading_quality"} & columns.keys():
+        columns[name] = known_codes(columns[name])
+    if len({column.shape for column in columns.values()}) > 1:
+        raise ValueError("the columns of the fixes differ in length")
+    return FixColumns.of(columns.pop("time_ns"), **columns)
 
 
 def _part(

@@ -170,7 +170,7 @@ def _estimated(
 def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
     """How many fixes a drive has, and how many of them a trajectory accepts: it has rows of
     other instants, too."""
-    times_ns = np.array([fix.time_ns for fix in recording.fixes()], dtype=np.int64)
+    times_ns = recording.fixes().time_ns
     accepted_ns = trajectory.time_ns[trajectory.accepted]
     return len(times_ns), int(np.isin(accepted_ns, times_ns).sum())
 
@@ -213,7 +213,7 @@ def _place(
 
 def _inputs(recording: Recording, steps: Steps | None, spool: Spool) -> Inputs:
     motion = recording.motion()._replace(steps=steps)
-    return Inputs(list(recording.fixes()), motion, *spool.frames())
+    return Inputs(recording.fixes(), motion, *spool.frames())
 
 
 def session_config(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from fieldgrid.convert.messages import (
     transform,
     vector,
 )
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.recording import Recording
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.trajectory import Trajectory
@@ -81,9 +81,9 @@ def said_once(rig: Rig, trajectory: Trajectory | None, time_ns: int) -> Iterator
         yield "/datum", new("std_msgs/String", data=json.dumps(said))
 
 
-def fixes_said(fixes: Sequence[Fix]) -> Iterator[Said]:
+def fixes_said(fixes: FixColumns) -> Iterator[Said]:
     """All fixes, also those that a build would reject."""
-    for fix in sorted(fixes, key=lambda fix: fix.time_ns):
+    for fix in fixes.in_order():
         yield Said(fix.time_ns, 0, "/gnss/fix", nav_sat_fix(fix))
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float32, Float64
-from fieldgrid.gnss import Fix
-from fieldgrid.gnss.fix import position_sigma_m
+from fieldgrid.fixes import Fix
+from fieldgrid.quality import CARRIER, Quality
 from fieldgrid.rig import DepthCamera, StereoCamera
 from fieldgrid.ros import types
 
@@ -19,12 +19,19 @@ ANTENNA, IMU, AXLE = "gnss_antenna", "imu", "rear_axle"
 
 _SECOND = 1_000_000_000
 
-# GGA's qualities as NavSatStatus: no fix, a fix, with satellite-based, with ground-based
+# Qualities as NavSatStatus: no fix, a fix, with satellite-based, with ground-based
 # corrections. What no satellites gave (estimated, manual, simulated) is no fix.
-_STATUS = {1: 0, 9: 1, 2: 2, 3: 2, 4: 2, 5: 2}
+_STATUS = {
+    Quality.UNKNOWN: 0,
+    Quality.GPS: 0,
+    Quality.SBAS: 1,
+    Quality.DIFFERENTIAL: 2,
+    Quality.PPS: 2,
+    Quality.RTK_FIXED: 2,
+    Quality.RTK_FLOAT: 2,
+}
 _NO_FIX, _ALL_SERVICES = -1, 15
 _UNKNOWN, _APPROXIMATED, _DIAGONAL = 0, 1, 2
-_RTK = (4, 5)
 UP_SHARE = 2.0
 """How much less sure a receiver's height is than its position."""
 
@@ -81,9 +88,9 @@ def nav_sat_fix(fix: Fix) -> Any:
     status = _STATUS.get(fix.quality, _NO_FIX)
     if fix.sigma_m is not None and fix.sigma_m > 0.0 and math.isfinite(fix.sigma_m):
         sigma_m, known = fix.sigma_m, _DIAGONAL
-    elif fix.quality in _RTK:
+    elif fix.quality in CARRIER:
         # Without it nothing in the message would tell it from a plain differential fix.
-        sigma_m, known = position_sigma_m(fix), _APPROXIMATED
+        sigma_m, known = fix.position_sigma_m, _APPROXIMATED
     else:
         sigma_m, known = 0.0, _UNKNOWN
     variances = sigma_m**2 * np.array([1.0, 1.0, UP_SHARE**2])

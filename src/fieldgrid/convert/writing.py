@@ -104,7 +104,7 @@ def _converted(
 def _trajectory(recording: Recording) -> tuple[Trajectory | None, list[str]]:
     """The estimated poses, or a remark on why there are none."""
     notes = list(recording.losses)
-    if not recording.fixes():
+    if not len(recording.fixes()):
         return None, [*notes, "There are no fixes, so no poses were written."]
     try:
         return estimate_drive(recording).trajectory, notes

@@ -17,14 +17,21 @@ from fieldgrid.angles import yaw_from_heading_rad
 from fieldgrid.array_types import AnyArray, Bool, Float32
 from fieldgrid.geodesy import Datum, geodetic_to_ecef
 from fieldgrid.mapfile import MapView
+from fieldgrid.quality import Quality
 from fieldgrid.ros import types
-from fieldgrid.trajectory import ESTIMATED, Trajectory
+from fieldgrid.trajectory import Trajectory
 
 FRAME, EARTH = "map", "earth"
 
 _NO_FIX, _FIX, _SBAS, _GBAS = -1, 0, 1, 2
-_STATUS = {0: _NO_FIX, 1: _FIX, 2: _SBAS, 3: _FIX, 4: _GBAS, 5: _GBAS, 9: _SBAS}
-"""NavSatStatus of GGA's qualities; the others are a fix."""
+_STATUS = {
+    Quality.NONE: _NO_FIX,
+    Quality.DIFFERENTIAL: _SBAS,
+    Quality.RTK_FIXED: _GBAS,
+    Quality.RTK_FLOAT: _GBAS,
+    Quality.SBAS: _SBAS,
+}
+"""NavSatStatus of qualities; the others are a fix."""
 
 _UNKNOWN_COVARIANCE, _APPROXIMATED = 0, 1
 
@@ -117,13 +124,13 @@ def fixes(track: Trajectory) -> Iterator[tuple[int, Any]]:
     The positions are those of the vehicle's grid origin, not of its antenna. The height's
     variance is not estimated; twice the horizontal sigma is usual.
     """
-    rows = np.flatnonzero(track.accepted & (track.quality != ESTIMATED))
+    rows = np.flatnonzero(track.accepted & (track.quality != Quality.ESTIMATED))
     lat, lon, height = track.datum.to_geodetic(
         track.east_m[rows], track.north_m[rows], track.up_m[rows]
     )
     for k, place in zip(rows, zip(lat, lon, height, strict=True), strict=True):
         time_ns, sigma_m = int(track.time_ns[k]), float(track.position_sigma_m[k])
-        status = _STATUS.get(int(track.quality[k]), _FIX)
+        status = _STATUS.get(Quality(track.quality[k]), _FIX)
         yield time_ns, _fix(place, time_ns, status, sigma_m)
 
 

@@ -1,30 +1,26 @@
 """GNSS: logs to fixes, and a verdict with a written reason on every fix."""
 
 from fieldgrid.gnss.conditioning import condition
-from fieldgrid.gnss.fix import QUALITY_NAMES, Fix, position_sigma_m
 from fieldgrid.gnss.gps_time import leap_seconds
 from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
 from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
-from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Kind, Verdict
+from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Gate, Verdicts
 
 __all__ = [
     "DEFAULT_LIMITS",
-    "QUALITY_NAMES",
     "ConditioningSummary",
-    "Fix",
     "FixScatter",
-    "Kind",
+    "Gate",
     "NmeaLog",
     "NmeaStream",
     "UbxParser",
-    "Verdict",
+    "Verdicts",
     "condition",
     "leap_seconds",
     "parse_nmea",
     "parse_ubx",
-    "position_sigma_m",
     "quantum_m",
     "scatter",
     "short_term_sigma_m",

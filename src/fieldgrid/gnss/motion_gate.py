@@ -29,10 +29,10 @@ _WHOLE, _ROUNDED_SHARE = 0.01, 0.05
 _WRONG_SPEEDS = 0.1  # share of speeds below the track's own that discredits them all
 
 
-class Course(NamedTuple):
+class MotionEnvelope(NamedTuple):
     """How the vehicle can have moved: row by row, all of length n, and the price of a seam.
 
-    `way_*_m` is the way driven from the first row by the velocity around each row, which jumps
+    `distance_*_m` is the way driven from the first row by the velocity around each row, which jumps
     of the position do not enter; `slack_m` and `reach_m` are running sums: how far off that way
     it can have come, and how far it can have come at the speeds that the receiver states.
     `worth` is 1 for a fix as good as most of the log, less for worse ones.
@@ -41,8 +41,8 @@ class Course(NamedTuple):
     time_ns: Int64
     east_m: Float64
     north_m: Float64
-    way_east_m: Float64
-    way_north_m: Float64
+    distance_east_m: Float64
+    distance_north_m: Float64
     slack_m: Float64
     reach_m: Float64
     noise_m: Float64
@@ -57,7 +57,7 @@ class Followed(NamedTuple):
     seam: Bool
 
 
-class Step(NamedTuple):
+class Transition(NamedTuple):
     """What lies between two rows: how far apart, how far off the way, and what is explained."""
 
     seconds: float
@@ -67,17 +67,17 @@ class Step(NamedTuple):
     strain: float
     along_m: float
     across_m: float
-    way_m: float
+    distance_m: float
 
 
-def course_of(
+def motion_envelope(
     time_ns: Int64,
     east_m: Float64,
     north_m: Float64,
     sigma_m: Float64,
     speed_mps: Float64,
     limits: GateLimits,
-) -> Course:
+) -> MotionEnvelope:
     """The motion around each row. Rows are ordered by time; an unknown speed is NaN."""
     step_s = np.diff(time_ns) / 1e9
     period_s = float(np.median(step_s[step_s > 0.0])) if np.any(step_s > 0.0) else 1.0
@@ -102,7 +102,7 @@ def course_of(
     told_step_mps = np.maximum(told_step_mps[1:], told_step_mps[:-1])
     sigma_m = _honest(time_ns, east_m, north_m, sigma_m)
     noise_m = limits.sigmas * math.sqrt(2.0) * sigma_m
-    return Course(
+    return MotionEnvelope(
         time_ns,
         east_m,
         north_m,
@@ -116,12 +116,12 @@ def course_of(
     )
 
 
-def follow(course: Course) -> Followed:
+def follow(envelope: MotionEnvelope) -> Followed:
     """The sequence of rows that keeps the most of them with the least strain."""
-    n = len(course.time_ns)
+    n = len(envelope.time_ns)
     kept, seam = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     if n:
-        score, before, moved = _follow(*course, _LOOK_BACK)
+        score, before, moved = _follow(*envelope, _LOOK_BACK)
         row = int(np.argmax(score))
         while row >= 0:
             kept[row], seam[row] = True, moved[row]
@@ -129,22 +129,27 @@ def follow(course: Course) -> Followed:
     return Followed(kept, seam)
 
 
-def step_between(course: Course, a: int, b: int) -> Step:
+def transition(envelope: MotionEnvelope, a: int, b: int) -> Transition:
     """What lies between rows `a` and `b`, of which `a` is the earlier one."""
-    east_m, north_m = course.east_m[b] - course.east_m[a], course.north_m[b] - course.north_m[a]
-    way_e, way_n = (axis[b] - axis[a] for axis in (course.way_east_m, course.way_north_m))
-    off_e, off_n, way_m = east_m - way_e, north_m - way_n, math.hypot(way_e, way_n)
-    noise_m = max(course.noise_m[a], course.noise_m[b])
-    unit_e, unit_n = (way_e / way_m, way_n / way_m) if way_m > 0.0 else (0.0, 1.0)
-    return Step(
-        seconds=float(course.time_ns[b] - course.time_ns[a]) / 1e9,
+    east_m, north_m = (
+        envelope.east_m[b] - envelope.east_m[a],
+        envelope.north_m[b] - envelope.north_m[a],
+    )
+    way_e, way_n = (
+        axis[b] - axis[a] for axis in (envelope.distance_east_m, envelope.distance_north_m)
+    )
+    off_e, off_n, distance_m = east_m - way_e, north_m - way_n, math.hypot(way_e, way_n)
+    noise_m = max(envelope.noise_m[a], envelope.noise_m[b])
+    unit_e, unit_n = (way_e / distance_m, way_n / distance_m) if distance_m > 0.0 else (0.0, 1.0)
+    return Transition(
+        seconds=float(envelope.time_ns[b] - envelope.time_ns[a]) / 1e9,
         moved_m=math.hypot(east_m, north_m),
         off_m=math.hypot(off_e, off_n),
-        explained_m=float(course.slack_m[b] - course.slack_m[a] + noise_m),
-        strain=float(_strain(*course[:8], a, b)),
+        explained_m=float(envelope.slack_m[b] - envelope.slack_m[a] + noise_m),
+        strain=float(_strain(*envelope[:8], a, b)),
         along_m=off_e * unit_e + off_n * unit_n,
         across_m=off_e * unit_n - off_n * unit_e,
-        way_m=way_m,
+        distance_m=distance_m,
     )
 
 
@@ -219,8 +224,8 @@ def _strain(
     time_ns: Int64,
     east_m: Float64,
     north_m: Float64,
-    way_east_m: Float64,
-    way_north_m: Float64,
+    distance_east_m: Float64,
+    distance_north_m: Float64,
     slack_m: Float64,
     reach_m: Float64,
     noise_m: Float64,
@@ -231,8 +236,8 @@ def _strain(
     if time_ns[b] <= time_ns[a]:
         return np.inf
     east, north = east_m[b] - east_m[a], north_m[b] - north_m[a]
-    off_east = east - (way_east_m[b] - way_east_m[a])
-    off_north = north - (way_north_m[b] - way_north_m[a])
+    off_east = east - (distance_east_m[b] - distance_east_m[a])
+    off_north = north - (distance_north_m[b] - distance_north_m[a])
     noise = max(noise_m[a], noise_m[b])
     off = np.hypot(off_east, off_north) / (slack_m[b] - slack_m[a] + noise)
     far = np.hypot(east, north) / (reach_m[b] - reach_m[a] + noise)
@@ -244,8 +249,8 @@ def _follow(
     time_ns: Int64,
     east_m: Float64,
     north_m: Float64,
-    way_east_m: Float64,
-    way_north_m: Float64,
+    distance_east_m: Float64,
+    distance_north_m: Float64,
     slack_m: Float64,
     reach_m: Float64,
     noise_m: Float64,
@@ -269,7 +274,7 @@ def _follow(
             if time_ns[k] <= time_ns[j]:
                 continue
             strain = _strain(
-                time_ns, east_m, north_m, way_east_m, way_north_m,
+                time_ns, east_m, north_m, distance_east_m, distance_north_m,
                 slack_m, reach_m, noise_m, j, k,
             )  # fmt: skip
             joined = strain <= 1.0

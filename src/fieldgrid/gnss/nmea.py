@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from fieldgrid.errors import GnssError
+from fieldgrid.fixes import Fix
 from fieldgrid.gnss import nmea_proprietary, nmea_standard, nmea_unicore
-from fieldgrid.gnss.fix import Fix
 from fieldgrid.gnss.nmea_epochs import EpochLog
 from fieldgrid.gnss.nmea_framing import Framer
 

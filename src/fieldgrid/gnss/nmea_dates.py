@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from fieldgrid.gnss.fix import Fix
+from fieldgrid.fixes import Fix
 
 DAY_NS = 86_400_000_000_000
 

@@ -9,10 +9,16 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from fieldgrid.fixes import Fix
 from fieldgrid.gnss.fields import number, of_day_ns
-from fieldgrid.gnss.fix import Fix
 from fieldgrid.gnss.nmea_dates import DAY_NS, Calendar
-from fieldgrid.gnss.nmea_statements import Heading, Motion, Position, rmc_position, vtg_motion
+from fieldgrid.gnss.nmea_statements import (
+    GroundVelocity,
+    Heading,
+    Position,
+    rmc_position,
+    vtg_motion,
+)
 
 _RMC_EPOCHS = 20  # a receiver that writes RMC at 20 Hz may write GGA at 1 Hz
 _UNKNOWN_HEADING = Heading(-1, None)
@@ -28,7 +34,7 @@ class Epoch:
     position: Position | None = None
     refused: int = -1  # the best source that has said that there is no position
     heading: Heading = _UNKNOWN_HEADING
-    motion: Motion | None = None
+    motion: GroundVelocity | None = None
     sigma_m: float | None = None
     solution: bytes = b""  # GSA's fix mode: 1 none, 2 flat, 3 with height
     # Fields that are read when the epoch is closed, if they are needed at all.
@@ -181,18 +187,18 @@ class EpochLog:
             motion.course_deg,
         )
 
-    def _motion(self, epoch: Epoch) -> Motion:
+    def _motion(self, epoch: Epoch) -> GroundVelocity:
         motion = epoch.motion
         if epoch.vtg is None or (motion is not None and None not in motion):
-            return motion or Motion()
+            return motion or GroundVelocity()
         try:
             vtg = vtg_motion(epoch.vtg)
         except ValueError:
             self.counts.unreadable += 1
-            return motion or Motion()
+            return motion or GroundVelocity()
         if motion is None or motion.speed_mps is None:
             return vtg
-        return Motion(motion.speed_mps, vtg.course_deg)
+        return GroundVelocity(motion.speed_mps, vtg.course_deg)
 
     def _gsa_hdop(self, epoch: Epoch) -> float | None:
         try:

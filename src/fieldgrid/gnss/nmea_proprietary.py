@@ -14,35 +14,35 @@ from fieldgrid.gnss.nmea_statements import (
     BY_GGK,
     BY_KSXT,
     BY_PASHR,
-    FIXED,
-    FLOAT,
     MAX_HEIGHT_M,
+    GroundVelocity,
     Heading,
-    Motion,
     Position,
     baseline_heading,
     speed_mps,
 )
+from fieldgrid.quality import Quality
 
-# Codes of these makers in GGA's.
-_AVR_QUALITY = {2: FLOAT, 3: FIXED}
-_KSXT_QUALITY = {1: 1, 2: FLOAT, 3: FIXED}
+# The qualities of these makers' codes.
+_FIXED, _FLOAT = Quality.RTK_FIXED, Quality.RTK_FLOAT
+_AVR_QUALITY = {2: _FLOAT, 3: _FIXED}
+_KSXT_QUALITY = {1: Quality.GPS, 2: _FLOAT, 3: _FIXED}
 _GGK_QUALITY = {
-    1: 1,
-    2: FLOAT,
-    3: FIXED,
-    4: 2,
-    5: 9,
-    6: FLOAT,
-    7: FIXED,
-    8: FLOAT,
-    9: FIXED,
-    10: FLOAT,  # OmniSTAR HP, decimetres
-    11: 2,
-    12: FLOAT,  # location RTK, as good as its base
-    13: 2,
-    14: FLOAT,  # RTX, centimetres to decimetres
-    15: FLOAT,  # xFill
+    1: Quality.GPS,
+    2: _FLOAT,
+    3: _FIXED,
+    4: Quality.DIFFERENTIAL,
+    5: Quality.SBAS,
+    6: _FLOAT,
+    7: _FIXED,
+    8: _FLOAT,
+    9: _FIXED,
+    10: _FLOAT,  # OmniSTAR HP, decimetres
+    11: Quality.DIFFERENTIAL,
+    12: _FLOAT,  # location RTK, as good as its base
+    13: Quality.DIFFERENTIAL,
+    14: _FLOAT,  # RTX, centimetres to decimetres
+    15: _FLOAT,  # xFill
 }
 
 
@@ -51,7 +51,7 @@ def ptnl(f: list[bytes], log: EpochLog) -> None:
     if f[1] == b"GGK":
         _ggk(f, log)
     elif f[1] == b"AVR" and f[2] and f[4].lower() == b"yaw":
-        quality = _AVR_QUALITY.get(integer(f[10]) or 0, 0)
+        quality = _AVR_QUALITY.get(integer(f[10]) or 0, Quality.NONE)
         state(log.at(f[2]), baseline_heading(BY_ATTITUDE, f[3], quality, None))
 
 
@@ -108,14 +108,16 @@ def ksxt(f: list[bytes], log: EpochLog) -> None:
         log.refuse(epoch, BY_KSXT)
     state(
         epoch,
-        baseline_heading(BY_ATTITUDE, f[5], _KSXT_QUALITY.get(integer(f[11]) or 0, 0), None),
+        baseline_heading(
+            BY_ATTITUDE, f[5], _KSXT_QUALITY.get(integer(f[11]) or 0, Quality.NONE), None
+        ),
     )
 
 
-def _ksxt_position(f: list[bytes], quality: int, log: EpochLog, epoch: Epoch) -> None:
+def _ksxt_position(f: list[bytes], quality: Quality, log: EpochLog, epoch: Epoch) -> None:
     lat, lon = within(f[3], 90.0), within(f[2], 180.0)
     height, satellites = within(f[4], MAX_HEIGHT_M), integer(f[13])
-    motion = Motion(speed_mps(f[8], 1 / 3.6), direction_deg(f[7]))
+    motion = GroundVelocity(speed_mps(f[8], 1 / 3.6), direction_deg(f[7]))
     log.place(epoch, Position(BY_KSXT, lat, lon, height, quality, satellites, has_geoid=False))
     if epoch.motion is None:
         epoch.motion = motion

@@ -21,12 +21,13 @@ from fieldgrid.gnss.nmea_statements import (
     baseline_heading,
     rmc_motion,
 )
+from fieldgrid.quality import Quality
 
 
 def gga(f: list[bytes], log: EpochLog) -> None:
     """Position, quality, satellites, HDOP, height, geoid, age of the correction."""
-    quality = integer(f[6])
-    if not (f[1] and f[2] and f[4] and f[9] and quality):
+    quality = _gga_quality(f[6])
+    if not (f[1] and f[2] and f[4] and f[9]) or quality is Quality.NONE:
         log.refuse(log.at(f[1]) if f[1] else None, BY_GGA)
         return
     position = Position(
@@ -42,6 +43,11 @@ def gga(f: list[bytes], log: EpochLog) -> None:
         bool(f[11]),
     )
     log.place(log.at(f[1]), position)
+
+
+def _gga_quality(field: bytes) -> Quality:
+    code = integer(field)
+    return Quality.UNKNOWN if code is None else Quality.of_code(code)
 
 
 def rmc(f: list[bytes], log: EpochLog) -> None:
@@ -103,7 +109,7 @@ def ths(f: list[bytes], log: EpochLog) -> None:
 def tra(f: list[bytes], log: EpochLog) -> None:
     """Heading and quality of two antennas: ComNav's TRA, and Unicore's HPR alike."""
     if f[1]:
-        heading = baseline_heading(BY_ATTITUDE, f[2], integer(f[5]) or 0, None)
+        heading = baseline_heading(BY_ATTITUDE, f[2], _gga_quality(f[5]), None)
         state(log.at(f[1]), heading)
 
 

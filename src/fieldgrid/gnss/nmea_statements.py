@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fieldgrid.gnss.fields import angle_deg, direction_deg, number
+from fieldgrid.quality import CARRIER, Quality
 
 MAX_HEIGHT_M = 1e5
 _MAX_SPEED_MPS = 1e4
@@ -21,12 +22,17 @@ BY_RMC, BY_PVTSLN, BY_BESTNAV, BY_KSXT, BY_GGK, BY_GGA = range(6)
 # Where it has its heading from. What gives a quality or a sigma goes before what gives none.
 BY_HDT, BY_THS, BY_ATTITUDE, BY_PASHR, BY_UNIHEADING = range(5)
 
-FIXED, FLOAT = 4, 5
-"""The qualities, in GGA's codes, of a baseline between two antennas that gives a heading."""
-
 _RMC_QUALITY = {
-    b"": 1, b"A": 1, b"D": 2, b"P": 3, b"R": 4, b"F": 5, b"E": 6, b"M": 7, b"S": 8,
-}  # fmt: skip
+    b"": Quality.UNKNOWN,  # receivers before NMEA 2.3 say no more than "valid"
+    b"A": Quality.GPS,
+    b"D": Quality.DIFFERENTIAL,
+    b"P": Quality.PPS,
+    b"R": Quality.RTK_FIXED,
+    b"F": Quality.RTK_FLOAT,
+    b"E": Quality.ESTIMATED,
+    b"M": Quality.MANUAL,
+    b"S": Quality.SIMULATED,
+}
 
 
 class Position(NamedTuple):
@@ -36,7 +42,7 @@ class Position(NamedTuple):
     lat_deg: float
     lon_deg: float
     height_m: float | None
-    quality: int
+    quality: Quality
     satellites: int | None = None
     hdop: float | None = None
     age_s: float | None = None
@@ -50,10 +56,10 @@ class Heading(NamedTuple):
     source: int
     deg: float | None
     sigma_deg: float | None = None
-    quality: int | None = None
+    quality: Quality | None = None
 
 
-class Motion(NamedTuple):
+class GroundVelocity(NamedTuple):
     """Speed and course over ground."""
 
     speed_mps: float | None = None
@@ -71,27 +77,27 @@ def speed_mps(field: bytes, unit_mps: float) -> float | None:
     return speed
 
 
-def baseline_heading(source: int, field: bytes, quality: int, sigma: float | None) -> Heading:
+def baseline_heading(source: int, field: bytes, quality: Quality, sigma: float | None) -> Heading:
     """The heading of a baseline, None unless its ambiguities are fixed or at least floating."""
-    deg = direction_deg(field) if quality in (FIXED, FLOAT) else None
+    deg = direction_deg(field) if quality in CARRIER else None
     return Heading(source, deg, sigma if sigma else None, quality)
 
 
-def rmc_motion(f: list[bytes]) -> Motion:
+def rmc_motion(f: list[bytes]) -> GroundVelocity:
     """Speed in knots and course of RMC."""
-    return Motion(speed_mps(f[7], _KNOT_MPS), direction_deg(f[8]))
+    return GroundVelocity(speed_mps(f[7], _KNOT_MPS), direction_deg(f[8]))
 
 
-def vtg_motion(f: list[bytes]) -> Motion:
+def vtg_motion(f: list[bytes]) -> GroundVelocity:
     """Speed, in km/h or else in knots, and course of VTG."""
     speed = speed_mps(f[7], 1 / 3.6) if f[8] == b"K" else None
     if speed is None and f[6] == b"N":
         speed = speed_mps(f[5], _KNOT_MPS)
-    return Motion(speed, direction_deg(f[1]) if f[2] == b"T" else None)
+    return GroundVelocity(speed, direction_deg(f[1]) if f[2] == b"T" else None)
 
 
 def rmc_position(f: list[bytes]) -> Position | None:
-    """The position of RMC, its quality from the mode indicator (plain GPS where it has none)."""
+    """The position of RMC, its quality from the mode indicator (unknown where it has none)."""
     quality = _RMC_QUALITY.get(f[12])
     if quality is None:
         return None

@@ -19,40 +19,39 @@ from fieldgrid.gnss.nmea_statements import (
     BY_BESTNAV,
     BY_PVTSLN,
     BY_UNIHEADING,
-    FIXED,
-    FLOAT,
     MAX_HEIGHT_M,
-    Motion,
+    GroundVelocity,
     Position,
     baseline_heading,
     speed_mps,
 )
+from fieldgrid.quality import Quality
 
 _CLOCK_SET = frozenset({b"FINE", b"FINESTEERING", b"FINEBACKUPSTEERING"})
 _PAD = [b""] * 32
 
 _QUALITY = {
-    b"SINGLE": 1,
-    b"INS_PSRSP": 1,
-    b"PSRDIFF": 2,
-    b"INS_PSRDIFF": 2,
-    b"SBAS": 9,
-    b"WAAS": 9,
-    b"L1_FLOAT": FLOAT,
-    b"IONOFREE_FLOAT": FLOAT,
-    b"NARROW_FLOAT": FLOAT,
-    b"INS_RTKFLOAT": FLOAT,
-    b"L1_INT": FIXED,
-    b"WIDE_INT": FIXED,
-    b"NARROW_INT": FIXED,
-    b"INS_RTKFIXED": FIXED,
-    b"PPP_CONVERGING": 2,
-    b"PPP": FLOAT,
-    b"INS": 6,
-    b"FIXEDPOS": 7,
-    b"FIXEDHEIGHT": 1,
+    b"SINGLE": Quality.GPS,
+    b"INS_PSRSP": Quality.GPS,
+    b"PSRDIFF": Quality.DIFFERENTIAL,
+    b"INS_PSRDIFF": Quality.DIFFERENTIAL,
+    b"SBAS": Quality.SBAS,
+    b"WAAS": Quality.SBAS,
+    b"L1_FLOAT": Quality.RTK_FLOAT,
+    b"IONOFREE_FLOAT": Quality.RTK_FLOAT,
+    b"NARROW_FLOAT": Quality.RTK_FLOAT,
+    b"INS_RTKFLOAT": Quality.RTK_FLOAT,
+    b"L1_INT": Quality.RTK_FIXED,
+    b"WIDE_INT": Quality.RTK_FIXED,
+    b"NARROW_INT": Quality.RTK_FIXED,
+    b"INS_RTKFIXED": Quality.RTK_FIXED,
+    b"PPP_CONVERGING": Quality.DIFFERENTIAL,
+    b"PPP": Quality.RTK_FLOAT,
+    b"INS": Quality.ESTIMATED,
+    b"FIXEDPOS": Quality.MANUAL,
+    b"FIXEDHEIGHT": Quality.GPS,
 }
-"""Types of solution in GGA's codes."""
+"""The qualities of the types of solution."""
 
 
 def uniheading(f: list[bytes], log: EpochLog) -> None:
@@ -60,7 +59,7 @@ def uniheading(f: list[bytes], log: EpochLog) -> None:
     header, body = _parts(f)
     epoch = _epoch(header, log)
     if epoch is not None:
-        quality = _QUALITY.get(body[1], 0) if body[0] == b"SOL_COMPUTED" else 0
+        quality = _quality(body[0], body[1])
         state(epoch, baseline_heading(BY_UNIHEADING, body[3], quality, number(body[6])))
 
 
@@ -70,8 +69,8 @@ def bestnav(f: list[bytes], log: EpochLog) -> None:
     epoch = _epoch(header, log)
     if epoch is None:
         return
-    quality = _QUALITY.get(body[1], 0) if body[0] == b"SOL_COMPUTED" else 0
-    if not quality:
+    quality = _quality(body[0], body[1])
+    if quality is Quality.NONE:
         log.refuse(epoch, BY_BESTNAV)
         return
     position = Position(
@@ -87,7 +86,7 @@ def bestnav(f: list[bytes], log: EpochLog) -> None:
     )
     motion = None
     if body[21] == b"SOL_COMPUTED":
-        motion = Motion(speed_mps(body[25], 1.0), direction_deg(body[26]))
+        motion = GroundVelocity(speed_mps(body[25], 1.0), direction_deg(body[26]))
     log.place(epoch, position)
     epoch.motion = epoch.motion or motion
 
@@ -98,9 +97,11 @@ def pvtsln(f: list[bytes], log: EpochLog) -> None:
     epoch = _epoch(header, log)
     if epoch is None:
         return
-    state(epoch, baseline_heading(BY_ATTITUDE, body[22], _QUALITY.get(body[20], 0), None))
-    quality = _QUALITY.get(body[0], 0)
-    if not quality:
+    state(
+        epoch, baseline_heading(BY_ATTITUDE, body[22], _QUALITY.get(body[20], Quality.NONE), None)
+    )
+    quality = _QUALITY.get(body[0], Quality.NONE)
+    if quality is Quality.NONE:
         log.refuse(epoch, BY_PVTSLN)
         return
     position = Position(
@@ -115,6 +116,10 @@ def pvtsln(f: list[bytes], log: EpochLog) -> None:
         _sigma_m(body[5], body[6]),
     )
     log.place(epoch, position)
+
+
+def _quality(status: bytes, solution: bytes) -> Quality:
+    return _QUALITY.get(solution, Quality.NONE) if status == b"SOL_COMPUTED" else Quality.NONE
 
 
 def _parts(f: list[bytes]) -> tuple[list[bytes], list[bytes]]:

@@ -8,16 +8,13 @@ track, so the white part is measured here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import Bool, Float64, Int64
-from fieldgrid.gnss.fix import Fix, position_sigma_m
-from fieldgrid.gnss.verdict import Verdict
-from fieldgrid.trajectory import Status
+from fieldgrid.fixes import FixColumns
 
 M_PER_DEG = 111_195.0
 """Metres of a degree on a sphere of Earth's mean radius: near enough for how fine a log is."""
@@ -50,18 +47,16 @@ class FixScatter(NamedTuple):
     short_term_sigma_m: float
 
 
-def scatter(fixes: Sequence[Fix], verdicts: Sequence[Verdict]) -> FixScatter:
-    """The scatter of the accepted fixes of a log, never more than the receiver's own sigma."""
-    used = [f for f, v in zip(fixes, verdicts, strict=True) if v.status is Status.OK]
-    if not used:
+def scatter(used: FixColumns) -> FixScatter:
+    """The scatter of accepted fixes, ordered by time; never more than the receiver's own sigma."""
+    if not len(used):
         return FixScatter(0.0, _LEAST_SIGMA_M)
-    lat_deg, lon_deg = np.array([f.lat_deg for f in used]), np.array([f.lon_deg for f in used])
+    lat_deg, lon_deg = used.lat_deg, used.lon_deg
     spacing_m = quantum_m(lat_deg, lon_deg)
     east_m = (lon_deg - lon_deg[0]) * M_PER_DEG * math.cos(math.radians(lat_deg[0]))
     north_m = (lat_deg - lat_deg[0]) * M_PER_DEG
-    time_ns = np.array([f.time_ns for f in used], dtype=np.int64)
-    told_m = float(np.median([position_sigma_m(f) for f in used]))
-    white_m = short_term_sigma_m(east_m, north_m, time_ns, spacing_m)
+    told_m = float(np.median(used.position_sigma_m()))
+    white_m = short_term_sigma_m(east_m, north_m, used.time_ns, spacing_m)
     floor_m = spacing_m / math.sqrt(12.0)
     return FixScatter(spacing_m, max(min(white_m, told_m), floor_m))
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.gnss.fix import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.gnss.scatter import scatter
-from fieldgrid.gnss.verdict import Kind, Verdict
-from fieldgrid.trajectory import MAX_GAP_NS, Status
+from fieldgrid.gnss.verdict import Gate, Verdicts
+from fieldgrid.quality import Quality
+from fieldgrid.trajectory import MAX_GAP_NS
 
 
 class ReasonCount(NamedTuple):
-    """How many fixes were rejected for one kind of reason, when, and one of the sentences."""
+    """How many fixes one gate rejected, when, and one of the sentences."""
 
-    kind: Kind
+    gate: Gate
     fixes: int
     first_ns: int
     last_ns: int
@@ -46,7 +44,7 @@ class Gap(NamedTuple):
 class ConditioningSummary(NamedTuple):
     """A log and its verdicts. `rate_hz` is that of the fixes, repeats left out; 0 if unknown.
 
-    `quality` counts the fixes of each GGA code, rejected ones included. `quantum_m` is the
+    `quality` counts the fixes of each, rejected ones included. `quantum_m` is the
     spacing of the positions as written (0: none seen) and `short_term_sigma_m` the white part
     of the error along one axis.
     """
@@ -55,7 +53,7 @@ class ConditioningSummary(NamedTuple):
     accepted: int
     rejected: tuple[ReasonCount, ...]
     seams: tuple[Seam, ...]
-    quality: tuple[tuple[int, int], ...]
+    quality: tuple[tuple[Quality, int], ...]
     gaps: tuple[Gap, ...]
     rate_hz: float
     quantum_m: float
@@ -66,9 +64,9 @@ class ConditioningSummary(NamedTuple):
         return {
             "fixes": self.fixes,
             "accepted": self.accepted,
-            "rejected": [{**r._asdict(), "kind": r.kind.value} for r in self.rejected],
+            "rejected": [{**r._asdict(), "gate": r.gate.value} for r in self.rejected],
             "seams": [seam._asdict() for seam in self.seams],
-            "quality": {str(code): count for code, count in self.quality},
+            "quality": {quality.label: count for quality, count in self.quality},
             "gaps": [gap._asdict() for gap in self.gaps],
             "rate_hz": self.rate_hz,
             "quantum_m": self.quantum_m,
@@ -76,49 +74,45 @@ class ConditioningSummary(NamedTuple):
         }
 
 
-def summarise(fixes: Sequence[Fix], verdicts: Sequence[Verdict]) -> ConditioningSummary:
-    """Count what was rejected and why, the commonest kind first, and measure what is left."""
-    used = [f for f, v in zip(fixes, verdicts, strict=True) if v.status is Status.OK]
-    spread = scatter(fixes, verdicts)
+def summarise(fixes: FixColumns, verdicts: Verdicts) -> ConditioningSummary:
+    """Count what was rejected and why, the commonest gate first, and measure what is left."""
+    used = fixes[verdicts.ok]
+    spread = scatter(used)
+    steps_ns = np.diff(used.time_ns)
+    seams = [k for k in np.flatnonzero(verdicts.ok).tolist() if verdicts.gate[k] is Gate.SEAM]
+    codes, counts = np.unique(fixes.quality, return_counts=True)
     return ConditioningSummary(
         fixes=len(fixes),
         accepted=len(used),
         rejected=_reasons(fixes, verdicts),
-        seams=tuple(
-            Seam(fix.time_ns, fix.lat_deg, fix.lon_deg, verdict.reason)
-            for fix, verdict in zip(fixes, verdicts, strict=True)
-            if verdict.kind is Kind.SEAM
-        ),
-        quality=tuple(sorted(Counter(fix.quality for fix in fixes).items())),
+        seams=tuple(Seam(*_place(fixes, k), verdicts.reason[k]) for k in seams),
+        quality=tuple(zip(map(Quality, codes.tolist()), counts.tolist(), strict=True)),
         gaps=tuple(
-            Gap(a.time_ns, a.lat_deg, a.lon_deg, (b.time_ns - a.time_ns) / 1e9)
-            for a, b in pairwise(used)
-            if b.time_ns - a.time_ns > MAX_GAP_NS
+            Gap(*_place(used, k), float(steps_ns[k]) / 1e9)
+            for k in np.flatnonzero(steps_ns > MAX_GAP_NS).tolist()
         ),
-        rate_hz=_rate_hz(used),
+        rate_hz=1e9 / float(np.median(steps_ns)) if steps_ns.size else 0.0,
         quantum_m=spread.quantum_m,
         short_term_sigma_m=spread.short_term_sigma_m,
     )
 
 
-def _reasons(fixes: Sequence[Fix], verdicts: Sequence[Verdict]) -> tuple[ReasonCount, ...]:
-    by_kind: dict[Kind, list[int]] = {}
-    for k, verdict in enumerate(verdicts):
-        if verdict.status is Status.REJECTED:
-            by_kind.setdefault(verdict.kind, []).append(k)
+def _place(fixes: FixColumns, k: int) -> tuple[int, float, float]:
+    return int(fixes.time_ns[k]), float(fixes.lat_deg[k]), float(fixes.lon_deg[k])
+
+
+def _reasons(fixes: FixColumns, verdicts: Verdicts) -> tuple[ReasonCount, ...]:
+    by_gate: dict[Gate, list[int]] = {}
+    for k in np.flatnonzero(~verdicts.ok).tolist():
+        by_gate.setdefault(verdicts.gate[k], []).append(k)
     counts = [
         ReasonCount(
-            kind,
+            gate,
             len(rows),
-            min(fixes[k].time_ns for k in rows),
-            max(fixes[k].time_ns for k in rows),
-            verdicts[rows[0]].reason,
+            int(fixes.time_ns[rows].min()),
+            int(fixes.time_ns[rows].max()),
+            verdicts.reason[rows[0]],
         )
-        for kind, rows in by_kind.items()
+        for gate, rows in by_gate.items()
     ]
-    return tuple(sorted(counts, key=lambda reason: (-reason.fixes, reason.kind)))
-
-
-def _rate_hz(used: Sequence[Fix]) -> float:
-    steps_ns = np.diff(np.array([fix.time_ns for fix in used], dtype=np.int64))
-    return 1e9 / float(np.median(steps_ns)) if steps_ns.size else 0.0
+    return tuple(sorted(counts, key=lambda reason: (-reason.fixes, reason.gate)))

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.gnss.fix import Fix
+from fieldgrid.fixes import Fix
+from fieldgrid.quality import Quality
 
 _SYNC = b"\xb5\x62"
 _FRAME = 8  # bytes around a payload
@@ -139,7 +140,7 @@ class _HighPrecision(NamedTuple):
 class _Heading(NamedTuple):
     heading_deg: float
     heading_sigma_deg: float
-    heading_quality: int | None
+    heading_quality: Quality | None
 
 
 @dataclass(slots=True)
@@ -284,7 +285,9 @@ class UbxParser:
         _, itow_ms, heading, sigma, flags = _RELPOSNED.unpack(payload)
         # Without a moving base it is the direction from a base at the field's edge.
         if flags & _ATTITUDE == _ATTITUDE and flags >> 3 & 3 == _FIXED:
-            self._epoch(itow_ms).heading = _Heading(_wrapped_deg(heading), sigma / 1e5, 4)
+            self._epoch(itow_ms).heading = _Heading(
+                _wrapped_deg(heading), sigma / 1e5, Quality.RTK_FIXED
+            )
         else:
             self._unfixed_headings += 1
 
@@ -309,16 +312,16 @@ def _utc_ns(civil: tuple[int, ...], nano: int) -> int:
     return (days * _DAY_S + (hour * 60 + minute) * 60 + second) * 1_000_000_000 + nano
 
 
-def _quality(kind: int, flags: int) -> int:
-    """GGA's code of a fix type and its flags."""
+def _quality(kind: int, flags: int) -> Quality:
+    """The quality of a fix type and its flags."""
     if not flags & 1:
-        return 0  # the receiver's own masks do not let it pass
+        return Quality.NONE  # the receiver's own masks do not let it pass
     if kind == _DEAD_RECKONING:
-        return 6
+        return Quality.ESTIMATED
     carrier = flags >> 6
     if carrier in (_FLOAT, _FIXED):
-        return 4 if carrier == _FIXED else 5
-    return 2 if flags & 2 else 1
+        return Quality.RTK_FIXED if carrier == _FIXED else Quality.RTK_FLOAT
+    return Quality.DIFFERENTIAL if flags & 2 else Quality.GPS
 
 
 def _per_axis(accuracy_m: float) -> float:

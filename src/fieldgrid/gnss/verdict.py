@@ -5,11 +5,11 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NamedTuple
 
+from fieldgrid.array_types import Bool
 from fieldgrid.settings import GateLimits
-from fieldgrid.trajectory import Status
 
 
-class Kind(StrEnum):
+class Gate(StrEnum):
     """Which gate a fix failed, for programs; the sentence beside it is for people.
 
     `SEAM` belongs to an accepted fix: the solution has moved there. `NONE` is a fix without
@@ -32,12 +32,14 @@ class Kind(StrEnum):
     SEAM = "seam"
 
 
-class Verdict(NamedTuple):
-    """What conditioning made of a fix; a rejected one has its reason in words."""
+class Verdicts(NamedTuple):
+    """What conditioning made of n fixes: `ok` marks the accepted ones. Of a rejected fix `gate`
+    is what it failed and `reason` a clause for people; of an accepted one both are empty, but at
+    a seam."""
 
-    status: Status
-    reason: str = ""
-    kind: Kind = Kind.NONE
+    ok: Bool
+    gate: tuple[Gate, ...]
+    reason: tuple[str, ...]
 
 
 DEFAULT_LIMITS = GateLimits()

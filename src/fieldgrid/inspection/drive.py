@@ -55,8 +55,8 @@ def with_fixes(
     found: Inspection, estimate: Estimate, subject: Subject, findings: list[Finding]
 ) -> Inspection:
     """The report with the fixes of a drive, judged, and the poses from them."""
-    fixes = sorted(subject.fixes, key=lambda fix: fix.time_ns)
-    accepted = estimate.trajectory.accepted[estimate.fix_row].tolist()
+    fixes = subject.fixes.in_order()
+    accepted = estimate.trajectory.accepted[estimate.fix_row]
     summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
     findings += fix_findings(summary)
     return replace(found, fixes=summary, trajectory=estimate.trajectory)
@@ -253,7 +253,7 @@ def _clock(
     """The offset that a build would report, before the camera's motion enters any pose."""
     if seen.steps is None:
         return None
-    fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
+    fixes = recording.fixes().in_order()
     placed = place(fixes, condition(fixes, settings.pose.gnss), fixes_alone.trajectory.datum)
     return clock_offset(placed, recording.motion()._replace(steps=seen.steps), recording.rig)
 

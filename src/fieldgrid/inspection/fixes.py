@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Int64
-from fieldgrid.gnss import QUALITY_NAMES, ConditioningSummary, Fix, Kind, position_sigma_m
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.fixes import NOT_SAID, FixColumns
+from fieldgrid.gnss import ConditioningSummary, Gate
 from fieldgrid.inspection.findings import Finding, info, warning
+from fieldgrid.quality import Quality
 from fieldgrid.track import grouped_reasons
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
@@ -72,18 +74,16 @@ class FixSummary(NamedTuple):
         }
 
 
-def summarise_fixes(
-    fixes: Sequence[Fix], accepted: Sequence[bool], log: ConditioningSummary
-) -> FixSummary:
+def summarise_fixes(fixes: FixColumns, accepted: Bool, log: ConditioningSummary) -> FixSummary:
     """The quality of fixes, ordered by time, `accepted` or not, as a whole and over time."""
-    counts = Counter(QUALITY_NAMES.get(fix.quality, str(fix.quality)) for fix in fixes)
+    counts = sorted(log.quality, key=lambda one: -one[1])
     return FixSummary(
         log=log,
-        quality={name: count / len(fixes) for name, count in counts.most_common()},
-        satellites=_median([fix.satellites for fix in fixes]),
-        hdop=_median([fix.hdop for fix in fixes]),
-        age_s=_median([fix.age_s for fix in fixes]),
-        sigma_m=_median([position_sigma_m(fix) for fix in fixes]),
+        quality={quality.label: count / len(fixes) for quality, count in counts},
+        satellites=_median(fixes.satellites[fixes.satellites != NOT_SAID]),
+        hdop=_median(fixes.hdop),
+        age_s=_median(fixes.age_s),
+        sigma_m=_median(fixes.position_sigma_m()),
         stretches=_stretches(fixes, accepted),
     )
 
@@ -107,7 +107,7 @@ def synchronisation(images_ns: Int64, times_ns: Int64) -> Sync | None:
 def fix_findings(summary: FixSummary) -> Iterator[Finding]:
     """What is wrong with the fixes."""
     log = summary.log
-    repeats = sum(one.fixes for one in log.rejected if one.kind is Kind.REPEAT)
+    repeats = sum(one.fixes for one in log.rejected if one.gate is Gate.REPEAT)
     if repeats > REJECTED_SHARE * log.fixes:
         yield info(
             "fix-repeats",
@@ -116,7 +116,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
         )
     written, faulty = log.fixes - repeats, log.fixes - log.accepted - repeats
     if faulty > REJECTED_SHARE * written:
-        commonest = next(one for one in log.rejected if one.kind is not Kind.REPEAT)
+        commonest = next(one for one in log.rejected if one.gate is not Gate.REPEAT)
         yield warning(
             "fixes-rejected",
             f"{faulty} of {written} fixes are rejected, {commonest.fixes} of them like this: "
@@ -190,30 +190,28 @@ def rejections(images_ns: Int64, trajectory: Trajectory) -> Counter[str]:
     return Counter(pose.reason for pose in poses if pose.status is not Status.OK)
 
 
-def _stretches(fixes: Sequence[Fix], accepted: Sequence[bool]) -> tuple[Stretch, ...]:
-    if not fixes:
+def _stretches(fixes: FixColumns, accepted: Bool) -> tuple[Stretch, ...]:
+    if not len(fixes):
         return ()
-    times_s = np.array([fix.time_ns - fixes[0].time_ns for fix in fixes], dtype=np.int64) / 1e9
-    ok = np.asarray(accepted, dtype=np.bool_)
+    times_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
     length_s = max(float(times_s[-1]), 1e-9) / STRETCHES
     part = np.minimum((times_s / length_s).astype(np.intp), STRETCHES - 1)
     found = []
     for k in range(STRETCHES):
-        rows = np.flatnonzero(part == k)
-        own = [fixes[row] for row in rows.tolist()]
-        counted = Counter(QUALITY_NAMES.get(fix.quality, str(fix.quality)) for fix in own)
+        own = fixes[part == k]
+        commonest = Counter(own.quality.tolist()).most_common(1)
         found.append(
             Stretch(
                 start_s=k * length_s,
                 fixes=len(own),
-                accepted_share=float(ok[rows].mean()) if own else None,
-                quality=counted.most_common(1)[0][0] if own else "",
-                sigma_m=_median([position_sigma_m(fix) for fix in own]),
+                accepted_share=float(accepted[part == k].mean()) if len(own) else None,
+                quality=Quality(commonest[0][0]).label if commonest else "",
+                sigma_m=_median(own.position_sigma_m()),
             )
         )
     return tuple(found)
 
 
-def _median(values: Sequence[float | int | None]) -> float | None:
-    known = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.median(known)) if known else None
+def _median(values: Float64 | Int64) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else None

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from fieldgrid.errors import CalibrationError, FieldgridError
 from fieldgrid.inspection.drive import with_fixes, with_frames
 from fieldgrid.inspection.findings import Finding, in_order, info, stop, warning
@@ -86,7 +84,7 @@ def _duration_s(subject: Subject) -> float | None:
     times_ns = (
         recording.frame_times_ns()
         if recording is not None and recording.frame_count
-        else np.array([fix.time_ns for fix in subject.fixes], dtype=np.int64)
+        else subject.fixes.time_ns
     )
     return float(times_ns.max() - times_ns.min()) / 1e9 if len(times_ns) else None
 

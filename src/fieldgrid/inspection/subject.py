@@ -9,12 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
-
 from fieldgrid.build.tracking import refuse_options
 from fieldgrid.errors import CalibrationError, ConfigError, FieldgridError, RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording import (
     Options,
@@ -44,7 +42,7 @@ class Subject:
     path: str
     kind: str
     name: str
-    fixes: Sequence[Fix]
+    fixes: FixColumns
     motion: Motion
     streams: Sequence[Stream]
     gnss_source: str
@@ -160,7 +158,7 @@ def _refusal(path: Path, options: Options) -> FieldgridError | None:
 
 
 def _of_bare(path: Path, kind: str, drive: BareDrive, options: Options) -> Subject:
-    fixes_ns = np.array([fix.time_ns for fix in drive.fixes], dtype=np.int64)
+    fixes_ns = drive.fixes.time_ns
     streams = [Stream(drive.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns)]
     gyro, wheels, _ = drive.motion
     if gyro is not None:

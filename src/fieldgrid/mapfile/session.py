@@ -23,7 +23,8 @@ from fieldgrid.mapfile.records import FrameRecord, frame_row, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL, software_version
 from fieldgrid.mapfile.staging import SessionFold, Staging
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.trajectory import ESTIMATED, Pose, Trajectory
+from fieldgrid.quality import Quality
+from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Transfer, check_cell_sizes
 
 
@@ -295,7 +296,7 @@ def quality_at(track: Trajectory | None, time_ns: int) -> int | None:
     """
     if track is None:
         return None
-    accepted = np.flatnonzero(track.accepted & (track.quality != ESTIMATED))
+    accepted = np.flatnonzero(track.accepted & (track.quality != Quality.ESTIMATED))
     if accepted.size == 0:
         return None
     times_ns = track.time_ns[accepted]

@@ -50,7 +50,7 @@ class GnssCheck(NamedTuple):
 
 def check_against_gnss(recording: Recording, time_ns: Int64, steps: Ways) -> GnssCheck | str:
     """The check, or why there is none, as a sentence."""
-    if not recording.fixes():
+    if not len(recording.fixes()):
         return "No fixes, so nothing was compared with them."
     try:
         estimate = estimate_drive(recording)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import DatumError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
+from fieldgrid.quality import Quality
 
 APART_M = 1.0
 """Nearer frames say the same again; over a longer way the camera's motion is harder to tell."""
@@ -21,7 +20,7 @@ MOVING_MPS = 0.2
 PAIR_NS = 1_000_000_000
 
 
-def usual_every(frame_times_ns: Int64, fixes: Sequence[Fix]) -> int:
+def usual_every(frame_times_ns: Int64, fixes: FixColumns) -> int:
     """Every which frame, for frames to be about a metre apart; 1 where no fixes tell the speed."""
     if len(frame_times_ns) < 2:
         return 1
@@ -32,17 +31,17 @@ def usual_every(frame_times_ns: Int64, fixes: Sequence[Fix]) -> int:
     return max(int(APART_M / (speed_mps * period_s)), 1)
 
 
-def _usual_speed_mps(fixes: Sequence[Fix]) -> float | None:
+def _usual_speed_mps(fixes: FixColumns) -> float | None:
     """The median speed over seconds in which the vehicle moved."""
-    usable = [fix for fix in fixes if fix.quality != 0]
+    usable = fixes[fixes.quality != Quality.NONE]
     if len(usable) < 2:
         return None
     try:
-        datum = Datum(usable[0].lat_deg, usable[0].lon_deg, usable[0].height_m)
+        datum = Datum(*usable[0][1:4])
     except DatumError:
         return None
-    time_ns = np.array([fix.time_ns for fix in usable], dtype=np.int64)
-    east, north, _ = datum.to_enu(*np.array([fix[1:4] for fix in usable], dtype=np.float64).T)
+    time_ns = usable.time_ns
+    east, north, _ = datum.to_enu(usable.lat_deg, usable.lon_deg, usable.height_m)
     later = np.minimum(np.searchsorted(time_ns, time_ns + PAIR_NS), len(time_ns) - 1)
     span_s = (time_ns[later] - time_ns) / 1e9
     whole = (span_s > 0.5) & (span_s < 5.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,8 +10,9 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import GnssError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import ConditioningSummary, Fix, condition, summarise
+from fieldgrid.gnss import ConditioningSummary, condition, summarise
 from fieldgrid.motion import Motion
 from fieldgrid.pose.clock import ClockOffset, clock_offset
 from fieldgrid.pose.convention import Comparison, compare
@@ -67,7 +67,7 @@ class Estimate(NamedTuple):
 
 
 def estimate_poses(
-    fixes: Sequence[Fix],
+    fixes: FixColumns,
     rig: Vehicle | None = None,
     datum: Datum | None = None,
     settings: PoseSettings | None = None,
@@ -82,9 +82,9 @@ def estimate_poses(
     """
     settings, motion = settings or PoseSettings(), motion or Motion()
     source = heading_source(settings.heading)
-    fixes = sorted(fixes, key=lambda fix: fix.time_ns)
+    fixes = fixes.in_order()
     verdicts = condition(fixes, settings.gnss)
-    if not any(verdict.status is Status.OK for verdict in verdicts):
+    if not verdicts.ok.any():
         raise GnssError(no_fix_sentence(fixes, verdicts))
     datum = datum or datum_of(fixes, verdicts)
     placed = place(fixes, verdicts, datum)

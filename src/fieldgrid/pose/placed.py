@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.errors import GnssError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix, Verdict, position_sigma_m, quantum_m, short_term_sigma_m
-from fieldgrid.trajectory import Status
+from fieldgrid.gnss import Verdicts, quantum_m, short_term_sigma_m
 
 UNSTATED_HEADING_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
@@ -40,7 +40,7 @@ class Placed(NamedTuple):
     recorded_deg: Float64
     recorded_sigma_deg: Float64
     ok: Bool
-    verdicts: tuple[Verdict, ...]
+    reason: tuple[str, ...]
 
     def accepted(self) -> Placed:
         """The accepted fixes alone."""
@@ -57,20 +57,18 @@ class Placed(NamedTuple):
             self.recorded_deg[keep],
             self.recorded_sigma_deg[keep],
             self.ok[keep],
-            tuple(self.verdicts[k] for k in keep.tolist()),
+            tuple(self.reason[k] for k in keep.tolist()),
         )
 
 
-def place(fixes: Sequence[Fix], verdicts: Sequence[Verdict], datum: Datum) -> Placed:
+def place(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Placed:
     """Fixes, ordered by time, in the plane of a datum."""
-    ok = np.array([verdict.status is Status.OK for verdict in verdicts])
+    ok, time_ns, sigma_m = verdicts.ok, fixes.time_ns, fixes.position_sigma_m()
     with np.errstate(invalid="ignore"):  # rejected fixes may hold anything
-        lat, lon = _column(fixes, "lat_deg"), _column(fixes, "lon_deg")
-        east, north, up = datum.to_enu(lat, lon, _column(fixes, "height_m"))
-    time_ns = np.array([fix.time_ns for fix in fixes], dtype=np.int64)
-    sigma_m = np.array([position_sigma_m(fix) for fix in fixes])
+        lat, lon = fixes.lat_deg, fixes.lon_deg
+        east, north, up = datum.to_enu(lat, lon, fixes.height_m)
     short_m = short_term_sigma_m(east[ok], north[ok], time_ns[ok], quantum_m(lat[ok], lon[ok]))
-    heading_sigma = _column(fixes, "heading_sigma_deg")
+    heading_sigma = fixes.heading_sigma_deg
     return Placed(
         time_ns,
         east,
@@ -78,34 +76,28 @@ def place(fixes: Sequence[Fix], verdicts: Sequence[Verdict], datum: Datum) -> Pl
         up,
         sigma_m,
         np.maximum(short_m, LEAST_NOISE_SHARE * sigma_m),
-        np.array([fix.quality for fix in fixes], dtype=np.int64),
-        _column(fixes, "speed_mps"),
-        np.asarray(wrap_deg(_column(fixes, "heading_deg"))),
+        fixes.quality,
+        fixes.speed_mps,
+        np.asarray(wrap_deg(fixes.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
         ok,
-        tuple(verdicts),
+        verdicts.reason,
     )
 
 
-def _column(fixes: Sequence[Fix], name: str) -> Float64:
-    values = [getattr(fix, name) for fix in fixes]
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-
-def datum_of(fixes: Sequence[Fix], verdicts: Sequence[Verdict]) -> Datum:
+def datum_of(fixes: FixColumns, verdicts: Verdicts) -> Datum:
     """The datum of a first map: the first accepted fix, rounded to 1e-7 degrees and 1 mm."""
-    for fix, verdict in zip(fixes, verdicts, strict=True):
-        if verdict.status is Status.OK:
-            return Datum(round(fix.lat_deg, 7), round(fix.lon_deg, 7), round(fix.height_m, 3))
-    raise GnssError(no_fix_sentence(fixes, verdicts))
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(fixes, verdicts))
+    first = fixes[int(np.argmax(verdicts.ok))]
+    return Datum(round(first.lat_deg, 7), round(first.lon_deg, 7), round(first.height_m, 3))
 
 
-def no_fix_sentence(fixes: Sequence[Fix], verdicts: Sequence[Verdict]) -> str:
+def no_fix_sentence(fixes: FixColumns, verdicts: Verdicts) -> str:
     """Why there is nothing to place images with: how many fixes, and the commonest reason."""
-    if not fixes:
+    if not len(fixes):
         return "The GNSS log holds no position at all; record one, or choose another with --gnss."
-    reasons = [verdict.reason for verdict in verdicts]
-    commonest = max(set(reasons), key=reasons.count)
+    commonest = Counter(verdicts.reason).most_common(1)[0][0]
     return (
         f"None of the {len(fixes)} fixes can be used, mostly because: {commonest}; "
         "choose another log with --gnss."

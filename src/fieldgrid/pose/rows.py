@@ -13,9 +13,9 @@ from fieldgrid.pose.placed import Placed
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.smooth import Drive
 from fieldgrid.pose.verdict import jumps
+from fieldgrid.quality import Quality
 from fieldgrid.rig import Vehicle
 from fieldgrid.settings import PoseSettings
-from fieldgrid.trajectory import ESTIMATED
 
 
 class Rows(NamedTuple):
@@ -92,10 +92,10 @@ def _smooth_rows(placed: Placed, drive: Drive) -> tuple[Rows, Int64]:
         np.where(outside, np.nan, drive.speed_mps[at]),
         np.where(outside, 0, drive.gear[at]),
         drive.doubt[at],
-        np.where(own, placed.quality[fix], ESTIMATED),
+        np.where(own, placed.quality[fix], Quality.ESTIMATED),
         drive.resting[at] & ~outside,
-        ["" if k < 0 or placed.ok[k] else placed.verdicts[k].reason for k in fix.tolist()],
-        [placed.verdicts[k].reason if k >= 0 and placed.ok[k] else "" for k in fix.tolist()],
+        ["" if k < 0 or placed.ok[k] else placed.reason[k] for k in fix.tolist()],
+        [placed.reason[k] if k >= 0 and placed.ok[k] else "" for k in fix.tolist()],
     )
     return rows, fix_row
 
@@ -116,7 +116,7 @@ def _paper_rows(placed: Placed, drive: Drive, found: Course, settings: PoseSetti
         found.sigma_deg[ok],
         settings.min_turn_radius_m,
     )
-    rejection = [v.reason if not o else "" for v, o in zip(placed.verdicts, ok, strict=True)]
+    rejection = [r if not o else "" for r, o in zip(placed.reason, ok, strict=True)]
     for k in np.flatnonzero(jumping):
         rejection[k] = "heading jumps away from that of both neighbours"
     return Rows(
@@ -134,5 +134,5 @@ def _paper_rows(placed: Placed, drive: Drive, found: Course, settings: PoseSetti
         placed.quality,
         resting & ok,
         rejection,
-        [v.reason if o else "" for v, o in zip(placed.verdicts, ok, strict=True)],
+        [r if o else "" for r, o in zip(placed.reason, ok, strict=True)],
     )

@@ -8,6 +8,7 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.nodes import UNSEEN_NS, Nodes, seconds
 from fieldgrid.pose.placed import Placed
+from fieldgrid.quality import Quality
 from fieldgrid.rig import Vehicle
 from fieldgrid.smoother import Sightings
 
@@ -19,8 +20,6 @@ SWAY_DEG = 0.5
 
 SWAY_S = 0.3
 """How long a sway lasts: fixes that follow each other faster say the same again."""
-
-RTK_FLOAT = 5
 
 BIAS_S, FLOAT_BIAS_S = 300.0, 10.0
 """For how long the slow part of a receiver's error lasts: minutes, as orbits, clocks and air
@@ -79,7 +78,7 @@ def sightings(
 
 
 def _bias_s(fixes: Placed) -> Float64:
-    return np.where(fixes.quality == RTK_FLOAT, FLOAT_BIAS_S, BIAS_S)
+    return np.where(fixes.quality == Quality.RTK_FLOAT, FLOAT_BIAS_S, BIAS_S)
 
 
 def _last_before(time_ns: Int64, sorted_ns: Int64) -> Int64:

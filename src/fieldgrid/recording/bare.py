@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion
 from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.columns import Columns
@@ -25,7 +25,7 @@ class BareDrive(NamedTuple):
     the motion.
     """
 
-    fixes: tuple[Fix, ...]
+    fixes: FixColumns
     motion: Motion
     rig: Rig | None
     gnss_source: str
@@ -47,7 +47,9 @@ def open_bare(
     moved = read_motion(path, AXES if mounting is None else mounting.imu_axes)
     rig = None if mounting is None else mounting.rig(read_calibration(path / "calibration").camera)
     if log_path is None:
-        return BareDrive((), moved.motion, rig, "", (passed_over(path), *moved.notes))
+        return BareDrive(
+            FixColumns.of([]), moved.motion, rig, "", (passed_over(path), *moved.notes)
+        )
     log = read_fix_log(log_path, columns)
     motion = moved.motion._replace(
         gyro=moved.motion.gyro or log.motion.gyro, wheels=moved.motion.wheels or log.motion.wheels

@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.recording.calibration_kalibr import pinhole
 from fieldgrid.recording.calibration_yaml import load_yaml, matrix
@@ -62,7 +63,7 @@ def open_euroc(path: Path, options: Options) -> StoredRecording:
     stored, image_notes = image_format(folder, shots, settings)
     log_path = _log_path(folder, mav, options)
     log = (
-        FixLog((), (passed_over(folder),))
+        FixLog(FixColumns.of([]), (passed_over(folder),))
         if log_path is None
         else read_fix_log(log_path, options.columns or settings.columns)
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion
 
 
 class FixLog(NamedTuple):
     """The fixes of a log in its order, remarks on it, and the motion that it also holds."""
 
-    fixes: tuple[Fix, ...]
+    fixes: FixColumns
     notes: tuple[str, ...] = ()
     motion: Motion = Motion()

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
 from fieldgrid.array_types import Float64, Index
 from fieldgrid.errors import RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import NOT_SAID, FixColumns, quality_by_sigma
+from fieldgrid.quality import Quality
 from fieldgrid.recording.columns import (
     Columns,
     guess,
@@ -23,7 +24,7 @@ from fieldgrid.recording.columns import (
 )
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recording.qualities import by_sigma, read_qualities
+from fieldgrid.recording.qualities import read_qualities
 from fieldgrid.recording.table_time import TimeColumn, find_time
 from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
 
@@ -49,10 +50,8 @@ def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
         if set(FIELDS) <= set(table.header):
             return _read_oxts(table)
         plan = _Plan(table, columns or Columns())
-        fixes: list[Fix] = []
-        for block in table.blocks():
-            fixes += plan.fixes(block)
-        return FixLog(tuple(fixes), plan.notes())
+        fixes = FixColumns.joined(plan.fixes(block) for block in table.blocks())
+        return FixLog(fixes, plan.notes())
 
 
 def _read_oxts(table: Table) -> FixLog:
@@ -71,7 +70,7 @@ def _read_oxts(table: Table) -> FixLog:
     if not usable.all():
         notes += (f"{table.path.name}: {(~usable).sum()} incomplete rows skipped.",)
     times_ns, rows = times_ns[usable], rows[usable]
-    return FixLog(tuple(oxts_fixes(times_ns, rows)), notes, oxts_motion(times_ns, rows))
+    return FixLog(oxts_fixes(times_ns, rows), notes, oxts_motion(times_ns, rows))
 
 
 @dataclass
@@ -108,7 +107,7 @@ class _Plan:
                 )
         self.time = find_time(self.table, self.columns)
 
-    def fixes(self, block: Block) -> list[Fix]:
+    def fixes(self, block: Block) -> FixColumns:
         """The fixes of some rows; rows without a position or without a time are counted."""
         times_ns = self.time.utc_ns(block)
         lat, lon = self._numbers("lat", block), self._numbers("lon", block)
@@ -119,17 +118,15 @@ class _Plan:
         )
         self.counts["rows without a time after 1980 skipped"] += int((placed & ~timed).sum())
         keep = np.flatnonzero(placed & timed)
-        fields: dict[str, list[Any]] = {
-            "time_ns": times_ns[keep].tolist(),
-            "lat_deg": lat[keep].tolist(),
-            "lon_deg": lon[keep].tolist(),
-            "height_m": self._heights(block)[keep].tolist(),
-        }
-        fields |= self._optional(block, keep)
-        columns = [fields.get(name, [None] * keep.size) for name in Fix._fields]
-        return list(map(Fix._make, zip(*columns, strict=True)))
+        return FixColumns.of(
+            times_ns[keep],
+            lat_deg=lat[keep],
+            lon_deg=lon[keep],
+            height_m=self._heights(block)[keep],
+            **self._optional(block, keep),
+        )
 
-    def _optional(self, block: Block, keep: Index) -> dict[str, list[Any]]:
+    def _optional(self, block: Block, keep: Index) -> dict[str, npt.ArrayLike]:
         """What fixes may lack, by the field of a fix."""
         value = {r: self._numbers(r, block)[keep] for r in _NUMBERS if r in self.places}
         sigma = value.get("sigma")
@@ -147,7 +144,7 @@ class _Plan:
         }
         if "speed" in value:
             fields["speed_mps"] = np.abs(value["speed"]) * self._speed()
-        said: dict[str, list[Any]] = {k: _or_none(v) for k, v in fields.items() if v is not None}
+        said: dict[str, npt.ArrayLike] = {k: v for k, v in fields.items() if v is not None}
         said["quality"] = self._qualities(block, keep, sigma)
         if "satellites" in self.places:
             said["satellites"] = self._satellites(block, keep)
@@ -207,17 +204,16 @@ class _Plan:
             angle = np.where(invalid, np.nan, angle)
         return angle
 
-    def _qualities(self, block: Block, keep: Index, sigma: Float64 | None) -> list[int]:
+    def _qualities(self, block: Block, keep: Index, sigma: Float64 | None) -> npt.ArrayLike:
         if "quality" not in self.places:
-            listed: list[int] = [1] * keep.size if sigma is None else by_sigma(sigma).tolist()
-            return listed
+            return Quality.UNKNOWN if sigma is None else quality_by_sigma(sigma)
         name = self.table.header[self.places["quality"]]
         said = "quality" in self.columns.names or take_apart(name).base not in _WORDS_ONLY
         read = read_qualities(self._kept("quality", block, keep), numbers_are_gga=said)
         self.unknown.update(read.unknown)
         return read.codes
 
-    def _satellites(self, block: Block, keep: Index) -> list[int | None]:
+    def _satellites(self, block: Block, keep: Index) -> list[int]:
         cells = self._kept("satellites", block, keep)
         known = {cell: _fewest(cell) for cell in set(cells)}
         return [known[cell] for cell in cells]
@@ -245,28 +241,24 @@ class _Plan:
         if "quality" not in self.places:
             sigma = {"sigma", "accuracy"} & self.places.keys()
             notes.append(
-                f"{name}: no column quality; judged by the stated error, up to 5 cm as 4 (RTK "
-                "fixed), up to 50 cm as 5 (RTK float), else 1 (GPS)."
+                f"{name}: no column quality; stated errors up to 5 cm are taken for RTK fixed, the "
+                "quality of others is unknown."
                 if sigma
-                else f"{name}: no column quality; taken as 1 (GPS)."
+                else f"{name}: no column quality; it is unknown."
             )
         if self.unknown:
             words = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
-            notes.append(f"{name}: quality {words} is not known; taken as 1 (GPS).")
+            notes.append(f"{name}: quality {words} is not known; taken as unknown.")
         return tuple(notes + [f"{name}: {n} {what}." for what, n in self.counts.items() if n])
 
 
-def _or_none(values: Float64) -> list[float | None]:
-    listed = values.tolist()
-    return [v if v == v else None for v in listed] if np.isnan(values).any() else listed
-
-
-def _fewest(cell: str) -> int | None:
-    """The number of satellites of a cell; of a list of receivers, the lowest."""
+def _fewest(cell: str) -> int:
+    """The number of satellites of a cell, `NOT_SAID` without one; of a list of receivers, the
+    lowest."""
     counts = []
     for item in cell.strip("[]() ").split(","):
         try:
             counts.append(int(float(item.strip(" '\""))))
         except (ValueError, OverflowError):
             continue
-    return min((n for n in counts if n >= 0), default=None)
+    return min((n for n in counts if 0 <= n < 10_000), default=NOT_SAID)

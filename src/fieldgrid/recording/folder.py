@@ -7,6 +7,7 @@ from decimal import Decimal
 from pathlib import Path
 
 from fieldgrid.errors import RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.fix_log import FixLog
@@ -39,7 +40,7 @@ def open_folder(path: Path, options: Options) -> StoredRecording:
     seen = read_seen(path, settings, mounting, options.offset_or(settings.image_time_offset_ns))
     log_path = find_log(path, options.gnss)
     log = (
-        FixLog((), (passed_over(path),))
+        FixLog(FixColumns.of([]), (passed_over(path),))
         if log_path is None
         else read_fix_log(log_path, options.columns or settings.columns)
     )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.recording.files import MIN_TIME_NS, check_regular, read_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.qualities import from_position_status
@@ -233,7 +233,7 @@ class _Records:
             if fix is not None:
                 fixes.append(fix)
             at = stop
-        return FixLog(tuple(fixes), tuple(self._notes(len(data) - at)))
+        return FixLog(FixColumns.of_rows(fixes), tuple(self._notes(len(data) - at)))
 
     def _damaged(self, at: int, index: int) -> RecordingError:
         return RecordingError(
@@ -276,7 +276,10 @@ class _Records:
         says: tuple[tuple[bool | int, Callable[[], str]], ...] = (
             (not self._utc, lambda: "no UTC in the records; the terminal's clock is taken for UTC"),
             ("C" not in {*header.names, *header.fixed}, lambda: "no heights; taken as 0 m"),
-            (self._unstated, lambda: "the position status is not available; taken as 1 (GPS)"),
+            (
+                self._unstated,
+                lambda: "no position status: the quality is unknown",
+            ),
             (self._speed is not None, self._speed_note),
             (self._unplaced, lambda: f"{self._unplaced} records without a position skipped"),
             (self._untimed, lambda: f"{self._untimed} records without a time skipped"),

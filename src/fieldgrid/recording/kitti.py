@@ -57,7 +57,7 @@ def open_kitti(path: Path, options: Options) -> StoredRecording:
         folder=drive,
         shots=checked_shots(_shots(drive, left, right), drive),
         kind=PairKind((rig.camera.width_px, rig.camera.height_px)),
-        fix_log=tuple(oxts_fixes(times_ns, rows)),
+        fix_log=oxts_fixes(times_ns, rows),
         gnss_source="oxts",
         notes=(
             *_height_note(rig),

@@ -13,8 +13,9 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
+from fieldgrid.quality import Quality
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.images import SUFFIXES, ImageFile
@@ -31,7 +32,6 @@ LOOKS_FOR = "a KITTI sequence with calib.txt, times.txt, image_0 and image_1"
 
 _CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
 _SIDES = (("0", "1"), ("2", "3"))
-_QUALITY = 4
 _SIGMA_M, _SIGMA_DEG = 0.1, 0.2  # what KITTI says of its RTK and INS, roughly
 
 
@@ -67,7 +67,7 @@ def open_sequence(path: Path, options: Options) -> StoredRecording:
     else:
         mount, notes = _own_mount(path, options)
         log = _poses_as_fixes(path, times_ns, settings, mount)
-        source = _POSES if log.fixes else ""
+        source = _POSES if len(log.fixes) else ""
         antenna = _first_camera(_projection(path, left), camera, mount)
         offset_ns = options.offset_or(settings.image_time_offset_ns)
         rig = Rig(camera, mount, antenna, image_time_offset_ns=offset_ns, heading_offset_deg=0.0)
@@ -142,10 +142,12 @@ def _poses_as_fixes(path: Path, times_ns: list[int], settings: Settings, mount: 
     """The fixes that the poses come to; none, and what is missing for them."""
     file = next((p for p in _pose_files(path) if p.is_file()), None)
     if file is None:
-        return FixLog((), (f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",))
+        return FixLog(
+            FixColumns.of([]), (f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",)
+        )
     if settings.datum is None:
         missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
-        return FixLog((), (missing,))
+        return FixLog(FixColumns.of([]), (missing,))
     assert settings.start is not None
     poses = _poses(file, len(times_ns))
     fixes = _fixes(poses, times_ns, settings.datum, settings.start.heading_deg or 0.0, mount)
@@ -154,7 +156,7 @@ def _poses_as_fixes(path: Path, times_ns: list[int], settings: Settings, mount: 
     ]
     if settings.start.heading_deg is None:
         notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
-    return FixLog(tuple(fixes), tuple(notes))
+    return FixLog(fixes, tuple(notes))
 
 
 def _pose_files(path: Path) -> tuple[Path, ...]:
@@ -178,7 +180,7 @@ def _poses(path: Path, count: int) -> Float64:
 
 def _fixes(
     poses: Float64, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
-) -> list[Fix]:
+) -> FixColumns:
     """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
     R_vehicle_camera = mount.rotation()
     right_m, forward_m, up_m = R_vehicle_camera @ poses[:, :, 3].T
@@ -188,20 +190,13 @@ def _fixes(
     lat, lon, height = datum.to_geodetic(
         right_m * cos + forward_m * sin, forward_m * cos - right_m * sin, mount.height_m + up_m
     )
-    return [
-        Fix(
-            time_ns,
-            lat_deg,
-            lon_deg,
-            height_m,
-            quality=_QUALITY,
-            sigma_m=_SIGMA_M,
-            heading_deg=heading_deg,
-            heading_sigma_deg=_SIGMA_DEG,
-        )
-        for time_ns, lat_deg, lon_deg, height_m, heading_deg in zip(
-            times_ns,
-            *(values.tolist() for values in (lat, lon, height, headings)),
-            strict=True,
-        )
-    ]
+    return FixColumns.of(
+        times_ns,
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=height,
+        quality=Quality.RTK_FIXED,
+        sigma_m=_SIGMA_M,
+        heading_deg=headings,
+        heading_sigma_deg=_SIGMA_DEG,
+    )

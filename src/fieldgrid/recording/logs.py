@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from fieldgrid.errors import RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.files import open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
@@ -80,7 +81,7 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     with open_log_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)
     if not head.strip(b"\0\r\n\t "):
-        return FixLog((), (f"{path.name}: the file is empty.",))
+        return FixLog(FixColumns.of([]), (f"{path.name}: the file is empty.",))
     is_table = _looks_like_table(head)
     # Sentences in a column are a stream, unless it is said what the columns are.
     if looks_like_stream(head) and (columns is None or not is_table):

@@ -6,8 +6,9 @@ import numpy as np
 
 from fieldgrid.angles import heading_from_yaw_rad
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import NOT_SAID, FixColumns
 from fieldgrid.motion import Gyro, Motion
+from fieldgrid.quality import Quality
 
 FIELDS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
@@ -16,41 +17,41 @@ FIELDS = (
 )
 """The names of a row's numbers, in their order: degrees, metres, radians, seconds."""
 
+_MOST_SATELLITES = 1000
 _HEADING_SIGMA_DEG = 0.1  # of the RT3003 by its data sheet
 
-# OXTS position modes as GGA qualities. -1 is a row that KITTI interpolated for a packet that
+# Qualities of OXTS's position modes. -1 is a row that KITTI interpolated for a packet that
 # was lost: its position and time stamp do not belong together, so it is "estimated".
 _INTERPOLATED = -1
-_QUALITY_OF_POSMODE = {_INTERPOLATED: 6, 2: 1, 3: 1, 4: 2, 5: 5, 6: 4, 7: 9, 8: 2, 9: 2}
+_QUALITY_OF_POSMODE = {
+    _INTERPOLATED: Quality.ESTIMATED,
+    2: Quality.GPS,
+    3: Quality.GPS,
+    4: Quality.DIFFERENTIAL,
+    5: Quality.RTK_FLOAT,
+    6: Quality.RTK_FIXED,
+    7: Quality.SBAS,
+    8: Quality.DIFFERENTIAL,
+    9: Quality.DIFFERENTIAL,
+}
 
 
-def oxts_fixes(time_ns: Int64, rows: Float64) -> list[Fix]:
+def oxts_fixes(time_ns: Int64, rows: Float64) -> FixColumns:
     """A fix for each row of `rows` (n x 30, :data:`FIELDS`) at its UTC time."""
     value = {name: rows[:, k] for k, name in enumerate(FIELDS)}
-    speeds = np.hypot(value["vf"], value["vl"])
-    headings = heading_from_yaw_rad(value["yaw"])
-    return [
-        Fix(
-            time_ns=time,
-            lat_deg=lat,
-            lon_deg=lon,
-            height_m=height,
-            quality=_QUALITY_OF_POSMODE.get(int(mode), 0),
-            satellites=int(satellites) if satellites >= 0 else None,
-            sigma_m=sigma,
-            speed_mps=speed,
-            heading_deg=heading,
-            heading_sigma_deg=_HEADING_SIGMA_DEG,
-        )
-        for time, lat, lon, height, mode, satellites, sigma, speed, heading in zip(
-            time_ns.tolist(),
-            *(value[name].tolist() for name in ("lat", "lon", "alt", "posmode", "numsats")),
-            value["pos_accuracy"].tolist(),
-            speeds.tolist(),
-            headings.tolist(),
-            strict=True,
-        )
-    ]
+    modes = [_QUALITY_OF_POSMODE.get(int(mode), Quality.NONE) for mode in value["posmode"]]
+    return FixColumns.of(
+        time_ns,
+        lat_deg=value["lat"],
+        lon_deg=value["lon"],
+        height_m=value["alt"],
+        quality=modes,
+        satellites=np.clip(value["numsats"], NOT_SAID, _MOST_SATELLITES),
+        sigma_m=value["pos_accuracy"],
+        speed_mps=np.hypot(value["vf"], value["vl"]),
+        heading_deg=heading_from_yaw_rad(value["yaw"]),
+        heading_sigma_deg=_HEADING_SIGMA_DEG,
+    )
 
 
 def oxts_motion(time_ns: Int64, rows: Float64) -> Motion:

@@ -9,8 +9,8 @@ from typing import Protocol, Self
 
 from fieldgrid.array_types import Float32, Int64, UInt8
 from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.rig import Rig
 
@@ -211,7 +211,7 @@ class Recording(Protocol):
     def frames(self) -> Iterator[Frame]:
         """The frames in order of time; no image is read before it is asked for."""
 
-    def fixes(self) -> Sequence[Fix]:
+    def fixes(self) -> FixColumns:
         """The fixes in the order of the log, none left out, not yet judged."""
 
     def motion(self) -> Motion:

@@ -14,8 +14,8 @@ import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording.files import check_regular
 from fieldgrid.recording.images import AS_STORED, ImageFile, ImageFormat
@@ -73,7 +73,7 @@ class StoredRecording:
     folder: Path
     shots: tuple[Shot, ...]
     kind: FrameKind
-    fix_log: tuple[Fix, ...]
+    fix_log: FixColumns
     gnss_source: str = ""
     datum_hint: Datum | None = None
     notes: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class StoredRecording:
         """The frames in order of time, unread."""
         return (self.kind.frame(self.folder, shot) for shot in self.shots)
 
-    def fixes(self) -> Sequence[Fix]:
+    def fixes(self) -> FixColumns:
         """The fixes in the order of the log."""
         return self.fix_log
 
@@ -112,7 +112,7 @@ class StoredRecording:
     def streams(self) -> Sequence[Stream]:
         """Images, fixes and motion, each with its times."""
         frames_ns = self.frame_times_ns()
-        fixes_ns = np.array([fix.time_ns for fix in self.fix_log], dtype=np.int64)
+        fixes_ns = self.fix_log.time_ns
         found = [
             Stream(role, "cloud" if role == "cloud" else "image", role, len(frames_ns), frames_ns)
             for role in self.kind.roles

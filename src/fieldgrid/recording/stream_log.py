@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 from fieldgrid.errors import GnssError
-from fieldgrid.gnss import Fix, NmeaLog, NmeaStream
+from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.gnss import NmeaLog, NmeaStream
 from fieldgrid.gnss.ubx import UbxLog, UbxParser
 from fieldgrid.recording.files import open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
@@ -45,7 +46,7 @@ def read_stream(path: Path) -> FixLog:
         counted = f"{len(ubx.fixes)} positions in UBX and {len(nmea.fixes)} in NMEA"
         notes = [f"{counted}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
     fixes = ubx.fixes if by_ubx else nmea.fixes
-    return FixLog(tuple(fixes), tuple(f"{path.name}: {note}." for note in notes))
+    return FixLog(FixColumns.of_rows(fixes), tuple(f"{path.name}: {note}." for note in notes))
 
 
 def _parse(path: Path) -> tuple[NmeaLog, UbxLog]:

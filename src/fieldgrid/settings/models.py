@@ -8,9 +8,10 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from fieldgrid.errors import ConfigError
+from fieldgrid.quality import NOT_FROM_SATELLITES, Quality
 from fieldgrid.settings.declare import Flag, Settings, setting
 
 if TYPE_CHECKING:
@@ -176,20 +177,22 @@ class GateLimits(Settings):
     Of fixes worse than most of the log up to four times as many are asked.
     """
 
-    allowed_quality: frozenset[int] = setting(
-        frozenset({1, 2, 3, 4, 5, 9}), "GGA qualities that are used", min_length=1
+    allowed_quality: frozenset[Quality] = setting(
+        frozenset(Quality) - NOT_FROM_SATELLITES,
+        "qualities that are used, by name or by GGA's codes",
+        min_length=1,
     )
     min_satellites: int = setting(5, "fewer satellites reject a fix", ge=0, le=50)
     max_hdop: float = setting(4.0, "a larger HDOP rejects a fix", gt=0.0, le=100.0)
     # u-blox keeps a fixed solution for 60 s without corrections, NavCom for 15 s, and the error
     # then grows by a few cm a minute: after half a minute it is still that of RTK.
     max_age_s: float = setting(
-        30.0, "age of a correction of the carrier phase (qualities 4, 5)", gt=0.0, le=3600.0
+        30.0, "age of a correction of the carrier phase (RTK)", gt=0.0, le=3600.0
     )
     # PPP and SBAS send orbits and clocks every few minutes, and receivers use them for as long
     # (NovAtel 360 s): beside the decimetres that such a fix is good for, age says little.
     max_code_age_s: float = setting(
-        300.0, "age of a correction of SBAS, DGPS or PPP (2, 9)", gt=0.0, le=3600.0
+        300.0, "age of a correction of SBAS, DGPS or PPP", gt=0.0, le=3600.0
     )
     speed_margin_mps: float = setting(
         1.0, "how far a fix may leave the even motion of those around it", ge=0.0, le=20.0
@@ -203,6 +206,13 @@ class GateLimits(Settings):
         10, "a solution that has moved is followed after so many fixes", ge=2, le=10_000
     )
     moved_s: float = setting(3.0, "and after so long", ge=0.0, le=600.0)
+
+    @field_validator("allowed_quality", mode="before")
+    @classmethod
+    def _by_name(cls, given: object) -> object:
+        if isinstance(given, (list, tuple, set, frozenset)):
+            return [Quality.named(one) if isinstance(one, str) else one for one in given]
+        return given
 
 
 class PoseSettings(Settings):

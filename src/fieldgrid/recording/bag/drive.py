@@ -11,7 +11,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, GnssError, RecordingError
-from fieldgrid.gnss import Fix
+from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
 from fieldgrid.recording.bag.mounts import is_optical, vertical_row
 from fieldgrid.recording.bag.readings import Readings
@@ -41,7 +41,7 @@ class Fixes(NamedTuple):
     """The fixes of a drive, what they are from, its role and hash, remarks, and the motion of a
     log."""
 
-    fixes: tuple[Fix, ...]
+    fixes: FixColumns
     source: str
     role: str
     notes: tuple[str, ...]
@@ -90,7 +90,9 @@ def find_fixes(
     if readings.nmea.fixes:
         counted = (f"{roles['nmea']}: {note}." for note in nmea_notes(readings.nmea))
         sha256 = readings.sha256["nmea"]
-        return Fixes(tuple(readings.nmea.fixes), roles["nmea"], "nmea", tuple(counted), sha256)
+        return Fixes(
+            FixColumns.of_rows(readings.nmea.fixes), roles["nmea"], "nmea", tuple(counted), sha256
+        )
     undated = readings.nmea.undated
     if undated and not readings.fixes:
         raise GnssError(
@@ -100,9 +102,9 @@ def find_fixes(
     notes = [f"{roles['nmea']}: no sentence gives a dated position."] if "nmea" in roles else []
     if "fix" in roles:
         sha256 = readings.sha256["fix"]
-        return Fixes(tuple(readings.fixes), roles["fix"], "fix", tuple(notes), sha256)
+        return Fixes(FixColumns.of_rows(readings.fixes), roles["fix"], "fix", tuple(notes), sha256)
     notes.append("No topic with fixes; give a log with --gnss FILE.")
-    return Fixes((), "", "", tuple(notes))
+    return Fixes(FixColumns.of([]), "", "", tuple(notes))
 
 
 def find_motion(

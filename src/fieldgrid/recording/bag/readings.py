@@ -14,19 +14,25 @@ import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.gnss import Fix, NmeaLog, NmeaStream
+from fieldgrid.fixes import Fix, quality_by_sigma
+from fieldgrid.gnss import NmeaLog, NmeaStream
+from fieldgrid.quality import Quality
 from fieldgrid.recording.bag.messages import decoded
 from fieldgrid.recording.bag.order import clock
 from fieldgrid.recording.bag.topics import FIXES, static_transforms
 from fieldgrid.recording.bag.transforms import Transforms
-from fieldgrid.recording.qualities import by_sigma
 from fieldgrid.ros import Bag, Message
 
 _CALIBRATIONS = ("left_info", "right_info", "depth_info")
 _UNLIMITED = 1 << 60
 _NO_FIX, _UNKNOWN = -1, 0
-# NavSatStatus to GGA: a fix, one with satellite-based and one with ground-based corrections.
-_QUALITY_OF_STATUS = {_NO_FIX: 0, 0: 1, 1: 9, 2: 2}
+# NavSatStatus: a fix, one with satellite-based and one with ground-based corrections.
+_QUALITY_OF_STATUS = {
+    _NO_FIX: Quality.NONE,
+    0: Quality.GPS,
+    1: Quality.SBAS,
+    2: Quality.DIFFERENTIAL,
+}
 
 
 class Turns(NamedTuple):
@@ -205,14 +211,14 @@ class _Pass:
 def fix_of(said: Any, time_ns: int) -> Fix:
     """The fix of a sensor_msgs/NavSatFix: its altitude is above the ellipsoid.
 
-    The quality is that of the status, and better where the covariance says centimetres, as of
-    tables. A covariance of unknown type, of zeros or of nonsense says nothing.
+    The quality is that of the status, and RTK fixed where the covariance says centimetres. A
+    covariance of unknown type, of zeros or of nonsense says nothing.
     """
     sigma_m = _sigma_m(said)
-    quality = _QUALITY_OF_STATUS.get(int(said.status.status), 0)
-    if quality != 0 and sigma_m is not None:
-        stated = int(by_sigma(sigma_m))
-        quality = quality if stated == 1 else stated
+    quality = _QUALITY_OF_STATUS.get(int(said.status.status), Quality.UNKNOWN)
+    if quality is not Quality.NONE and sigma_m is not None:
+        by_sigma = Quality(int(quality_by_sigma(sigma_m)))
+        quality = quality if by_sigma is Quality.UNKNOWN else by_sigma
     height_m = float(said.altitude)
     return Fix(
         time_ns=time_ns,

@@ -11,8 +11,8 @@ from typing import Self
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Fix
 from fieldgrid.motion import Motion
 from fieldgrid.recording.bag.drive import find_motion
 from fieldgrid.recording.bag.frames import Plan, Taken, read_frames
@@ -47,7 +47,7 @@ class BagRecording:
     bag: Bag
     plan: Plan
     make_frame: Callable[[int, int, tuple[Taken, ...]], Frame]
-    fix_log: tuple[Fix, ...]
+    fix_log: FixColumns
     gnss_source: str
     datum_hint: Datum | None
     notes: tuple[str, ...]
@@ -72,7 +72,7 @@ class BagRecording:
         for k, taken in enumerate(read_frames(self.bag, self.plan)):
             yield self.make_frame(k, times_ns[k], taken)
 
-    def fixes(self) -> Sequence[Fix]:
+    def fixes(self) -> FixColumns:
         """The fixes in the order of the log."""
         return self.fix_log
 

@@ -1,0 +1,92 @@
+"""The quality of a fix: one enumeration, its names, and the error that is usual for each."""
+
+from __future__ import annotations
+
+import re
+from enum import IntEnum
+from typing import NamedTuple
+
+from fieldgrid.errors import ConfigError
+
+
+class Quality(IntEnum):
+    """How a position was solved: the codes of the NMEA sentence GGA (9 is NovAtel's).
+
+    `UNKNOWN` is not a code of GGA. It stands for a source that does not say: no column, an empty
+    cell, a status that is "not available". A fix of unknown quality is used; one of quality
+    `NONE`, which says that there is no position, is not.
+    """
+
+    UNKNOWN = -1
+    NONE = 0
+    GPS = 1
+    DIFFERENTIAL = 2
+    PPS = 3
+    RTK_FIXED = 4
+    RTK_FLOAT = 5
+    ESTIMATED = 6
+    MANUAL = 7
+    SIMULATED = 8
+    SBAS = 9
+
+    @classmethod
+    def of_code(cls, code: int) -> Quality:
+        """The quality of a code of GGA, `UNKNOWN` for one that the standard does not have."""
+        return cls(code) if 0 <= code <= cls.SBAS else cls.UNKNOWN
+
+    @classmethod
+    def named(cls, text: str) -> Quality:
+        """The quality of a name or code that a user wrote: ``rtk-fixed``, ``RTK fixed``, ``4``."""
+        wanted = re.sub(r"[\s_-]+", " ", text.strip().lower())
+        for quality, row in _TABLE.items():
+            if wanted in (row.name.lower(), str(int(quality))):
+                return quality
+        names = ", ".join(map(str, cls))
+        raise ConfigError(f"There is no quality {text[:40]!r} of a fix; give one of {names}.")
+
+    def __str__(self) -> str:
+        return self.label.lower().replace(" ", "-")
+
+    @property
+    def label(self) -> str:
+        """The name for people: ``RTK fixed``."""
+        return _TABLE[self].name
+
+    @property
+    def usual_sigma_m(self) -> float:
+        """The 1-sigma error along one horizontal axis that such a fix usually has, metres."""
+        return _TABLE[self].usual_sigma_m
+
+
+class _Row(NamedTuple):
+    name: str
+    usual_sigma_m: float
+
+
+_TABLE = {
+    Quality.UNKNOWN: _Row("unknown", 1.5),  # as for GPS: nothing says that it is better
+    Quality.NONE: _Row("none", 5.0),
+    Quality.GPS: _Row("GPS", 1.5),
+    Quality.DIFFERENTIAL: _Row("differential", 0.5),
+    Quality.PPS: _Row("PPS", 0.5),
+    Quality.RTK_FIXED: _Row("RTK fixed", 0.02),
+    Quality.RTK_FLOAT: _Row("RTK float", 0.25),
+    Quality.ESTIMATED: _Row("estimated", 5.0),
+    Quality.MANUAL: _Row("manual", 5.0),
+    Quality.SIMULATED: _Row("simulated", 5.0),
+    Quality.SBAS: _Row("SBAS", 0.5),
+}
+
+CARRIER = frozenset({Quality.RTK_FIXED, Quality.RTK_FLOAT})
+"""Qualities whose corrections are of the carrier phase."""
+
+CODE = frozenset({Quality.DIFFERENTIAL, Quality.SBAS})
+"""Qualities whose corrections are of the code."""
+
+NOT_FROM_SATELLITES = frozenset(
+    {Quality.NONE, Quality.ESTIMATED, Quality.MANUAL, Quality.SIMULATED}
+)
+"""Positions that satellites did not give, or none at all."""
+
+CENTIMETRES_M = 0.05
+"""Only carrier phases give positions as good as this."""
