@@ -34,7 +34,7 @@ LAYERS = (
         "rectify",
         "ros",
     ),
-    ("pose", "localgrid", "recording", "moments", "cost"),
+    ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile",),
     ("rows", "route", "export", "costmap", "figures", "track", "evaluation", "view"),
     ("build", "live"),

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from fieldgrid.build.spool import Spool
 
 from fieldgrid.build import (
     Progress,
@@ -35,7 +36,6 @@ from fieldgrid.build import (
     visual_odometry,
 )
 from fieldgrid.build.inputs import from_arrays
-from fieldgrid.build.spool import Spool
 from fieldgrid.errors import (
     CalibrationError,
     ConfigError,

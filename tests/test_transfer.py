@@ -23,10 +23,10 @@ from fieldgrid.transfer import (
     MeanFold,
     PaperFold,
     Transfer,
-    accumulate,
-    accumulate_reference,
+    add_values,
     check_cell_sizes,
     footprint,
+    land,
     mean_density,
     to_universal,
     universal_axes,
@@ -126,8 +126,8 @@ def test_a_single_cell_lands_where_equation_3_says(
 
     area = MeanFold(lattice, window, Transfer.AREA)
     area.add(grid, pose)
-    j, i = np.nonzero(area.sums[..., 0])
-    weight = area.sums[j, i, 0].astype(float)
+    j, i = np.nonzero(area.sums[0])
+    weight = area.sums[0, j, i].astype(float)
     assert weight.sum() == CELL_WEIGHT
     # The centre of gravity of its parts, to the half cell that the lattice allows.
     assert abs(((i + 150.5) * 0.5) @ weight / weight.sum() - east) < 0.25
@@ -159,15 +159,41 @@ def test_the_kernel_is_the_reference(
     cell_m: float,
     seed: int,
 ) -> None:
+    """Each pass against NumPy, cell by cell: where cells land, and what they add there."""
     lattice, grid = Lattice(cell_m), random_grid(SMALL, seed)
-    i, j = lattice.index(pose.east_m, pose.north_m)
-    window = Window(int(i) + di, int(j) + dj, width, height)
-    axes = universal_axes(SMALL, pose, lattice, shift)
-    start = np.random.default_rng(seed).integers(0, 99, (*window.shape, 2)).astype(np.uint64)
+    i, j = (int(value) for value in lattice.index(pose.east_m, pose.north_m))
+    window = Window(i + di, j + dj, width, height)
+    landing = land(grid, pose, lattice, window, Transfer.AREA if shift else Transfer.CENTRE)
+    assert (landing.shift, landing.unit) == (shift, CELL_WEIGHT >> 2 * shift)
+    column_i, column_j, row_i, row_j = universal_axes(SMALL, pose, lattice, shift)
+    u = np.floor(column_i[None, :] + row_i[:, None]) - window.i0
+    v = np.floor(column_j[None, :] + row_j[:, None]) - window.j0
+    parts = np.ones((1 << shift, 1 << shift))
+    observed = np.kron(grid.observed, parts).astype(bool)
+    values = np.kron(grid.density, parts).astype(np.uint64)
+    inside = observed & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    cell = np.where(inside, v * width + u, -1).astype(np.int32)
+    np.testing.assert_array_equal(landing.cell, cell)
+
+    start = np.random.default_rng(seed).integers(0, 99, width * height).astype(np.uint64)
+    table = np.arange(256, dtype=np.uint64) * np.uint64(3)
     compiled, reference = start.copy(), start.copy()
-    accumulate(grid.density, grid.observed, *axes, shift, window.i0, window.j0, compiled)
-    accumulate_reference(grid.density, grid.observed, *axes, shift, window.i0, window.j0, reference)
-    assert np.array_equal(compiled, reference)
+    add_values(grid.density, landing.cell, shift, table, compiled)
+    np.add.at(reference, cell[inside], table[values[inside]])
+    np.testing.assert_array_equal(compiled, reference)
+
+
+def test_a_weight_that_outgrows_half_a_word_goes_on_in_a_whole_one() -> None:
+    """Large universal cells take up many local ones of many frames: no bit runs over."""
+    spec = GridSpec(20.0, 20.0, 0.05)
+    grid = filled(spec, 255)
+    lattice, window = Lattice(90.0), Window(0, 0, 1, 1)
+    fold = MeanFold(lattice, window)
+    for _ in range(130):
+        fold.add(grid, pose_at(45.0, 30.0, 17.0))
+    frames = 130 * grid.density.size
+    assert fold.sums[:, 0, 0].tolist() == [CELL_WEIGHT * frames, 255 * CELL_WEIGHT * frames]
+    assert frames * CELL_WEIGHT > 1 << 28
 
 
 @settings(max_examples=50, deadline=None)
@@ -192,8 +218,8 @@ def test_no_weight_is_lost_in_the_footprint(pose: Pose, rule: Transfer, cell_m: 
     lattice = Lattice(cell_m)
     fold = MeanFold(lattice, footprint(SMALL, pose, lattice), rule)
     fold.add(grid, pose)
-    assert fold.sums[..., 0].sum() == CELL_WEIGHT * grid.observed.sum()
-    assert fold.sums[..., 1].sum() == CELL_WEIGHT * grid.density[grid.observed].astype(int).sum()
+    assert fold.sums[0].sum() == CELL_WEIGHT * grid.observed.sum()
+    assert fold.sums[1].sum() == CELL_WEIGHT * grid.density[grid.observed].astype(int).sum()
 
 
 @settings(deadline=None, max_examples=30)
@@ -207,7 +233,7 @@ def test_a_crop_is_a_part_of_the_whole(pose: Pose, rule: Transfer, di: int, dj: 
     folds = MeanFold(lattice, whole, rule), MeanFold(lattice, part, rule)
     for fold in folds:
         fold.add(grid, pose)
-    assert np.array_equal(folds[0].sums[whole.slices_of(part)], folds[1].sums)
+    assert np.array_equal(folds[0].sums[(slice(None), *whole.slices_of(part))], folds[1].sums)
 
 
 # --- how values meet
@@ -242,15 +268,16 @@ def test_the_mean_does_not_depend_on_the_order(
 )
 def test_the_mean_is_exact_and_rounds_half_up(cells: list[tuple[int, int, int]]) -> None:
     # `n` observations of a and one of b.
-    sums = np.array([(n + 1, n * a + b) for n, a, b in cells], dtype=np.uint64)
-    value, observed = mean_density(sums)
+    weight = np.array([n + 1 for n, _, _ in cells], dtype=np.uint64)
+    total = np.array([n * a + b for n, a, b in cells], dtype=np.uint64)
+    value, observed = mean_density(weight, total)
     assert observed.all()
     for found, (n, a, b) in zip(value.tolist(), cells, strict=True):
         assert found == math.floor(Fraction(n * a + b, n + 1) + Fraction(1, 2))
 
 
 def test_a_cell_without_weight_is_unseen_and_a_zero_is_seen() -> None:
-    value, observed = mean_density(np.array([[0, 0], [5, 0], [2, 5]], dtype=np.uint64))
+    value, observed = mean_density(np.array([0, 5, 2], np.uint64), np.array([0, 0, 5], np.uint64))
     assert value.tolist() == [0, 0, 3]
     assert observed.tolist() == [False, True, True]
 
@@ -411,7 +438,7 @@ def test_the_paper_s_own_padding_cuts_corners() -> None:
     window = Lattice(0.05).window(paper)
     fold = MeanFold(Lattice(0.05), window)
     fold.add(filled(PAPER, 1), pose)
-    assert fold.sums[..., 0].sum() < CELL_WEIGHT * PAPER.n_x * PAPER.n_y
+    assert fold.sums[0].sum() < CELL_WEIGHT * PAPER.n_x * PAPER.n_y
 
 
 @given(poses, st.sampled_from([0.05, 0.25, 1.0]))

@@ -15,11 +15,12 @@ import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt64
+from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8, UInt64
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.kernel import kernel
@@ -70,26 +71,109 @@ def to_universal(x_m: npt.ArrayLike, y_m: npt.ArrayLike, pose: Pose) -> tuple[Fl
     return east, north
 
 
-@dataclass(slots=True)
+class Landing(NamedTuple):
+    """Where the cells of one local grid land in a window of universal cells.
+
+    `cell` is int32 [n_y << shift, n_x << shift]: the flat index in the window of each local cell
+    (of each of its 2^shift x 2^shift parts), -1 where it was not observed or lies outside.
+    """
+
+    cell: Int32
+    shift: int
+
+    @property
+    def unit(self) -> int:
+        """The weight of one entry of `cell`, in sixteenths of a local cell."""
+        return 1 << 2 * (AREA_SHIFT - self.shift)
+
+
+def land(
+    grid: LocalGrid, pose: Pose, lattice: Lattice, window: Window, transfer: Transfer
+) -> Landing:
+    """Carry the observed cells of a local grid into a window (Eq. 3).
+
+    Raises ConfigError when universal cells are smaller than the grid's.
+    """
+    check_cell_sizes(lattice.cell_m, grid.spec.cell_m)
+    shift = AREA_SHIFT if transfer is Transfer.AREA else 0
+    axes = universal_axes(grid.spec, pose, lattice, shift)
+    cell = np.empty((grid.spec.n_y << shift, grid.spec.n_x << shift), dtype=np.int32)
+    locate(grid.observed, *axes, shift, *window, cell)
+    return Landing(cell, shift)
+
+
+_SUM_BITS = 36
+"""Low bits of a packed word that hold the weighted sum; the weight has the other 28. A sum is at
+most 255 times its weight, so it never reaches into the weight before that is full."""
+
+_VALUES = np.arange(256, dtype=np.uint64)
+
+
+class WeightedSums:
+    """Weight and weighted sum of the density of each cell of a window.
+
+    While frames are added both are in one word, so that a cell is fetched from memory once. They
+    are moved into words of their own before a weight could become too large.
+    """
+
+    def __init__(self, cells: int) -> None:
+        self._packed = np.zeros(cells, dtype=np.uint64)
+        self._full: UInt64 | None = None
+        self._room = 1 << (64 - _SUM_BITS)
+
+    def add(self, grid: LocalGrid, landing: Landing, lattice: Lattice) -> None:
+        """Add one local grid."""
+        across = math.ceil(1.5 * lattice.cell_m / grid.spec.cell_m) + 2
+        most = min(across * across, grid.density.size) * CELL_WEIGHT
+        if most > self._room:
+            self._unpack()
+        self._room -= most
+        unit = np.uint64(landing.unit)
+        table = (unit << np.uint64(_SUM_BITS)) + _VALUES * unit
+        add_values(grid.density, landing.cell, landing.shift, table, self._packed)
+
+    def channels(self) -> UInt64:
+        """(weight, weighted sum) of each cell, uint64 [2, cells]."""
+        if self._full is None:
+            return self._unpacked()
+        self._unpack()
+        return self._full
+
+    def _unpack(self) -> None:
+        unpacked = self._unpacked()
+        self._full = unpacked if self._full is None else self._full + unpacked
+        self._packed[:] = 0
+        self._room = 1 << (64 - _SUM_BITS)
+
+    def _unpacked(self) -> UInt64:
+        both = np.empty((2, self._packed.size), dtype=np.uint64)
+        np.right_shift(self._packed, np.uint64(_SUM_BITS), out=both[0])
+        np.bitwise_and(self._packed, np.uint64((1 << _SUM_BITS) - 1), out=both[1])
+        return both
+
+
 class MeanFold:
-    """The order-independent mean over a window: (weight, weighted sum) a cell."""
+    """The order-independent mean over a window."""
 
-    lattice: Lattice
-    window: Window
-    transfer: Transfer = Transfer.CENTRE
-    sums: UInt64 = field(init=False)
-
-    def __post_init__(self) -> None:
-        # Side by side, because every touched cell needs both: one cache line instead of two.
-        self.sums = np.zeros((*self.window.shape, 2), dtype=np.uint64)
+    def __init__(
+        self, lattice: Lattice, window: Window, transfer: Transfer = Transfer.CENTRE
+    ) -> None:
+        self.lattice, self.window, self.transfer = lattice, window, transfer
+        self._sums = WeightedSums(window.width * window.height)
 
     def add(self, grid: LocalGrid, pose: Pose) -> None:
         """Carry one local grid into the window; what falls outside is left out."""
-        add_to_sums(self.sums, self.window, grid, pose, self.lattice, self.transfer)
+        landing = land(grid, pose, self.lattice, self.window, self.transfer)
+        self._sums.add(grid, landing, self.lattice)
+
+    @property
+    def sums(self) -> UInt64:
+        """(weight, weighted sum) of each cell, uint64 [2, rows, columns]."""
+        return self._sums.channels().reshape(2, *self.window.shape)
 
     def density(self) -> tuple[UInt8, Bool]:
         """Mean 3D density rounded to uint8, and the observed mask, both [rows, columns]."""
-        return mean_density(self.sums)
+        return mean_density(*self.sums)
 
 
 @dataclass(slots=True)
@@ -117,35 +201,14 @@ class PaperFold:
         return rounded.astype(np.uint8), observed
 
 
-def add_to_sums(
-    sums: UInt64,
-    window: Window,
-    grid: LocalGrid,
-    pose: Pose,
-    lattice: Lattice,
-    transfer: Transfer,
-) -> None:
-    """Carry one local grid into (weight, weighted sum) over a window, uint64 [rows, columns, 2].
+def mean_density(weight: UInt64, total: UInt64) -> tuple[UInt8, Bool]:
+    """The mean of cells with a weight and a weighted sum, rounded half up in integers.
 
-    Raises ConfigError when universal cells are smaller than the grid's.
+    Returns uint8, 0 where there is no weight, and the mask of the cells that have any.
     """
-    check_cell_sizes(lattice.cell_m, grid.spec.cell_m)
-    shift = AREA_SHIFT if transfer is Transfer.AREA else 0
-    axes = universal_axes(grid.spec, pose, lattice, shift)
-    accumulate(grid.density, grid.observed, *axes, shift, window.i0, window.j0, sums)
-
-
-def mean_density(
-    sums: UInt64,
-) -> tuple[UInt8, Bool]:
-    """The mean of accumulated cells [..., (weight, weighted sum)], rounded half up in integers.
-
-    Returns uint8 and the mask of the cells that have any weight, both [...].
-    """
-    weight, weighted_sum = sums[..., 0], sums[..., 1]
-    divisor = np.maximum(weight, np.uint64(1))
-    two = np.uint64(2)
-    return ((two * weighted_sum + divisor) // (two * divisor)).astype(np.uint8), weight > 0
+    density = np.empty(weight.shape, dtype=np.uint8)
+    divide(weight.reshape(-1), total.reshape(-1), density.reshape(-1))
+    return density, weight > 0
 
 
 def universal_axes(
@@ -182,56 +245,51 @@ def _part_centres_m(spec: GridSpec, shift: int) -> tuple[Float64, Float64]:
 
 
 @kernel
-def accumulate(  # type: ignore[no-untyped-def]
-    density, observed, column_i, column_j, row_i, row_j, shift, i0, j0, sums
+def locate(  # type: ignore[no-untyped-def]
+    observed, column_i, column_j, row_i, row_j, shift, i0, j0, width, height, cell
 ):
-    """Add every observed cell to (weight, weighted sum); see `accumulate_reference`.
-
-    Two short loops a row, because the first then runs in vector registers.
-    """
-    height, width, columns = sums.shape[0], sums.shape[1], column_i.size
-    flat = sums.reshape(-1)
-    unit_shift = np.uint64(2 * (AREA_SHIFT - shift))
-    unit = np.uint64(1) << unit_shift
-    cell = np.empty(columns, dtype=np.int32)
-    for fine_r in range(row_i.size):
+    """Fill the `cell` of a `Landing`. Two loops a row, because the first then runs in vector
+    registers: floats until the end, as whole numbers of 64 bits would not fit those."""
+    for fine_r in range(cell.shape[0]):
         r, i_r, j_r = fine_r >> shift, row_i[fine_r], row_j[fine_r]
-        for c in range(columns):
-            # Floats until the end: whole numbers of 64 bits would not fit the vector units.
+        for c in range(cell.shape[1]):
             u = np.floor(column_i[c] + i_r) - i0
             v = np.floor(column_j[c] + j_r) - j0
             inside = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
-            cell[c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
-        for c in range(columns):
-            if cell[c] >= 0 and observed[r, c >> shift]:
-                k = 2 * np.intp(cell[c])
-                flat[k] += unit
-                flat[k + 1] += np.uint64(density[r, c >> shift]) << unit_shift
+            cell[fine_r, c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
+        for c in range(cell.shape[1]):
+            if not observed[r, c >> shift]:
+                cell[fine_r, c] = -1
 
 
-def accumulate_reference(
-    density: UInt8,
-    observed: Bool,
-    column_i: Float64,
-    column_j: Float64,
-    row_i: Float64,
-    row_j: Float64,
-    shift: int,
-    i0: int,
-    j0: int,
-    sums: UInt64,
-) -> None:
-    """The same as `accumulate`, in NumPy: what the compiled kernel is held to."""
-    unit = np.uint64(1 << (2 * (AREA_SHIFT - shift)))
-    rows, columns = np.arange(row_i.size) >> shift, np.arange(column_i.size) >> shift
-    i = np.floor(column_i[None, :] + row_i[:, None]) - i0
-    j = np.floor(column_j[None, :] + row_j[:, None]) - j0
-    height, width = sums.shape[:2]
-    inside = observed[np.ix_(rows, columns)] & (i >= 0) & (j >= 0) & (i < width) & (j < height)
-    cells = (j[inside].astype(np.intp), i[inside].astype(np.intp))
-    values = density[np.ix_(rows, columns)][inside].astype(np.uint64)
-    np.add.at(sums[..., 0], cells, unit)
-    np.add.at(sums[..., 1], cells, values * unit)
+@kernel
+def add_values(values, cell, shift, table, sums):  # type: ignore[no-untyped-def]
+    """Add to each cell of a `Landing` what `table` has for the value of the local cell.
+
+    Neighbours that land in one cell are added up before it is touched.
+    """
+    for r in range(cell.shape[0]):
+        last, total = np.int32(-1), np.uint64(0)
+        for c in range(cell.shape[1]):
+            k = cell[r, c]
+            if k != last:
+                if last >= 0:
+                    sums[np.uint32(last)] += total
+                last, total = k, np.uint64(0)
+            total += table[values[r >> shift, c >> shift]]
+        if last >= 0:
+            sums[np.uint32(last)] += total
+
+
+@kernel
+def divide(weight, total, mean):  # type: ignore[no-untyped-def]
+    """Fill `mean` with total / weight, rounded half up; 0 where the weight is 0."""
+    two = np.uint64(2)
+    for k in range(weight.size):
+        if weight[k] == 0 or total[k] == 0:
+            mean[k] = 0
+        else:
+            mean[k] = np.uint8((two * total[k] + weight[k]) // (two * weight[k]))
 
 
 @kernel

@@ -98,5 +98,5 @@ def test_a_selection_names_its_sessions(universal: MapFile) -> None:
 def test_bounds_that_select_nothing(universal: MapFile, bounds: Bounds, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Selection(bounds).view(universal)
-    with pytest.raises(ConfigError, match=message), Selection(bounds).pieces(universal):
+    with pytest.raises(ConfigError, match=message), Selection(bounds).blocks(universal):
         pass

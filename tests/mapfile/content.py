@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 _QUERIES = {
-    "tiles": "SELECT zoom, ty, tx, sums FROM fieldgrid_tile ORDER BY 1, 2, 3",
+    "tiles": "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile ORDER BY 1, 2, 3, 4",
+    "tiles whoever drove": "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile "
+    "WHERE channels <> 'sessions' ORDER BY 1, 2, 3, 4",
     "pictures": "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
-    "session tiles": "SELECT s.name, ty, tx, moments FROM fieldgrid_session_tile AS t "
-    "JOIN fieldgrid_session AS s ON s.id = t.session_id ORDER BY 1, 2, 3",
+    "session tiles": "SELECT s.name, ty, tx, channels, data FROM fieldgrid_session_tile AS t "
+    "JOIN fieldgrid_session AS s ON s.id = t.session_id ORDER BY 1, 2, 3, 4",
     "extents": "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents ORDER BY 1",
     "levels": "SELECT * FROM gpkg_tile_matrix ORDER BY 2",
     "window": "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'",
@@ -22,7 +24,7 @@ _QUERIES = {
     "digests": "SELECT name, digest FROM fieldgrid_session WHERE removed IS NULL ORDER BY 1",
 }
 
-ANONYMOUS = ("tiles", "pictures", "extents", "levels", "window")
+ANONYMOUS = ("tiles whoever drove", "pictures", "extents", "levels", "window")
 """What does not depend on how frames are divided into sessions."""
 
 

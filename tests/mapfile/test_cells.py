@@ -11,9 +11,18 @@ import pytest
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map
+from fieldgrid.mapfile import (
+    LAYERS,
+    MEANING,
+    Change,
+    FrameRecord,
+    MapFile,
+    open_map,
+    placing,
+    reading,
+)
 from fieldgrid.trajectory import Pose, Status
-from fieldgrid.transfer import Averaging, MeanFold, Transfer
+from fieldgrid.transfer import Averaging, MeanFold, Transfer, mean_density
 from tests.mapfile.maps import CELL_M, Frame, drive, grid_of, one_cell, pose_at, write_map
 
 DAY_NS = 86_400_000_000_000
@@ -57,22 +66,22 @@ def brute_force(
     weight, total, squares = (np.zeros(shape) for _ in range(3))
     count, highest, sessions, obstacle = (np.zeros(shape, dtype=np.int64) for _ in range(4))
     for name in names:
-        session = MeanFold(lattice, window, transfer)
+        session = np.zeros((2, *shape), dtype=np.uint64)
         for grid, pose in FIELD[name]:
             alone = MeanFold(lattice, window, transfer)
             alone.add(grid, pose)
-            session.sums += alone.sums
-            count += alone.sums[..., 0] > 0
+            session += alone.sums
+            count += alone.sums[0] > 0
             # One value at a time: a cell's values cannot be told from their sum.
             for value in np.unique(grid.density[grid.observed]):
                 only = MeanFold(lattice, window, transfer)
                 seen = grid.observed & (grid.density == value)
                 only.add(LocalGrid(grid.spec, grid.density, seen), pose)
-                squares += only.sums[..., 0] * float(value) ** 2
-                highest = np.where(only.sums[..., 0] > 0, np.maximum(highest, value), highest)
-        weight += session.sums[..., 0]
-        total += session.sums[..., 1]
-        density, observed = session.density()
+                squares += only.sums[0] * float(value) ** 2
+                highest = np.where(only.sums[0] > 0, np.maximum(highest, value), highest)
+        weight += session[0]
+        total += session[1]
+        density, observed = mean_density(*session)
         sessions += observed
         obstacle += observed & (density > 100)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -93,7 +102,6 @@ def brute_force(
         (CELL_M, Transfer.CENTRE, [0, 1, 2]),
         (CELL_M, Transfer.CENTRE, [1, 2]),
         (0.23, Transfer.AREA, [0, 1, 2]),
-        (0.2, Transfer.CENTRE, [0, 2]),
     ],
 )
 def test_every_layer_is_what_the_frames_say(
@@ -111,12 +119,71 @@ def test_every_layer_is_what_the_frames_say(
         np.testing.assert_allclose(layer, array, rtol=1e-5, atol=1e-2 if name == "variance" else 0)
 
 
-def test_the_stored_moments_are_those_of_a_new_fold(path: Path) -> None:
+@pytest.mark.parametrize("names", [[0, 1, 2], [0, 2]])
+@pytest.mark.parametrize("times", [2, 3, 4, 6])
+def test_larger_cells_follow_from_the_base_cells_by_one_rule(
+    path: Path, times: int, names: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From stored tiles, whichever sessions are asked for: no frame is decoded."""
+    monkeypatch.setattr(FrameRecord, "cells", None)
     with open_map(path) as universal:
-        stored = universal.read(layers=LAYERS)
-        anew = universal.read(layers=LAYERS, frame_filter=lambda frame: True)
-    for name in LAYERS:
-        np.testing.assert_array_equal(stored.layer(name), anew.layer(name))
+        sessions = [str(n) for n in names]
+        layers = [name for name in LAYERS if name != "height"]
+        view = universal.read(cell_m=times * CELL_M, layers=layers, sessions=sessions)
+        fine = universal.read(view.bounds, layers=layers, sessions=sessions)
+
+        def blocks(values: np.ndarray) -> np.ndarray:
+            rows, columns = view.window.shape
+            shaped = values.reshape(rows, times, columns, times)
+            return shaped.swapaxes(1, 2).reshape(rows, columns, times * times)
+
+        fine_window = Lattice(CELL_M).window(view.bounds)
+        assert fine.window == fine_window
+        weight, total = (np.zeros(fine_window.shape) for _ in range(2))
+        for n in names:
+            fold = MeanFold(Lattice(CELL_M), fine_window)
+            for grid, pose in FIELD[n]:
+                fold.add(grid, pose)
+            weight += fold.sums[0]
+            total += fold.sums[1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = blocks(total).sum(axis=2) / blocks(weight).sum(axis=2)
+        sessions_seen = blocks(fine.layer("sessions")).astype(float)
+        in_obstacle = np.nan_to_num(blocks(fine.layer("persistence"))) * sessions_seen
+        persistence = in_obstacle.sum(axis=2) / sessions_seen.sum(axis=2)
+    seen = blocks(fine.observed)
+    np.testing.assert_array_equal(view.observed, seen.any(axis=2))
+    np.testing.assert_array_equal(view.density, np.floor(np.nan_to_num(mean) + 0.5))
+    for name in ("count", "max", "sessions"):
+        np.testing.assert_array_equal(view.layer(name), blocks(fine.layer(name)).max(axis=2))
+    np.testing.assert_allclose(view.layer("persistence"), persistence, rtol=1e-6)
+    np.testing.assert_array_equal(view.peak, blocks(fine.density).max(axis=2))
+    share = np.where(seen.any(axis=2), seen.mean(axis=2), np.nan)
+    np.testing.assert_allclose(view.seen_share, share, rtol=1e-6)
+
+
+def test_a_cell_seen_often_outweighs_one_seen_once_at_every_size(tmp_path: Path) -> None:
+    """100 frames of 0 in one cell and one of 200 in the next: a mean of 2, a peak of 200."""
+    frames = [one_cell(2.05, 3.05, 0)] * 100 + [one_cell(2.15, 3.05, 200)]
+    path = write_map(tmp_path / "map.gpkg", [frames])
+    with open_map(path) as universal:
+        for cell_m in (0.2, 0.4, 0.5):
+            view = universal.read(cell_m=cell_m, layers=["peak", "count", "seen_share"])
+            (found,) = np.argwhere(view.observed)
+            assert view.density[tuple(found)] == 2
+            assert view.peak[tuple(found)] == 200
+            assert view.layer("count")[tuple(found)] == 100
+            times = round(cell_m / CELL_M)
+            assert view.seen_share[tuple(found)] == pytest.approx(2 / times**2)
+
+
+def test_the_stored_tiles_are_those_of_a_new_fold(path: Path) -> None:
+    with open_map(path) as universal:
+        for cell_m in (CELL_M, 0.2, 0.3):
+            stored = universal.read(cell_m=cell_m, layers=LAYERS)
+            anew = universal.read(cell_m=cell_m, layers=LAYERS, frame_filter=lambda frame: True)
+            for name in LAYERS:
+                np.testing.assert_array_equal(stored.layer(name), anew.layer(name))
 
 
 def test_a_window_is_a_part_of_the_whole(path: Path) -> None:
@@ -133,25 +200,29 @@ def test_a_window_is_a_part_of_the_whole(path: Path) -> None:
 def test_only_the_tiles_of_a_window_are_touched(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fieldgrid.mapfile import derived, evidence
-
     read: list[str] = []
-    for module, name in ((evidence, "decode_sums"), (derived, "decode_moments")):
+    for module, name in ((placing, "decode_tile"), (reading, "decode_png")):
         original = getattr(module, name)
 
-        def spy(blob: object, what: str, original: object = original) -> object:
-            read.append(what)
-            return original(blob, what)  # type: ignore[operator]
+        def spy(
+            *arguments: object, name: str = name, original: object = original, **options: object
+        ) -> object:
+            read.append(name)
+            return original(*arguments, **options)  # type: ignore[operator]
 
         monkeypatch.setattr(module, name, spy)
+    corner = Bounds(-5.0, 4.0, -4.0, 5.0)
     with open_map(path) as universal:
-        universal.read(Bounds(-5.0, 4.0, -4.0, 5.0))
-        assert len(read) == 1
-        universal.read(Bounds(-5.0, 4.0, -4.0, 5.0), layers=["count"])
-        assert len(read) == 4
+        universal.read(corner)
+        universal.read(corner, 0.2)
+        assert read == ["decode_png"] * 2
         read.clear()
-        universal.read(Bounds(-5.0, 4.0, -4.0, 5.0), 0.2)
-        assert len(read) == 1
+        universal.read(corner, layers=["count"])
+        universal.read(corner, 0.4, layers=["count"])
+        assert read == ["decode_tile"] * 4  # the density and the count, twice
+        read.clear()
+        universal.read(corner, layers=["density"], sessions=["0"])
+        assert read == ["decode_tile"]
 
 
 def test_layers_that_are_none_or_cannot_be_are_refused(path: Path) -> None:

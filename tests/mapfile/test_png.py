@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from fieldgrid.errors import MapError
-from fieldgrid.mapfile.png import decode_png, encode_mean, encode_png
-from fieldgrid.transfer import mean_density
+from fieldgrid.mapfile.png import decode_png, encode_png
 
 
 def test_another_reader_sees_grey_and_alpha_with_the_north_on_top() -> None:
@@ -21,21 +20,6 @@ def test_another_reader_sees_grey_and_alpha_with_the_north_on_top() -> None:
     pixels = np.asarray(image)
     np.testing.assert_array_equal(pixels[::-1, :, 0], density)
     np.testing.assert_array_equal(pixels[::-1, :, 1], np.where(observed, 255, 0))
-
-
-@pytest.mark.parametrize("share", [0.001, 0.3, 1.0])
-def test_the_picture_of_sums_is_that_of_their_mean(share: float) -> None:
-    random = np.random.default_rng(3)
-    sums = np.zeros((256, 256, 2), dtype=np.uint64)
-    sums[..., 0] = random.integers(0, 999, (256, 256)) * (random.random((256, 256)) < share)
-    sums[..., 1] = sums[..., 0] * random.integers(0, 256, (256, 256)).astype(np.uint64)
-    sums[..., 1] += random.integers(0, 9, (256, 256)).astype(np.uint64) * (sums[..., 0] > 99)
-    density, observed = mean_density(sums)
-    png, seen = encode_mean(sums)
-    assert png == encode_png(density, observed)
-    rows, columns = np.nonzero(observed)
-    assert (seen.i0, seen.j0) == (columns.min(), rows.min())
-    assert (seen.width, seen.height) == (np.ptp(columns) + 1, np.ptp(rows) + 1)
 
 
 def test_a_picture_reads_back_and_anything_else_is_damage() -> None:

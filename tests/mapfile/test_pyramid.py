@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from fieldgrid.lattice import TILE_CELLS, Lattice, Window
-from fieldgrid.mapfile import open_map
-from fieldgrid.mapfile import staging as staging_module
+from fieldgrid.mapfile import open_map, placing
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import MeanFold, mean_density
 from tests.mapfile.maps import CELL_M, DATUM, Frame, drive, write_map, write_session
@@ -52,7 +51,7 @@ def picture(path: Path, zoom: int) -> npt.NDArray[np.uint8]:
 
 def assert_levels_show(path: Path, frames: list[Frame]) -> None:
     sums = expected_sums(frames)
-    assert sums[..., 0].any()
+    assert sums[0].any()
     with sqlite3.connect(path) as database:
         zooms = [
             row[0]
@@ -64,12 +63,12 @@ def assert_levels_show(path: Path, frames: list[Frame]) -> None:
     assert zooms == list(range(base, base - len(zooms), -1))
     assert set(zooms) <= listed
     for zoom in zooms:
-        density, observed = mean_density(sums)
+        density, observed = mean_density(*sums)
         shown = picture(path, zoom)
         np.testing.assert_array_equal(shown[..., 0], density)
         np.testing.assert_array_equal(shown[..., 1], observed * 255)
-        size = len(sums) // 2
-        sums = sums.reshape(size, 2, size, 2, 2).sum(axis=(1, 3))
+        size = sums.shape[1] // 2
+        sums = sums.reshape(2, size, 2, size, 2).sum(axis=(2, 4))
     # The uppermost level is small enough to be looked at whole.
     rows, columns = np.nonzero(observed)
     assert max(np.ptp(rows), np.ptp(columns)) < 2 * TILE_CELLS
@@ -99,7 +98,8 @@ def test_a_drive_longer_than_the_memory_gives_the_same_map(
 ) -> None:
     there = drive(30)
     frames = [*there, *drive(30, heading_deg=37.3, start=0)[::-1], *drive(10, heading_deg=140.0)]
-    monkeypatch.setattr(staging_module, "POOL_TILES", 4)
-    monkeypatch.setattr(staging_module, "PART_TILES", 2)
+    monkeypatch.setattr(placing, "BLOCK_TILES", 1)
+    monkeypatch.setattr(placing, "RECENT_FRAMES", 1)
+    monkeypatch.setattr(placing, "RECENT_TILES", 0)
     path = write_map(tmp_path / "map.gpkg", [frames])
     assert_levels_show(path, frames)

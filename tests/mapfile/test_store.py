@@ -208,7 +208,7 @@ def test_a_reader_sees_the_last_committed_state_while_a_session_is_written(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    update = Pyramid.change
+    update = Pyramid.replace
 
     def look_while_updating(*arguments: object, **options: object) -> None:
         update(*arguments, **options)  # type: ignore[arg-type]
@@ -216,7 +216,7 @@ def test_a_reader_sees_the_last_committed_state_while_a_session_is_written(
 
     with open_map(path, datum=DATUM) as universal, open_map(path) as reader:
         before = reader.read()
-        monkeypatch.setattr(Pyramid, "change", look_while_updating)
+        monkeypatch.setattr(Pyramid, "replace", look_while_updating)
         with universal.add_session("more") as session:
             session.add(*drive(1, heading_deg=120.0)[0])
             assert session_names(path) == ["0"]
@@ -323,13 +323,13 @@ def test_a_writer_that_is_killed_leaves_the_map_as_it_was(path: Path, new: bool)
     target = path.with_name("new.gpkg") if new else path
     done = run(
         """
-        update = Pyramid.change
+        update = Pyramid.replace
         def update_and_die(*arguments, **options):
             update(*arguments, **options)
             os.kill(os.getpid(), signal.SIGKILL)
         with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
             universal._connection.execute("PRAGMA cache_size = 5")  # so pages reach the file
-            Pyramid.change = update_and_die
+            Pyramid.replace = update_and_die
             write_session(universal, "more", drive(20, heading_deg=120.0))
         """,
         target,
@@ -411,7 +411,7 @@ def changed(path: Path, *statements: str) -> Path:
 
 def test_a_newer_format_is_refused_by_both_numbers(path: Path) -> None:
     newer = changed(path, "UPDATE fieldgrid_meta SET value = '7' WHERE key = 'format_version'")
-    with pytest.raises(MapError, match=r"format version 7.*up to 2; update fieldgrid"):
+    with pytest.raises(MapError, match=r"format version 7.*up to 3; update fieldgrid"):
         open_map(newer)
 
 
@@ -427,9 +427,9 @@ def test_a_newer_format_is_refused_by_both_numbers(path: Path) -> None:
         "UPDATE fieldgrid_meta SET value = '[1, 2, -3, 4]' WHERE key = 'data_window'",
         "DROP TABLE fieldgrid_tile",
         "DROP TABLE trajectory",
-        "UPDATE fieldgrid_tile SET sums = zeroblob(100)",
-        "UPDATE fieldgrid_tile SET sums = 'text'",
-        "UPDATE fieldgrid_frame SET density = zeroblob(10)",
+        "UPDATE fieldgrid_tile SET data = zeroblob(100)",
+        "UPDATE fieldgrid_tile SET data = 'text'",
+        "UPDATE fieldgrid_grid SET data = zeroblob(10)",
         "UPDATE fieldgrid_frame SET status = 'fine'",
         "UPDATE fieldgrid_frame SET images = '{'",
         "UPDATE fieldgrid_frame SET east_m = 'x'",
@@ -525,7 +525,7 @@ def test_a_journal_that_was_never_needed_is_not_in_the_way_of_a_new_map(path: Pa
     assert names_in(path.parent) == ["map.gpkg", "other.gpkg"]
 
 
-def test_an_older_format_is_refused_with_what_to_do(path: Path) -> None:
+def test_a_format_of_before_the_first_release_is_refused_with_what_to_do(path: Path) -> None:
     older = changed(path, "UPDATE fieldgrid_meta SET value = '1' WHERE key = 'format_version'")
-    with pytest.raises(MapError, match=r"format version 1 .*build it again from its recordings"):
+    with pytest.raises(MapError, match=r"format version 1, .*build it again from its recordings"):
         open_map(older)

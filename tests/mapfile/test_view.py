@@ -86,9 +86,9 @@ def test_larger_cells_by_centre_are_the_sum_of_the_cells_in_them(
         for grid, pose in frames:
             fine.add(grid, pose)
         rows, columns = coarse.window.shape
-        sums = fine.sums.reshape(rows, times, columns, times, 2).sum(axis=(1, 3))
-        np.testing.assert_array_equal(coarse.observed, sums[..., 0] > 0)
-        mean = np.floor(sums[..., 1] / np.maximum(sums[..., 0], 1) + 0.5)
+        sums = fine.sums.reshape(2, rows, times, columns, times).sum(axis=(2, 4))
+        np.testing.assert_array_equal(coarse.observed, sums[0] > 0)
+        mean = np.floor(sums[1] / np.maximum(sums[0], 1) + 0.5)
         np.testing.assert_array_equal(coarse.density, mean)
 
 

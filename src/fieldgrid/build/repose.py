@@ -74,7 +74,7 @@ def _repose(
     inputs = from_arrays(universal.session_inputs(session.name))
     estimate = _estimate(universal, inputs, rig, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
-    before = {frame.frame_id: frame.pose for frame in universal.frames(session.name)}
+    before = {frame.frame_id: frame.driven for frame in universal.frames(session.name)}
     after = {key: _pose(estimate, pose.time_ns, found, rig) for key, pose in before.items()}
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     universal.repose(session.name, after, estimate.trajectory, config)

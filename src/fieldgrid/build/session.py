@@ -33,11 +33,10 @@ from fieldgrid.build.poses import (
 )
 from fieldgrid.build.report import Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
-from fieldgrid.build.spool import Spool
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import MapFile, Session, create_map, open_map
+from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
 from fieldgrid.motion import Steps
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.rig import Rig, StereoCamera
@@ -79,11 +78,12 @@ def add_recording(
     # Before the first image is read: the map itself would ask after the last one.
     check_cell_sizes(universal.cell_m, gridder.spec.cell_m)
     check_names([report.session], [info.name for info in universal.sessions()])
-    with Spool(gridder.spec, universal.path) as spool:
+    with StageFile.temporary(universal.path) as staged:
         look = trajectory is None and follows_camera(recording.rig, settings)
         perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
-        steps = perceiving(spool, report, odometry=look)
-        check_cameras(recording, report, int(spool.frames()[1].sum()), every)
+        steps = perceiving(staged, report, odometry=look)
+        found = sum(entry.ground_found for entry in staged.entries)
+        check_cameras(recording, report, found, every)
         if trajectory is None:
             trajectory = _estimated(recording, settings, universal.datum, steps, report)
         else:
@@ -95,9 +95,9 @@ def add_recording(
             config=session_config(settings, recording.rig, gridder, every),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
-            inputs=to_arrays(_inputs(recording, steps, spool)),
+            inputs=to_arrays(_inputs(recording, steps, staged)),
         ) as session:
-            _place(spool, session, trajectory, recording.rig, report)
+            _place(staged, session, trajectory, recording.rig, report)
             report.notes += tuple(camera_notes(recording, report))
             closing = time.perf_counter()
     report.stages.map_s += time.perf_counter() - closing
@@ -114,7 +114,7 @@ class _Perceiving(NamedTuple):
     jobs: int
     progress: Callable[[Progress], None] | None
 
-    def __call__(self, spool: Spool, report: SessionReport, *, odometry: bool) -> Steps | None:
+    def __call__(self, staged: StageFile, report: SessionReport, *, odometry: bool) -> Steps | None:
         recording, stages = self.recording, report.stages
         total = len(range(0, recording.frame_count, self.every))
         frames = (frame for k, frame in enumerate(recording.frames()) if k % self.every == 0)
@@ -125,18 +125,25 @@ class _Perceiving(NamedTuple):
             frame = seen.frame
             time_ns = frame.time_ns + recording.rig.image_time_offset_ns
             names = tuple(source.name for source in frame.sources)
-            spool.put(
-                frame.frame_id, time_ns, names, seen.sources_sha256, seen.ground.refined, seen.grid
+            staged.append(
+                stage(
+                    seen.grid,
+                    frame.frame_id,
+                    time_ns,
+                    images=names,
+                    images_sha256=seen.sources_sha256,
+                    ground_found=seen.ground.refined,
+                )
             )
-            spooled = time.thread_time()
+            written = time.thread_time()
             if motion is not None and seen.features is not None:
                 motion.add(time_ns, seen.features)
             stages.decode_s += seen.decode_s
             stages.match_s += seen.match_s
             stages.grid_s += seen.grid_s
-            stages.map_s += spooled - start
-            stages.odometry_s += seen.odometry_s + time.thread_time() - spooled
-            self._tell(report.session, len(spool), total, motion)
+            stages.map_s += written - start
+            stages.odometry_s += seen.odometry_s + time.thread_time() - written
+            self._tell(report.session, len(staged), total, motion)
         if motion is None:
             return None
         steps = motion.steps()
@@ -176,25 +183,19 @@ def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
 
 
 def _place(
-    spool: Spool, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+    staged: StageFile, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
 ) -> None:
-    """The second half: every grid meets its pose."""
+    """The second half: every staged frame meets its pose."""
     placed: Pose | None = None
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
     start = time.thread_time()
-    for waiting in spool:
-        pose = trajectory.at(waiting.time_ns)
-        if pose.status is Status.OK and not waiting.ground_refined:
+    for k, entry in enumerate(staged.entries):
+        pose = trajectory.at(entry.time_ns)
+        if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        session.add(
-            waiting.grid,
-            pose,
-            frame_id=waiting.frame_id,
-            images=waiting.images,
-            images_sha256=waiting.images_sha256,
-        )
+        session.add_staged(staged, pose, k)
         report.frames += 1
-        report.ground_refined += waiting.ground_refined
+        report.ground_refined += entry.ground_found
         if pose.status is not Status.OK:
             report.rejected += 1
             report.reasons[pose.reason] += 1
@@ -211,9 +212,11 @@ def _place(
     report.stages.map_s += time.thread_time() - start
 
 
-def _inputs(recording: Recording, steps: Steps | None, spool: Spool) -> Inputs:
+def _inputs(recording: Recording, steps: Steps | None, staged: StageFile) -> Inputs:
     motion = recording.motion()._replace(steps=steps)
-    return Inputs(recording.fixes(), motion, *spool.frames())
+    times_ns = np.array([entry.time_ns for entry in staged.entries], dtype=np.int64)
+    found = np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_)
+    return Inputs(recording.fixes(), motion, times_ns, found)
 
 
 def session_config(

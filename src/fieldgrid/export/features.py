@@ -104,8 +104,8 @@ def _cropped(layer: FeatureLayer, bounds: Bounds | None) -> FeatureLayer:
 def _obstacles(
     universal: MapFile, selection: Selection, settings: ObstacleSettings | None
 ) -> FeatureLayer:
-    with selection.pieces(universal) as pieces:
-        found = list(trace_obstacles(pieces.views, settings))
+    with selection.blocks(universal) as blocks:
+        found = list(trace_obstacles(blocks.views, settings))
     return FeatureLayer(
         "obstacle",
         "MultiPolygon",

@@ -25,7 +25,6 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
 from fieldgrid.publish import replacing
-from fieldgrid.trajectory import Trajectory
 
 PICTURE_PX = 2048
 """Side of a picture; larger ones are scaled down by older graphics."""
@@ -66,10 +65,10 @@ def export_kmz(
         )
     with (
         replacing(path, overwrite=overwrite) as file,
-        selection.pieces(universal) as pieces,
+        selection.blocks(universal) as blocks,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
-        lattice, whole = pieces.lattice, pieces.window
+        lattice, whole = blocks.lattice, blocks.window
         windows = list(_cut(whole, lattice))
         document, folder = _document(universal, selection, lattice)
         count = 0
@@ -88,7 +87,7 @@ def export_kmz(
         text = ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
         archive.writestr("doc.kml", text)
     rows = (
-        ("layer", f"{selection.layer}: {LAYERS[selection.layer].says}"),
+        ("layer", f"{selection.layer}: {LAYERS[selection.layer].meaning}"),
         ("cells", f"{whole.width} x {whole.height} of {lattice.cell_m:g} m"),
         ("pictures, lines", f"{count}, {lines}"),
         ("datum", universal.datum.described()),
@@ -149,7 +148,7 @@ def _document(
     _add(
         document,
         "description",
-        f"{selection.layer}: {LAYERS[selection.layer].says}. Cells of {lattice.cell_m:g} m in the "
+        f"{selection.layer}: {LAYERS[selection.layer].meaning}. Cells of {lattice.cell_m:g} m in the "
         f"plane that touches the WGS84 datum {datum.described()}, {len(names)} sessions up to "
         f"{names[-1]}.",
     )
@@ -217,8 +216,9 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
 
 def _drive(universal: MapFile, session: str) -> tuple[Float64, ...]:
     """East, north, up of the accepted poses: of the trajectory, or else of the frames."""
-    track: Trajectory | None = universal.about(session).trajectory
-    if track is not None:
+    metadata = universal.metadata(session)
+    if metadata.trajectory is not None:
+        track = metadata.transform.trajectory(metadata.trajectory)
         return tuple(v[track.accepted] for v in (track.east_m, track.north_m, track.up_m))
     poses = [frame.pose for frame in universal.frames(session) if frame.accepted]
     places = np.array([(p.east_m, p.north_m, p.up_m) for p in poses], dtype=np.float64)

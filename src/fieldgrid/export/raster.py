@@ -2,7 +2,7 @@
 
 GDAL makes both cloud-optimised GeoTIFFs and PNGs from another raster, so the pixels are written
 twice: first as they are, a piece of the map at a time, then in the format that was asked for. No
-more than some pieces are ever in memory.
+more than some blocks are ever in memory.
 """
 
 from __future__ import annotations
@@ -98,10 +98,9 @@ class Scratch:
 
 def layout_of(layer: str) -> Layout:
     """How a layer is laid out."""
-    dtype = LAYERS[layer].dtype
-    if layer in ("density", "max"):
-        return Layout(dtype, alpha=True, nodata=None, highest=layer == "max")
-    return Layout(dtype, alpha=False, nodata=math.nan if dtype.startswith("f") else 0)
+    declared = LAYERS[layer]
+    alpha = declared.nodata is None
+    return Layout(declared.dtype, alpha, declared.nodata, highest=layer in ("max", "peak"))
 
 
 @contextmanager
@@ -123,19 +122,19 @@ def painted(
         scratch = Scratch(path)
         stack.callback(scratch.discard)
         layout = layout_of(selection.layer)
-        with selection.pieces(universal) as pieces:
+        with selection.blocks(universal) as blocks:
             tags = _tags(universal, selection)
-            plane = plane_of(universal.datum, pieces.lattice, pieces.window)
+            plane = plane_of(universal.datum, blocks.lattice, blocks.window)
             other = None if epsg is None else _reprojected(plane, epsg, universal.datum)
             if check is not None:
                 check(other or plane)
             file = scratch.file("pixels")
             with creating(file, plane, layout, tags) as dataset:
-                for view in pieces.views:
-                    place = _pixels(pieces.window, view.window)
+                for view in blocks.views:
+                    place = _pixels(blocks.window, view.window)
                     for number, band in enumerate(layout.bands(view, selection.layer), 1):
                         dataset.write(band[::-1], number, window=place)
-        rows = _rows(universal, selection, pieces.lattice, pieces.window)
+        rows = _rows(universal, selection, blocks.lattice, blocks.window)
         if other is not None:
             plane, source = other, file
             file = scratch.file("projected")
@@ -274,9 +273,9 @@ def _tags(universal: MapFile, selection: Selection) -> dict[str, str]:
     tags = {
         **datum_tags(universal.datum, lattice),
         "FIELDGRID_LAYER": selection.layer,
-        "FIELDGRID_SAYS": LAYERS[selection.layer].says,
+        "FIELDGRID_SAYS": LAYERS[selection.layer].meaning,
     }
-    if selection.layer == "height":
+    if LAYERS[selection.layer].above_datum:
         tags["FIELDGRID_HEIGHT"] = (
             "above the plane that touches the datum: the ellipsoidal height is "
             "FIELDGRID_DATUM_HEIGHT_M + value + (east^2 + north^2) / 12.75e6 m"
@@ -295,7 +294,7 @@ def _rows(
 ) -> tuple[tuple[str, str], ...]:
     bounds = lattice.bounds(window)
     return (
-        ("layer", f"{selection.layer}: {LAYERS[selection.layer].says}"),
+        ("layer", f"{selection.layer}: {LAYERS[selection.layer].meaning}"),
         ("cells", f"{window.width} x {window.height} of {lattice.cell_m:g} m"),
         ("west south east north", " ".join(f"{value:.3f}" for value in bounds) + " m"),
         ("datum", universal.datum.described()),

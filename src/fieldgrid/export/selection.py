@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, check_inside
-from fieldgrid.mapfile import LAYERS, MapFile, MapView, Pieces, in_drive_order
+from fieldgrid.mapfile import LAYERS, Blocks, MapFile, MapView, in_drive_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,13 @@ class Selection:
         return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
 
     @contextmanager
-    def pieces(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Pieces]:
-        """The same as `view` in pieces from the north, of one state of the map, however large."""
+    def blocks(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Blocks]:
+        """The same as `view` in blocks from the north, of one state of the map, however large."""
         if self.bounds is not None:
             check_inside(self.bounds, universal.bounds)
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
-        with universal.pieces(self.bounds, self.cell_m, layers=wanted, at=self.at) as pieces:
-            yield pieces
+        with universal.blocks(self.bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
+            yield blocks
 
     def sessions(self, universal: MapFile) -> list[str]:
         """The names of the sessions that are in the part, in the order of their drives."""

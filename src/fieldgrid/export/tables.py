@@ -97,8 +97,8 @@ def _refuse_empty(rows: int, path: Path) -> None:
 
 
 def _tables(universal: MapFile, selection: Selection) -> Iterator[Table]:
-    with selection.pieces(universal, ("count",)) as pieces:
-        for view in pieces.views:
+    with selection.blocks(universal, ("count",)) as blocks:
+        for view in blocks.views:
             yield _table(view, selection.layer)
 
 
@@ -157,8 +157,8 @@ def _columns(layer: str) -> list[tuple[str, str, str]]:
     ]
     if layer != "count":
         kind = "float" if LAYERS[layer].dtype.startswith("f") else "integer"
-        found.append((layer, kind, LAYERS[layer].says))
-    return [*found, ("n", "integer", LAYERS["count"].says)]
+        found.append((layer, kind, LAYERS[layer].meaning))
+    return [*found, ("n", "integer", LAYERS["count"].meaning)]
 
 
 def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any]:

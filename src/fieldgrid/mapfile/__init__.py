@@ -17,39 +17,45 @@ A session is in the map when its block ends, or not at all; a new map appears wh
 block ends. One process adds a session at a time, any number read meanwhile.
 """
 
-from fieldgrid.mapfile.asof import in_drive_order
-from fieldgrid.mapfile.cells import LAYERS
+from fieldgrid.layers import LAYERS
+from fieldgrid.mapfile.blocks import Blocks
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
-from fieldgrid.mapfile.codec import decode_grid, encode_grid
+from fieldgrid.mapfile.history import in_drive_order
+from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.merge import Merged, merge_maps
-from fieldgrid.mapfile.pieces import Pieces
+from fieldgrid.mapfile.metadata import SessionMetadata
 from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
-from fieldgrid.mapfile.store import MapFile, create_map, open_map, read_datum
-from fieldgrid.mapfile.verification import Verdict
+from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
+from fieldgrid.mapfile.store import create_map, open_map, read_datum
+from fieldgrid.mapfile.transform import Transform
+from fieldgrid.mapfile.verification import HealthReport
 from fieldgrid.mapfile.view import MapView
 
 __all__ = [
     "LAYERS",
     "MEANING",
+    "Blocks",
     "Change",
     "ChangeView",
     "Contribution",
     "FrameRecord",
+    "HealthReport",
     "MapFile",
     "MapView",
     "Merged",
-    "Pieces",
     "Provenance",
     "Session",
     "SessionInfo",
-    "Verdict",
+    "SessionMetadata",
+    "StageFile",
+    "StagedFrame",
+    "Transform",
     "create_map",
-    "decode_grid",
-    "encode_grid",
     "in_drive_order",
     "merge_maps",
     "open_map",
     "read_datum",
+    "stage",
 ]

@@ -6,7 +6,7 @@ compared with what the drives after it and up to the second found there, again t
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -15,8 +15,8 @@ import numpy as np
 from fieldgrid.array_types import UInt8
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import OBSTACLE_ABOVE
-from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, TileIndex, Window, tile_window
-from fieldgrid.moments import SQUARES, WEIGHT, Moments
+from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.layers import Cells
 from fieldgrid.transfer import mean_density
 
 
@@ -79,24 +79,20 @@ class ChangeView:
         return float((self.change == change).sum()) / self.lattice.cells_per_m**2
 
 
-class ChangeTally:
-    """The latest state of a tile's cells before and after a moment."""
-
-    def __init__(self, view: ChangeView, after: Collection[str]) -> None:
-        self._view = view
-        self._after = after
-        self._states = np.zeros((2, TILE_CELLS, TILE_CELLS), dtype=np.uint8)
-
-    def add(self, session: str, moments: Moments) -> None:
-        """Take up a session, later than all before it."""
-        density, observed = mean_density(moments[..., WEIGHT:SQUARES])
+def latest_states(
+    shape: tuple[int, int], sessions: Iterable[tuple[str, Cells]], after: Collection[str]
+) -> UInt8:
+    """The latest state of cells before and after a moment, uint8 [2, *shape]: 0 not observed,
+    1 no obstacle, 2 obstacle. The sessions come in the order of their drives."""
+    states = np.zeros((2, *shape), dtype=np.uint8)
+    for name, cells in sessions:
+        density, observed = mean_density(cells["weight"], cells["sum"])
         state = np.where(density > OBSTACLE_ABOVE, np.uint8(2), np.uint8(1))
-        np.copyto(self._states[int(session in self._after)], state, where=observed)
+        np.copyto(states[int(name in after)], state, where=observed)
+    return states
 
-    def write(self, tile: TileIndex) -> None:
-        """Fill the tile's part of the view."""
-        cells = tile_window(tile)
-        part = cells.intersect(self._view.window)
-        if part is not None:
-            before, after = (state[cells.slices_of(part)] for state in self._states)
-            self._view.change[self._view.window.slices_of(part)] = _OUTCOME[before, after]
+
+def outcome(states: UInt8) -> UInt8:
+    """The `Change` of cells, from their states before and after."""
+    found: UInt8 = _OUTCOME[states[0], states[1]]
+    return found

@@ -1,147 +1,119 @@
-"""What follows from the evidence: a session's cells and features, and what it has in the map.
+"""What follows from the evidence: a session's tiles and features, and what it has in the map.
 
-Everything here can be made anew from the frames and arrays of the sessions; it is kept so that
-a map can be shown, read and changed at a cost that does not grow with it.
+Everything here can be rebuilt from the frames and arrays of the sessions; it is kept so that a
+map can be shown, read and changed at a cost that does not grow with it.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from pathlib import Path
 
-import numpy as np
-
-from fieldgrid.lattice import TILE_CELLS, TileIndex
-from fieldgrid.mapfile.codec import decode_moments, encode_moments
-from fieldgrid.mapfile.layers import hide_session, show_session
-from fieldgrid.mapfile.pyramid import Backlog, Pyramid, Sums
-from fieldgrid.mapfile.records import FRAME_SQL, FrameRecord, frame_record
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.evidence import frames_of
+from fieldgrid.mapfile.features import hide_session, show_session
+from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.metadata import SessionMetadata, find
+from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
+from fieldgrid.mapfile.pyramid import Pyramid
+from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
-from fieldgrid.mapfile.staging import SessionFold, Staging
+from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.moments import SQUARES, WEIGHT, Moments
-from fieldgrid.trajectory import Trajectory
-from fieldgrid.transfer import Transfer
+
+
+def tables_of(connection: sqlite3.Connection, header: Header, path: Path) -> TileTables:
+    """The tile tables of a map that is to be changed."""
+    matrices = TileMatrixSet(header.lattice)
+    return TileTables(connection, matrices, header.writable_groups(path))
 
 
 def show(
     connection: sqlite3.Connection,
-    matrices: TileMatrixSet,
+    header: Header,
     session_id: int,
-    name: str,
-    track: Trajectory | None,
-    fold: SessionFold,
-    *,
+    metadata: SessionMetadata,
+    tiles: SessionTiles,
+    path: Path,
+) -> None:
+    """Bring a session into the map, or up to date in it, within the caller's transaction."""
+    show_features(connection, session_id, metadata)
+    Pyramid(connection, tables_of(connection, header, path)).replace(session_id, tiles)
+    touch(connection)
+
+
+def show_features(
+    connection: sqlite3.Connection,
+    session_id: int,
+    metadata: SessionMetadata,
     evidence: sqlite3.Connection | None = None,
 ) -> None:
-    """Bring a session into the map, or up to date in it, within the caller's transaction.
-
-    Its frames are read from `evidence` where that is another database.
-    """
-    hide_session(connection, session_id, name)
+    """Bring the features of a session up to date; its frames are those in `evidence`, where that
+    is another database."""
+    hide_session(connection, session_id, metadata.name)
+    track = metadata.trajectory
+    placed = None if track is None else metadata.transform.trajectory(track)
     frames = frames_of(evidence or connection, session_id)
-    show_session(connection, session_id, name, frames, track)
-    _put_cells(connection, matrices, session_id, fold)
+    show_session(connection, session_id, metadata.name, frames, placed)
 
 
 def hide(
-    connection: sqlite3.Connection, matrices: TileMatrixSet, session_id: int, name: str
+    connection: sqlite3.Connection, header: Header, session_id: int, name: str, path: Path
 ) -> None:
     """Take a session out of the map, within the caller's transaction; its evidence stays."""
     hide_session(connection, session_id, name)
-    _put_cells(connection, matrices, session_id, None)
+    Pyramid(connection, tables_of(connection, header, path)).replace(session_id, None)
+    touch(connection)
 
 
 def fold_evidence(
-    connection: sqlite3.Connection, matrices: TileMatrixSet, transfer: Transfer, session_id: int
-) -> SessionFold:
-    """The fold over the stored frames of a session; to be closed."""
-    fold = SessionFold(matrices.lattice, transfer, Staging())
-    try:
-        for record in frames_of(connection, session_id):
-            if record.accepted:
-                fold.add(record.grid(), record.pose)
-    except BaseException:
-        fold.close()
-        raise
-    return fold
+    connection: sqlite3.Connection, header: Header, session_id: int, path: Path
+) -> SessionTiles:
+    """The tiles of a session from its stored frames; to be closed."""
+    frames = placed_frames(frames_of(connection, session_id))
+    groups = header.writable_groups(path)
+    return SessionTiles.folded(frames, header.lattice, header.transfer, groups)
 
 
-def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameRecord]:
-    """The stored frames of a session in the order in which they were added."""
-    rows = connection.execute(
-        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.id", (session_id,)
-    ).fetchall()
-    return [frame_record(row, blobs_of(connection, row[0])) for row in rows]
+def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
+    """The accepted ones of some frames, as `placing` takes them."""
+    return [
+        PlacedFrame(record.pose, record.spec, record.cells) for record in records if record.accepted
+    ]
 
 
-def blobs_of(connection: sqlite3.Connection, frame_id: int) -> Callable[[], tuple[object, object]]:
-    """What fetches the density and observed blobs of the frame with this row id."""
-
-    def fetch() -> tuple[object, object]:
-        blobs = connection.execute(
-            "SELECT density, observed FROM fieldgrid_frame WHERE id = ?", (frame_id,)
-        ).fetchone()
-        return (None, None) if blobs is None else blobs
-
-    return fetch
-
-
-def _put_cells(
-    connection: sqlite3.Connection,
-    matrices: TileMatrixSet,
-    session_id: int,
-    fold: SessionFold | None,
-) -> None:
-    """Replace the tiles of a session, and bring those of the map up to date."""
-    rows = connection.execute(
-        "SELECT ty, tx FROM fieldgrid_session_tile WHERE session_id = ?", (session_id,)
-    )
-    before = {TileIndex(*row) for row in rows}
-    after = set() if fold is None else fold.tiles()
-    backlog = Backlog()
-
-    def insert(tile: TileIndex, blob: bytes) -> None:
-        connection.execute(
-            "INSERT INTO fieldgrid_session_tile VALUES (?, ?, ?, ?) "
-            "ON CONFLICT (session_id, ty, tx) DO UPDATE SET moments = excluded.moments",
-            (session_id, *tile, blob),
-        )
-
-    def delta(tile: TileIndex) -> Sums:
-        old = stored_moments(connection, session_id, tile) if tile in before else None
-        new = fold.moments(tile) if fold is not None and tile in after else None
-        if new is not None and new[..., WEIGHT].any():
-            backlog.put(encode_moments, new, lambda blob: insert(tile, blob))
-        elif old is not None:
-            connection.execute(
-                "DELETE FROM fieldgrid_session_tile WHERE session_id = ? AND ty = ? AND tx = ?",
-                (session_id, *tile),
-            )
-        # Unsigned, so what is taken away is added modulo 2^64.
-        return _sums(new) if old is None else _sums(new) - _sums(old)
-
-    try:
-        pyramid = Pyramid(connection, matrices, backlog)
-        pyramid.change(before | after, delta, shrinks=bool(before))
-    finally:
-        backlog.close()
+def touch(connection: sqlite3.Connection) -> None:
+    """Tell a GIS that the layers have changed."""
     connection.execute(f"UPDATE gpkg_contents SET last_change = {NOW_SQL}")
 
 
-def stored_moments(
-    connection: sqlite3.Connection, session_id: int, tile: TileIndex
-) -> Moments | None:
-    """What a session has in a tile, as stored."""
-    row = connection.execute(
-        "SELECT moments FROM fieldgrid_session_tile WHERE session_id = ? AND ty = ? AND tx = ?",
-        (session_id, *tile),
-    ).fetchone()
-    return None if row is None else decode_moments(row[0], f"session tile {tuple(tile)}")
+def rebuild(
+    connection: sqlite3.Connection, path: Path, header: Header, groups: tuple[str, ...]
+) -> None:
+    """Make all that follows from the evidence, its tiles with these channel groups."""
+    for table in (*schema.DERIVED_TABLES, *schema.GEOMETRIES, "density"):
+        connection.execute(f"DELETE FROM {table}")
+    for table in ("gpkg_tile_matrix", "gpkg_tile_matrix_set"):
+        connection.execute(f"DELETE FROM {table} WHERE table_name = 'density'")
+    connection.execute("DELETE FROM fieldgrid_meta WHERE key = 'data_window'")
+    schema.announce_layers(connection, TileMatrixSet(header.lattice))
+    schema.set_groups(connection, groups)
+    header = header._replace(groups=groups)
+    tables = tables_of(connection, header, path)
+    for session_id, name in active(connection):
+        show_features(connection, session_id, find(connection, path, header.datum, name).metadata)
+        with fold_evidence(connection, header, session_id, path) as tiles:
+            for tile in sorted(tiles.tiles):
+                tables.put_session(session_id, tile, tiles.blobs(tile))
+    Pyramid(connection, tables).rebuild()
+    touch(connection)
 
 
-def _sums(moments: Moments | None) -> Sums:
-    """Weight and weighted sum alone, which the tiles of the whole map hold."""
-    if moments is None:
-        return np.zeros((TILE_CELLS, TILE_CELLS, 2), dtype=np.uint64)
-    return moments[..., WEIGHT:SQUARES]
+def active(connection: sqlite3.Connection) -> list[tuple[int, str]]:
+    """The row ids and names of the sessions that are in the map."""
+    return [
+        (int(session_id), str(name))
+        for session_id, name in connection.execute(
+            "SELECT id, name FROM fieldgrid_session WHERE removed IS NULL ORDER BY id"
+        )
+    ]

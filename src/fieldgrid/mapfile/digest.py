@@ -14,17 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.grids import LocalGrid
 from fieldgrid.mapfile.arrays import Array, Kind
 
 
-def frame_digest(values: Iterable[Any], grid: LocalGrid) -> str:
-    """Of a frame: its columns up to the digest itself, then its cells."""
-    density = np.where(grid.observed, grid.density, np.uint8(0))
-    hashed = hashlib.sha256(_as_json(list(values)))
-    hashed.update(density.tobytes())
-    hashed.update(np.packbits(grid.observed).tobytes())
-    return hashed.hexdigest()
+def frame_digest(values: Iterable[Any]) -> str:
+    """Of a frame: its columns up to the digest itself, the SHA-256 of its cells among them."""
+    return hashlib.sha256(as_json(list(values))).hexdigest()
 
 
 def session_digest(
@@ -33,19 +28,20 @@ def session_digest(
     frames: Iterable[str],
 ) -> str:
     """Of a session: its own columns, its arrays, and the digests of its frames, sorted."""
-    hashed = hashlib.sha256(_as_json(list(values)))
+    hashed = hashlib.sha256(as_json(list(values)))
     for kind in Kind:
         for name, array in sorted(arrays.get(kind, {}).items()):
             value = np.asarray(array)
             value = value.astype(value.dtype.newbyteorder("<"), copy=False)
-            hashed.update(_as_json([kind.value, name, value.dtype.str, list(value.shape)]))
+            hashed.update(as_json([kind.value, name, value.dtype.str, list(value.shape)]))
             hashed.update(value.tobytes())
     for frame in sorted(frames):
         hashed.update(frame.encode())
     return hashed.hexdigest()
 
 
-def _as_json(values: list[Any]) -> bytes:
+def as_json(values: list[Any]) -> bytes:
+    """A compact JSON list and a line feed: what is hashed of plain values."""
     # A number that is not known is NULL in the file.
     known = [None if isinstance(v, float) and math.isnan(v) else v for v in values]
     return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode() + b"\n"

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable, Collection, Iterator, Sequence
+import threading
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, TileIndex, Window, tile_window
+from fieldgrid.lattice import Bounds, TileIndex, Window
 from fieldgrid.mapfile.arrays import Array, Kind, read_arrays, trajectory_of
-from fieldgrid.mapfile.asof import in_drive_order
-from fieldgrid.mapfile.codec import decode_sums
-from fieldgrid.mapfile.derived import stored_moments
+from fieldgrid.mapfile.codec import EncodedChannel
+from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.records import (
     FRAME_SQL,
     SESSION_SQL,
@@ -24,22 +24,20 @@ from fieldgrid.mapfile.records import (
     session_info,
 )
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.mapfile.view import MapView
-from fieldgrid.moments import Moments
+from fieldgrid.mapfile.transform import Transform, transform_of
 from fieldgrid.trajectory import Trajectory
-from fieldgrid.transfer import mean_density
 
 
 class Evidence:
     """The queries on one map."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        self._connection = connection
+        self.connection = connection
         self._path = path
 
     def data_window(self) -> Window:
         """The base cells that hold data; MapError when there are none."""
-        row = self._connection.execute(
+        row = self.connection.execute(
             "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'"
         ).fetchone()
         if row is None:
@@ -54,7 +52,7 @@ class Evidence:
 
     def sessions(self) -> list[SessionInfo]:
         """The sessions in the order in which they were added, removed ones included."""
-        rows = self._connection.execute(f"{SESSION_SQL} ORDER BY id").fetchall()
+        rows = self.connection.execute(f"{SESSION_SQL} ORDER BY id").fetchall()
         return [session_info(row) for row in rows]
 
     def active(self) -> list[SessionInfo]:
@@ -65,7 +63,7 @@ class Evidence:
         """Raise ConfigError for the first name that is not in the map, or, if asked, removed."""
         known = {
             str(name): removed
-            for name, removed in self._connection.execute(
+            for name, removed in self.connection.execute(
                 "SELECT name, removed FROM fieldgrid_session ORDER BY id"
             )
         }
@@ -83,44 +81,21 @@ class Evidence:
 
     def find_name(self, name: str) -> bool | None:
         """Whether the session of that name is active; None when there is none."""
-        row = self._connection.execute(
+        row = self.connection.execute(
             "SELECT removed IS NULL FROM fieldgrid_session WHERE name = ?", (name,)
         ).fetchone()
         return None if row is None else bool(row[0])
 
-    def frame_rows(
-        self, sessions: Collection[str] | None, near: Bounds | None = None
-    ) -> list[tuple[Any, ...]]:
-        """Rows of `FRAME_SQL` in time order, of all frames that may reach into `near`.
-
-        Without `sessions` those of the active ones.
-        """
-        where, values = ["1"], list[Any]()
-        if sessions is None:
-            where.append("s.removed IS NULL")
-        else:
+    def frame_rows(self, sessions: Collection[str] | None) -> list[tuple[Any, ...]]:
+        """Rows of `FRAME_SQL` in time order; without `sessions` those of the active ones."""
+        where, values = "s.removed IS NULL", list[Any]()
+        if sessions is not None:
             self.check_sessions(sessions)
-            where.append("s.name IN (SELECT value FROM json_each(?))")
+            where = "s.name IN (SELECT value FROM json_each(?))"
             values.append(json.dumps(list(sessions)))
-        if near is not None:
-            # Width and length together are more than the distance of any corner.
-            reach = "(s.grid_width_m + s.grid_length_m)"
-            where.append(f"f.east_m BETWEEN ? - {reach} AND ? + {reach}")
-            where.append(f"f.north_m BETWEEN ? - {reach} AND ? + {reach}")
-            values += [near.west_m, near.east_m, near.south_m, near.north_m]
-        return self._connection.execute(
-            f"{FRAME_SQL} WHERE {' AND '.join(where)} ORDER BY f.time_ns, s.name, f.frame_id",
-            values,
+        return self.connection.execute(
+            f"{FRAME_SQL} WHERE {where} ORDER BY f.time_ns, s.name, f.frame_id", values
         ).fetchall()
-
-    def blobs(self, row: tuple[Any, ...]) -> tuple[object, object]:
-        """The density and observed blobs of a frame row."""
-        blobs = self._connection.execute(
-            "SELECT density, observed FROM fieldgrid_frame WHERE id = ?", (row[0],)
-        ).fetchone()
-        if blobs is None:
-            raise MapError(f"A frame of {self._path} was removed meanwhile; read it again.")
-        return blobs[0], blobs[1]
 
     def accepted(
         self,
@@ -129,40 +104,23 @@ class Evidence:
         frame_filter: Callable[[FrameRecord], bool] | None,
     ) -> list[FrameRecord]:
         """The accepted frames that may reach into `near`; their grids load when asked for."""
-        records = [
-            # The default argument binds this row, not the loop's last.
-            frame_record(row, lambda row=row: self.blobs(row))  # type: ignore[misc]
-            for row in self.frame_rows(sessions, near)
-        ]
+        records = (
+            frame_record(row, loader(self.connection, row[0])) for row in self.frame_rows(sessions)
+        )
         return [
             record
             for record in records
-            if record.accepted and (frame_filter is None or frame_filter(record))
+            if record.accepted
+            and _reaches(record, near)
+            and (frame_filter is None or frame_filter(record))
         ]
 
     def levels(self) -> int:
         """How many zoom levels there are above the base."""
-        (levels,) = self._connection.execute(
-            "SELECT max(zoom) - min(zoom) FROM fieldgrid_tile"
+        (levels,) = self.connection.execute(
+            "SELECT max(zoom_level) - min(zoom_level) FROM density"
         ).fetchone()
         return int(levels or 0)
-
-    def fill_from_tiles(self, view: MapView, level: int) -> None:
-        """Fill a view of the cells of a level, 0 for the base cells, from the stored sums."""
-        corners = list(view.window.tiles())
-        south, west, north, east = *corners[0], *corners[-1]
-        cursor = self._connection.execute(
-            "SELECT ty, tx, sums FROM fieldgrid_tile WHERE zoom = (SELECT max(zoom) FROM "
-            "fieldgrid_tile) - ? AND ty BETWEEN ? AND ? AND tx BETWEEN ? AND ?",
-            (level, south, north, west, east),
-        )
-        for ty, tx, blob in cursor:
-            tile = tile_window(TileIndex(ty, tx))
-            part = tile.intersect(view.window)
-            if part is not None:
-                sums = decode_sums(blob, f"tile ({ty}, {tx})")[tile.slices_of(part)]
-                place = view.window.slices_of(part)
-                view.density[place], view.observed[place] = mean_density(sums)
 
     def pictures(
         self, window: Window, matrices: TileMatrixSet, level: int
@@ -171,58 +129,46 @@ class Evidence:
         corners, zoom = list(window.tiles()), matrices.base_zoom - level
         west, south = matrices.column_row(zoom, corners[0])
         east, north = matrices.column_row(zoom, corners[-1])
-        rows = self._connection.execute(
+        rows = self.connection.execute(
             "SELECT tile_column, tile_row, tile_data FROM density WHERE zoom_level = ? "
             "AND tile_row BETWEEN ? AND ? AND tile_column BETWEEN ? AND ?",
             (zoom, north, south, west, east),
         )
         return [(matrices.tile(zoom, column, row), blob) for column, row, blob in rows]
 
-    def session_tiles(
-        self, window: Window, sessions: Sequence[str]
-    ) -> Iterator[tuple[TileIndex, str, Moments]]:
-        """What each of the sessions has in the base tiles of a window.
-
-        Tile by tile, and in a tile in the order in which the sessions are given.
-        """
-        order = {name: k for k, name in enumerate(sessions)}
-        corners = list(window.tiles())
-        (south, west), (north, east) = corners[0], corners[-1]
-        rows = self._connection.execute(
-            "SELECT t.ty, t.tx, s.name, t.session_id FROM fieldgrid_session_tile AS t "
-            "JOIN fieldgrid_session AS s ON s.id = t.session_id "
-            "WHERE t.ty BETWEEN ? AND ? AND t.tx BETWEEN ? AND ?",
-            (south, north, west, east),
-        )
-        wanted = [row for row in rows if row[2] in order]
-        for ty, tx, name, session_id in sorted(wanted, key=lambda r: (r[0], r[1], order[r[2]])):
-            tile = TileIndex(ty, tx)
-            moments = stored_moments(self._connection, session_id, tile)
-            if moments is not None:
-                yield tile, name, moments
+    def session_ids(self, names: Collection[str]) -> dict[int, str]:
+        """The names of sessions by their row ids, in the order in which they are given."""
+        rows = self.connection.execute("SELECT name, id FROM fieldgrid_session")
+        ids = dict(rows.fetchall())
+        return {int(ids[name]): name for name in names}
 
     def trajectory(self, session: str, datum: Datum) -> Trajectory:
-        """The trajectory that was stored with a session."""
-        session_id, heading_source = self._row_of(session)
-        columns = read_arrays(self._connection, session_id, Kind.TRAJECTORY)
+        """The trajectory that was stored with a session, as driven."""
+        session_id, heading_source, _ = self._row_of(session)
+        columns = read_arrays(self.connection, session_id, Kind.TRAJECTORY)
         if not columns:
             raise MapError(f"Session {session!r} of {self._path} has no trajectory stored with it.")
         return trajectory_of(columns, datum, heading_source)
 
+    def transform(self, session: str) -> Transform:
+        """The transform of a session."""
+        return self._row_of(session)[2]
+
     def inputs(self, session: str) -> dict[str, Array]:
         """The arrays that were given with a session."""
-        session_id, _ = self._row_of(session)
-        return read_arrays(self._connection, session_id, Kind.INPUT)
+        session_id, *_ = self._row_of(session)
+        return read_arrays(self.connection, session_id, Kind.INPUT)
 
-    def _row_of(self, session: str) -> tuple[int, str]:
+    def _row_of(self, session: str) -> tuple[int, str, Transform]:
         self.check_sessions([session])
-        session_id, heading_source = self._connection.execute(
-            "SELECT id, heading_source FROM fieldgrid_session WHERE name = ?", (session,)
+        session_id, heading_source, transform = self.connection.execute(
+            "SELECT id, heading_source, transform FROM fieldgrid_session WHERE name = ?",
+            (session,),
         ).fetchone()
-        return int(session_id), str(heading_source)
+        return int(session_id), str(heading_source), transform_of(transform)
 
     def _why_empty(self) -> str:
-        frames, rejected, removed = self._connection.execute(
+        frames, rejected, removed = self.connection.execute(
             "SELECT count(*), coalesce(sum(f.status <> 'ok'), 0), "
             "coalesce(sum(s.removed IS NOT NULL), 0) FROM fieldgrid_frame AS f "
             "JOIN fieldgrid_session AS s ON s.id = f.session_id"
@@ -235,3 +181,37 @@ class Evidence:
             f"{self._path} has no observed cell: of its {frames} frames {rejected} were rejected "
             "and the others saw nothing. Look at the reasons of its frames."
         )
+
+
+_ONE_AT_A_TIME = threading.Lock()
+
+
+def loader(connection: sqlite3.Connection, frame: int) -> Callable[[], tuple[EncodedChannel, ...]]:
+    """What fetches the stored channels of the frame with this row id; any thread may call it."""
+
+    def fetch() -> tuple[EncodedChannel, ...]:
+        with _ONE_AT_A_TIME:
+            rows = connection.execute(
+                "SELECT channel, dtype, data FROM fieldgrid_grid WHERE frame = ? ORDER BY channel",
+                (frame,),
+            ).fetchall()
+        return tuple(EncodedChannel(*row) for row in rows)
+
+    return fetch
+
+
+def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameRecord]:
+    """The stored frames of a session, ordered by time and frame_id."""
+    rows = connection.execute(
+        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.time_ns, f.frame_id", (session_id,)
+    ).fetchall()
+    return [frame_record(row, loader(connection, row[0])) for row in rows]
+
+
+def _reaches(record: FrameRecord, near: Bounds) -> bool:
+    """Whether any cell of a frame may lie within bounds."""
+    pose, reach_m = record.pose, record.spec.reach_m
+    return (
+        near.west_m - reach_m <= pose.east_m <= near.east_m + reach_m
+        and near.south_m - reach_m <= pose.north_m <= near.north_m + reach_m
+    )

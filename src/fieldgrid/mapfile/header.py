@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from pathlib import Path
@@ -9,20 +10,41 @@ from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError
 from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice
+from fieldgrid.lattice import TILE_CELLS, Lattice
+from fieldgrid.layers import GROUPS, ChannelGroup
 from fieldgrid.mapfile import schema
-from fieldgrid.transfer import Transfer
+from fieldgrid.transfer import CELL_WEIGHT, Transfer
+
+OLDEST_VERSION = 2
+"""Of the formats that are read."""
 
 _SAME_ANGLE_DEG = 1e-9
 _SAME_HEIGHT_M = 1e-3
 
 
 class Header(NamedTuple):
-    """The settings that a map was made with."""
+    """The settings that a map was made with, and the channel groups that its tiles hold."""
 
     datum: Datum
     lattice: Lattice
     transfer: Transfer
+    groups: tuple[str, ...]
+    version: int = schema.FORMAT_VERSION
+
+    def known_groups(self) -> tuple[ChannelGroup, ...]:
+        """The channel groups of the map's tiles that this program knows."""
+        return tuple(GROUPS[name] for name in self.groups if name in GROUPS)
+
+    def writable_groups(self, path: Path) -> tuple[ChannelGroup, ...]:
+        """The same for a change, which must bring all of them up to date; ConfigError when one is
+        unknown."""
+        unknown = [name for name in self.groups if name not in GROUPS]
+        if unknown:
+            raise ConfigError(
+                f"{path} holds the channel group {unknown[0]!r}, which no imported module knows; "
+                "import the module that registers it, or drop it with `fieldgrid repair`."
+            )
+        return self.known_groups()
 
     def lattice_of(self, cell_m: float | None) -> Lattice:
         """The lattice for a cell size; the map's own when none is given, or up to rounding."""
@@ -81,18 +103,26 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
                 f"{path} has format version {version}, and this fieldgrid reads up to "
                 f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
             )
-        if version < schema.FORMAT_VERSION:
+        if version < OLDEST_VERSION:
             raise MapError(
-                f"{path} has format version {version} of an earlier fieldgrid, and this one reads "
-                f"{schema.FORMAT_VERSION}; build it again from its recordings."
+                f"{path} has format version {version}, of before the first release; build it again "
+                "from its recordings."
             )
-        missing = sorted(({*schema.OWN_TABLES, *schema.LAYERS}) - tables)
+        expected = {*schema.OWN_TABLES, *schema.LAYERS}
+        if version < schema.FORMAT_VERSION:
+            expected -= {"fieldgrid_grid"}
+        missing = sorted(expected - tables)
         if missing:
             raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
+        for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
+            if meta[key] != str(value):
+                raise ValueError(f"{key} is {meta[key]!r}, not {value}")
         return Header(
             Datum(*(float(meta[f"datum_{key}"]) for key in ("lat_deg", "lon_deg", "height_m"))),
             Lattice(float(meta["cell_m"])),
             Transfer(meta["transfer"]),
+            tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]"))),
+            version,
         )
     except MapError:
         raise

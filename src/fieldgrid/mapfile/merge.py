@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fieldgrid.errors import ConfigError, DatumError
+from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.records import SessionInfo
-from fieldgrid.mapfile.store import MapFile, create_map, open_map
+from fieldgrid.mapfile.store import create_map, open_map
 from fieldgrid.transfer import Transfer
 
 
@@ -74,10 +75,10 @@ def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: dict[st
     if info.digest in taken:
         return Merged(universal.path, info.name, taken[info.digest], twin=taken[info.digest])
     name = _free_name(info.name, universal.path.stem, set(taken.values()))
-    about = universal.about(info.name)._replace(name=name)
-    with target.add_about(about) as session:
+    metadata = universal.metadata(info.name)._replace(name=name)
+    with target.add_session_of(metadata) as session:
         for frame in universal.frames(info.name, with_grid=True):
-            session.add_record(frame)
+            session.add_staged(frame.staged(), frame.driven, quality=frame.quality)
     taken[info.digest] = name
     return Merged(universal.path, info.name, name)
 

@@ -11,10 +11,9 @@ import zlib
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, UInt8, UInt64
+from fieldgrid.array_types import Bool, UInt8
 from fieldgrid.errors import MapError
-from fieldgrid.kernel import kernel
-from fieldgrid.lattice import TILE_CELLS, Window
+from fieldgrid.lattice import TILE_CELLS
 from fieldgrid.mapfile.codec import deflate, inflate
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -31,44 +30,7 @@ def encode_png(density: UInt8, observed: Bool) -> bytes:
     height, width = density.shape
     rows = np.zeros((height, 1 + 2 * width), dtype=np.uint8)  # a row starts with filter 0: none
     rows[:, 1::2] = density[::-1]
-    rows[:, 2::2] = observed[::-1]
-    rows[:, 2::2] *= np.uint8(255)
-    return _encode_rows(rows)
-
-
-def encode_mean(sums: UInt64) -> tuple[bytes, Window]:
-    """The PNG of the mean density of sums, uint64 [rows, columns, 2], and what was observed.
-
-    The same as `encode_png` of `mean_density`, in one pass. Some cell must be observed.
-    """
-    height, width, _ = sums.shape
-    rows = np.zeros((height, 1 + 2 * width), dtype=np.uint8)
-    i0, j0, i1, j1 = draw_mean(sums, rows)
-    return _encode_rows(rows), Window(int(i0), int(j0), int(i1 - i0 + 1), int(j1 - j0 + 1))
-
-
-@kernel
-def draw_mean(sums, rows):  # type: ignore[no-untyped-def]
-    """Fill the rows of a picture, which are 0 before; returns the observed cells' extent."""
-    height, width = sums.shape[0], sums.shape[1]
-    i0, j0, i1, j1 = width, height, -1, -1
-    two = np.uint64(2)
-    for j in range(height):
-        row = height - 1 - j
-        for i in range(width):
-            weight = sums[j, i, 0]
-            if weight == 0:
-                continue
-            i0, j0, i1, j1 = min(i0, i), min(j0, j), max(i1, i), max(j1, j)
-            rows[row, 2 + 2 * i] = 255
-            total = sums[j, i, 1]
-            if total != 0:
-                rows[row, 1 + 2 * i] = np.uint8((two * total + weight) // (two * weight))
-    return i0, j0, i1, j1
-
-
-def _encode_rows(rows: UInt8) -> bytes:
-    height, width = rows.shape[0], rows.shape[1] // 2
+    np.multiply(observed[::-1], np.uint8(255), out=rows[:, 2::2])
     header = struct.pack(">IIBBBBB", width, height, _BIT_DEPTH, _GREY_ALPHA, 0, 0, 0)
     return b"".join(
         (

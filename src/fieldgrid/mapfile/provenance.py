@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.trajectory import Pose
@@ -59,9 +56,10 @@ def trace(
     found: list[Contribution] = []
     total = MeanFold(lattice, cell, transfer)
     for frame in frames:
-        sums = _of_frame(frame.grid(), frame.pose, lattice, transfer, cell)
-        total.sums += sums
-        weight, weighted = (int(value) for value in sums[0, 0])
+        grid, alone = frame.grid(), MeanFold(lattice, cell, transfer)
+        total.add(grid, frame.pose)
+        alone.add(grid, frame.pose)
+        weight, weighted = (int(value) for value in alone.sums[:, 0, 0])
         if weight:
             found.append(
                 Contribution(
@@ -78,11 +76,3 @@ def trace(
     density, observed = total.density()
     value = int(density[0, 0]) if observed[0, 0] else None
     return Provenance(east_m, north_m, lattice.bounds(cell), value, tuple(found))
-
-
-def _of_frame(
-    grid: LocalGrid, pose: Pose, lattice: Lattice, transfer: Transfer, cell: Window
-) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
-    fold = MeanFold(lattice, cell, transfer)
-    fold.add(grid, pose)
-    return fold.sums

@@ -1,308 +1,239 @@
-"""The tiles of a map: their sums at every zoom level, and the pictures that a GIS sees.
+"""The map over all sessions: its base tiles, the levels above, and the pictures that a GIS sees.
 
-Each level holds sums, not means, so each is exact: a cell of an overview is the mean over
-everything that fell into it. What a session adds, or what its leaving takes away, is added to
-what is there; since sums add up, a tile above needs to know nothing of its other children. The
-tiles that result are those of a map that was made of the present sessions at once.
+What a session adds to a base tile is added to what is there, and what leaves is subtracted,
+modulo 2^64; maxima are made again from the sessions that stay. A quadrant of a tile above follows
+from the tile below it. So the tiles are those of a map that was made of the present sessions at
+once, at a cost that goes with the change.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections import deque
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, UInt64
-from fieldgrid.kernel import kernel
+from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
-from fieldgrid.mapfile.codec import decode_sums, encode_sums
-from fieldgrid.mapfile.png import encode_mean
-from fieldgrid.mapfile.tiling import TileMatrixSet, children, parent
-
-Sums = UInt64
+from fieldgrid.layers import Cells, Combine
+from fieldgrid.layers.window import coarser, combined, empty_cells, merge_sessions, with_overviews
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.placing import SessionTiles, encode_groups
+from fieldgrid.mapfile.png import encode_png
+from fieldgrid.mapfile.tile_codec import Box, box_of, stored_channels
+from fieldgrid.mapfile.tiles import TileTables
+from fieldgrid.mapfile.tiling import children, parent
+from fieldgrid.mapfile.workers import in_order
+from fieldgrid.transfer import mean_density
 
 _HALF = TILE_CELLS // 2
-
-ENCODERS = 2
-"""Threads that compress tiles: most of what a commit does, outside the interpreter's lock."""
-
-
-class Backlog:
-    """Work for threads, whose results are taken up in order, a few behind."""
-
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(ENCODERS, thread_name_prefix="fieldgrid-tiles")
-        self._waiting: deque[tuple[Future[Any], Callable[[Any], None]]] = deque()
-
-    def put(self, work: Callable[..., Any], argument: Any, then: Callable[[Any], None]) -> None:
-        """Have `work(argument)` done, and its result taken by `then` before long."""
-        self._waiting.append((self._pool.submit(work, argument), then))
-        self._take_all_but(2 * ENCODERS)
-
-    def finish(self) -> None:
-        """Wait for all of it."""
-        self._take_all_but(0)
-
-    def close(self) -> None:
-        """End the threads."""
-        self._pool.shutdown(cancel_futures=True)
-
-    def _take_all_but(self, count: int) -> None:
-        while len(self._waiting) > count:
-            future, then = self._waiting.popleft()
-            then(future.result())
+_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
 class _Encoded(NamedTuple):
-    """A tile as it is stored; `seen` is the part of it that was observed, in its own cells."""
+    """A tile as it is to be stored: no blobs where nothing is observed. `seen` is the extent of
+    the observed cells."""
 
-    sums: bytes
-    png: bytes
-    seen: Window
+    tile: TileIndex
+    blobs: dict[str, bytes]
+    picture: bytes
+    seen: Box | None
 
 
 class Pyramid:
-    """Changes the sums of a map's tiles, within the caller's transaction."""
+    """Changes the tiles of a map, within the caller's transaction."""
 
-    def __init__(
-        self, connection: sqlite3.Connection, matrices: TileMatrixSet, backlog: Backlog
-    ) -> None:
+    def __init__(self, connection: sqlite3.Connection, tables: TileTables) -> None:
         self._connection = connection
-        self._matrices = matrices
-        self._backlog = backlog
-        self._base = matrices.base_zoom
+        self._tables = tables
+        self._groups = tables.groups
+        self._base = tables.matrices.base_zoom
         self._seen: Window | None = None
 
-    def change(
-        self, tiles: set[TileIndex], delta: Callable[[TileIndex], Sums], *, shrinks: bool
-    ) -> None:
-        """Add to each base tile its delta, uint64 modulo 2^64, and to all levels above.
+    def replace(self, session_id: int, new: SessionTiles | None) -> None:
+        """Put the tiles of a session in place of those that it has; None takes it out."""
+        before = self._tables.session_tiles(session_id)
+        after = set() if new is None else new.tiles
 
-        With `shrinks` some cells may have less afterwards. Works down to the tiles and up again
-        branch by branch, so that a few tiles a level are in memory, however large the session.
-        """
-        top = self._top_zoom()
-        if tiles:
-            self._update(self._matrices.top_zoom(tiles) if top is None else top, tiles, delta)
-        self._settle()
-        self._announce(shrinks)
+        def work(tile: TileIndex) -> tuple[dict[str, bytes], _Encoded]:
+            leaving = self._tables.session_cells(session_id, tile) if tile in before else None
+            joining = new.cells(tile) if new is not None and tile in after else None
+            blobs = new.blobs(tile) if new is not None and tile in after else {}
+            return blobs, self._encoded(tile, self._changed(session_id, tile, leaving, joining))
 
-    def _update(
-        self, first: int, tiles: set[TileIndex], delta: Callable[[TileIndex], Sums]
-    ) -> None:
-        """Bring the levels from the base up to `first` up to date."""
-        touched = {self._base: tiles}
-        for zoom in range(self._base - 1, first - 1, -1):
-            touched[zoom] = {parent(tile) for tile in touched[zoom + 1]}
-        for tile in sorted(touched[first]):
-            self._climb(first, tile, touched, delta)
-        self._backlog.finish()
+        tiles = sorted(before | after)
+        for blobs, encoded in in_order(work, tiles):
+            self._tables.put_session(session_id, encoded.tile, blobs)
+            self._put(self._base, encoded)
+        self._raise_levels(set(tiles))
+        self._announce(shrinks=bool(before))
 
-    def _climb(
-        self,
-        zoom: int,
-        tile: TileIndex,
-        touched: dict[int, set[TileIndex]],
-        delta: Callable[[TileIndex], Sums],
-    ) -> Sums:
-        """Update a tile and all touched ones below it; returns what was added to it."""
-        if zoom == self._base:
-            added = delta(tile)
-        else:
-            added = np.zeros((TILE_CELLS, TILE_CELLS, 2), dtype=np.uint64)
-            for child in children(tile):
-                if child in touched[zoom + 1]:
-                    part = self._climb(zoom + 1, child, touched, delta)
-                    added[_quadrant(child)] = halve(part)
-        if added.any():
-            before = self._sums(zoom, tile)
-            self._write(zoom, tile, added if before is None else before + added)
-        return added
+    def rebuild(self) -> None:
+        """Make all tiles from those of the sessions; the tables of the map are empty before."""
+        rows = self._tables.rows("SELECT DISTINCT ty, tx FROM fieldgrid_session_tile ORDER BY 1, 2")
+        tiles = [TileIndex(*row) for row in rows]
+        for encoded in in_order(lambda tile: self._encoded(tile, self.merged(tile)), tiles):
+            self._put(self._base, encoded)
+        self._raise_levels(set(tiles))
+        self._announce(shrinks=False)
 
-    def _settle(self) -> None:
-        """Have just the levels that the present tiles need."""
-        top, corners = self._top_zoom(), self._corners()
-        needed = self._matrices.top_zoom(corners) if corners else self._base + 1
-        if top is not None:
-            for zoom in range(top - 1, needed - 1, -1):
-                self._add_level(zoom)
+    def merged(self, tile: TileIndex, without: int | None = None) -> Cells | None:
+        """A base tile made of what its sessions have in it, but for one."""
+        parts = (
+            self._tables.session_cells(session_id, tile)
+            for session_id in self._tables.sessions_in(tile)
+            if session_id != without
+        )
+        total: Cells | None = None
+        for part in parts:
+            total = part if total is None else merge_sessions(self._groups, total, part)
+        return total
+
+    def above(self, zoom: int, tile: TileIndex) -> Cells | None:
+        """A tile made of the four below it."""
+        return self._from_children(zoom, tile, None, set(children(tile)))
+
+    def _changed(
+        self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None
+    ) -> Cells | None:
+        """A base tile over all sessions, after a session's share has changed."""
+        total = self._tables.cells(self._base, tile) or empty_cells(self._groups, _SHAPE)
+        stay: Cells | None = None
+        if leaving is not None and any(
+            channel.sessions is Combine.MAX for g in self._groups for channel in g.channels
+        ):
+            stay = self.merged(tile, without=session_id)
+        arrays: dict[str, UInt64] = {}
+        for channel in (channel for group in self._groups for channel in group.channels):
+            value = total[channel.name]
+            if leaving is not None:
+                if channel.sessions is Combine.SUM:
+                    value = value - leaving[channel.name]
+                else:
+                    value = np.zeros_like(value) if stay is None else stay[channel.name]
+            if joining is not None:
+                value = combined(channel.sessions, value, joining[channel.name])
+            arrays[channel.name] = value
+        return Cells(arrays)
+
+    def _raise_levels(self, touched: set[TileIndex]) -> None:
+        """Bring the levels above the base up to date, and have just those that are needed."""
+        matrices, corners, top = self._tables.matrices, self._tables.corners(), self._base + 1
+        if corners:
+            top = matrices.top_zoom(corners)
+        existing = self._tables.top_zoom()
+        for zoom in range(self._base - 1, top - 1, -1):
+            if existing is None or zoom < existing:
+                touched = set(self._tables.tiles(zoom + 1))
+            below, touched = touched, {parent(tile) for tile in touched}
+            level = zoom
+
+            def work(
+                tile: TileIndex, level: int = level, below: set[TileIndex] = below
+            ) -> _Encoded:
+                before = self._tables.cells(level, tile)
+                changed = {child for child in children(tile) if child in below}
+                return self._encoded(tile, self._from_children(level, tile, before, changed))
+
+            for encoded in in_order(work, sorted(touched)):
+                self._put(zoom, encoded)
         for table, column in (
             ("fieldgrid_tile", "zoom"),
             ("density", "zoom_level"),
             ("gpkg_tile_matrix", "table_name = 'density' AND zoom_level"),
         ):
-            self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (needed,))
+            self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (top,))
         # To be listed for a GIS.
         self._connection.executemany(
-            "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES ('density', ?, ?, ?, ?, ?, ?, ?)",
-            [
-                (zoom, 1 << zoom, 1 << zoom, TILE_CELLS, TILE_CELLS, pixel_m, pixel_m)
-                for zoom in range(needed, self._base + 1)
-                for pixel_m in (self._matrices.pixel_m(zoom),)
-            ],
+            "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            schema.zoom_levels(matrices, top),
         )
 
-    def _add_level(self, zoom: int) -> None:
-        """Make a level that the map did not need before, from all of the one below it."""
-        below = self._tiles(zoom + 1)
-        for tile in sorted({parent(child) for child in below}):
-            total = np.zeros((TILE_CELLS, TILE_CELLS, 2), dtype=np.uint64)
-            for child in children(tile):
-                sums = self._sums(zoom + 1, child)
-                if sums is not None:
-                    total[_quadrant(child)] = halve(sums)
-            self._write(zoom, tile, total)
-        self._backlog.finish()
+    def _from_children(
+        self, zoom: int, tile: TileIndex, before: Cells | None, changed: Iterable[TileIndex]
+    ) -> Cells:
+        """A tile whose quadrants follow from those below it, as far as they changed."""
+        names = [name for g in self._groups for name, _ in stored_channels(g, base=False)]
+        arrays = {name: np.zeros(_SHAPE, np.uint64) for name in names}
+        if before is not None:
+            arrays = {name: before[name] for name in names}
+        for child in changed:
+            cells = self._tables.cells(zoom + 1, child)
+            if cells is not None:
+                if zoom + 1 == self._base:
+                    cells = with_overviews(self._groups, cells)
+                cells = coarser(self._groups, cells, 2)
+            j, i = _HALF * (child.ty & 1), _HALF * (child.tx & 1)
+            quadrant = slice(j, j + _HALF), slice(i, i + _HALF)
+            for name in names:
+                arrays[name][quadrant] = 0 if cells is None else cells[name]
+        return Cells(arrays, 1 << 2 * (self._base - zoom))
 
-    def _announce(self, shrinks: bool) -> None:
+    def _encoded(self, tile: TileIndex, cells: Cells | None) -> _Encoded:
+        if cells is None or not cells["weight"].any():
+            return _Encoded(tile, {}, b"", None)
+        box = box_of(cells["weight"])
+        blobs = encode_groups(self._groups, cells, base=cells.base_cells == 1, box=box)
+        picture = encode_png(*mean_density(cells["weight"], cells["sum"]))
+        return _Encoded(tile, blobs, picture, box)
+
+    def _put(self, zoom: int, encoded: _Encoded) -> None:
+        self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
+        if zoom == self._base and encoded.seen is not None:
+            self._seen = union(self._seen, _placed(encoded.tile, encoded.seen))
+
+    def _announce(self, *, shrinks: bool) -> None:
         """Record which base cells have data, and the raster's extent for a GIS."""
         meta = "fieldgrid_meta WHERE key = 'data_window'"
         before = self._connection.execute(f"SELECT value FROM {meta}").fetchone()
-        if before is None or shrinks:
-            window = self._window_at_the_edges()
-        else:
-            window = union(self._seen, Window(*json.loads(before[0])))
+        window = self._seen
+        if shrinks:
+            window = self.window_at_the_edges()
+        elif before is not None:
+            window = union(window, Window(*json.loads(before[0])))
         self._connection.execute(f"DELETE FROM {meta}")
         bounds: tuple[float | None, ...] = (None,) * 4
         if window is not None:
             self._connection.execute(
                 "INSERT INTO fieldgrid_meta VALUES ('data_window', ?)", (json.dumps(list(window)),)
             )
-            top = self._top_zoom()
+            top = self._tables.top_zoom()
             assert top is not None
-            bounds = self._matrices.lattice.bounds(self._matrices.whole_cells(window, top))
+            matrices = self._tables.matrices
+            bounds = matrices.lattice.bounds(matrices.whole_cells(window, top))
         self._connection.execute(
             "UPDATE gpkg_contents SET (min_x, min_y, max_x, max_y) = (?, ?, ?, ?) "
             "WHERE table_name = 'density'",
             bounds,
         )
 
-    def _window_at_the_edges(self) -> Window | None:
+    def window_at_the_edges(self) -> Window | None:
         """The observed cells' extent: only the outermost tiles are looked into."""
-        corners = self._corners()
+        corners = self._tables.corners()
         if not corners:
             return None
         (south, west), (north, east) = corners
-        rows = self._connection.execute(
-            "SELECT ty, tx, sums FROM fieldgrid_tile WHERE zoom = ?1 AND (ty IN (?2, ?3) OR rowid "
-            "IN (SELECT rowid FROM fieldgrid_tile WHERE zoom = ?1 AND tx IN (?4, ?5)))",
-            (self._base, south, north, west, east),
-        )
         window: Window | None = None
-        for ty, tx, blob in rows:
-            tile = TileIndex(ty, tx)
-            observed = decode_sums(blob, _named(self._base, tile))[..., 0] > 0
-            window = union(window, _placed(tile, _seen_in(observed)))
+        for tile in self._tables.tiles(self._base):
+            if tile.ty in (south, north) or tile.tx in (west, east):
+                cells = self._tables.cells(self._base, tile, self._groups[:1])
+                assert cells is not None
+                window = union(window, _placed(tile, box_of(cells["weight"])))
         return window
 
-    def _write(self, zoom: int, tile: TileIndex, sums: Sums) -> None:
-        """Hand a tile over to be compressed; it is in the map a few tiles later."""
-        if sums[..., 0].any():
-            self._backlog.put(_encode, sums, lambda encoded: self._insert(zoom, tile, encoded))
-            return
-        self._connection.execute(
-            "DELETE FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?", (zoom, *tile)
-        )
-        self._connection.execute(
-            "DELETE FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
-            (zoom, *self._matrices.column_row(zoom, tile)),
-        )
 
-    def _insert(self, zoom: int, tile: TileIndex, encoded: _Encoded) -> None:
-        if zoom == self._base:
-            self._seen = union(self._seen, _placed(tile, encoded.seen))
-        self._connection.execute(
-            "INSERT INTO fieldgrid_tile (zoom, ty, tx, sums) VALUES (?, ?, ?, ?) "
-            "ON CONFLICT (zoom, ty, tx) DO UPDATE SET sums = excluded.sums",
-            (zoom, *tile, encoded.sums),
-        )
-        self._connection.execute(
-            "INSERT INTO density (zoom_level, tile_column, tile_row, tile_data) "
-            "VALUES (?, ?, ?, ?) ON CONFLICT (zoom_level, tile_column, tile_row) "
-            "DO UPDATE SET tile_data = excluded.tile_data",
-            (zoom, *self._matrices.column_row(zoom, tile), encoded.png),
-        )
-
-    def _sums(self, zoom: int, tile: TileIndex) -> Sums | None:
-        row = self._connection.execute(
-            "SELECT sums FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?", (zoom, *tile)
-        ).fetchone()
-        return None if row is None else decode_sums(row[0], _named(zoom, tile))
-
-    def _tiles(self, zoom: int) -> list[TileIndex]:
-        rows = self._connection.execute("SELECT ty, tx FROM fieldgrid_tile WHERE zoom = ?", (zoom,))
-        return [TileIndex(*row) for row in rows]
-
-    def _top_zoom(self) -> int | None:
-        (zoom,) = self._connection.execute("SELECT min(zoom) FROM fieldgrid_tile").fetchone()
-        return None if zoom is None else int(zoom)
-
-    def _corners(self) -> list[TileIndex]:
-        """The south-west and north-east tile of the base level's extent, if it has tiles."""
-        south, west, north, east = self._connection.execute(
-            "SELECT min(ty), min(tx), max(ty), max(tx) FROM fieldgrid_tile WHERE zoom = ?",
-            (self._base,),
-        ).fetchone()
-        return [] if south is None else [TileIndex(south, west), TileIndex(north, east)]
-
-
-def _encode(sums: Sums) -> _Encoded:
-    png, seen = encode_mean(sums)
-    return _Encoded(encode_sums(sums), png, seen)
-
-
-def _seen_in(observed: Bool) -> Window:
-    """The extent of a mask that is not empty, in its own cells."""
-    j, i = np.flatnonzero(observed.any(axis=1)), np.flatnonzero(observed.any(axis=0))
-    return Window(int(i[0]), int(j[0]), int(i[-1] - i[0]) + 1, int(j[-1] - j[0]) + 1)
-
-
-def _placed(tile: TileIndex, part: Window) -> Window:
+def _placed(tile: TileIndex, part: Box) -> Window:
     """A part of a tile, in cells of the lattice."""
-    cells = tile_window(tile)
-    return Window(cells.i0 + part.i0, cells.j0 + part.j0, part.width, part.height)
+    cells, (height, width) = tile_window(tile), part.shape
+    return Window(cells.i0 + part.first_column, cells.j0 + part.first_row, width, height)
 
 
-def _named(zoom: int, tile: TileIndex) -> str:
-    return f"tile {tuple(tile)} of level {zoom}"
-
-
-def halve(sums: Sums) -> Sums:
-    """Sums over 2 x 2 cells, from [2h, 2w, 2] to [h, w, 2]."""
-    halved = np.empty((sums.shape[0] // 2, sums.shape[1] // 2, 2), dtype=np.uint64)
-    add_four(sums, halved)
-    return halved
-
-
-@kernel
-def add_four(sums, halved):  # type: ignore[no-untyped-def]
-    """Fill halved [h, w, 2] with the sums over 2 x 2 cells of [2h, 2w, 2]."""
-    for j in range(halved.shape[0]):
-        for i in range(halved.shape[1]):
-            for k in range(2):
-                halved[j, i, k] = (
-                    sums[2 * j, 2 * i, k]
-                    + sums[2 * j, 2 * i + 1, k]
-                    + sums[2 * j + 1, 2 * i, k]
-                    + sums[2 * j + 1, 2 * i + 1, k]
-                )
-
-
-def union(a: Window | None, b: Window) -> Window:
-    """The smallest window that holds both."""
-    if a is None:
-        return b
+def union(a: Window | None, b: Window | None) -> Window | None:
+    """The smallest window that holds both, as far as there are such."""
+    if a is None or b is None:
+        return b if a is None else a
     i0, j0 = min(a.i0, b.i0), min(a.j0, b.j0)
     i1, j1 = max(a.i0 + a.width, b.i0 + b.width), max(a.j0 + a.height, b.j0 + b.height)
     return Window(i0, j0, i1 - i0, j1 - j0)
-
-
-def _quadrant(child: TileIndex) -> tuple[slice, slice]:
-    """Where a tile lies in its parent's array."""
-    j, i = _HALF * (child.ty & 1), _HALF * (child.tx & 1)
-    return slice(j, j + _HALF), slice(i, i + _HALF)

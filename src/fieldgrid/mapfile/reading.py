@@ -1,25 +1,41 @@
-"""Which way a view is read: from the stored sums where they have it, else from the evidence."""
+"""Reading a view: from the stored tiles where they have it, else from the frames.
+
+Cells of a whole multiple of the map's own follow from those, by one rule; others, another transfer
+rule or some of the frames are folded anew.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile.asof import until
-from fieldgrid.mapfile.cells import LayerTally, Tally, tally_folded, tally_stored, with_layers
-from fieldgrid.mapfile.change import ChangeTally, ChangeView
+from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
+from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, groups_of
+from fieldgrid.layers.window import coarser
+from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.heights import HEIGHT, with_heights
+from fieldgrid.mapfile.history import until
+from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.records import FrameRecord
-from fieldgrid.mapfile.view import MapView, check_size, empty_view, fold
-from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
+from fieldgrid.mapfile.sources import (
+    CellSource,
+    FoldedFrames,
+    StoredLevel,
+    StoredSessions,
+)
+from fieldgrid.mapfile.tiles import TileTables
+from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.view import MapView, check_size, empty_view, fold_as_the_paper
+from fieldgrid.mapfile.workers import in_order
+from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes, mean_density
+
+_CHUNK_CELLS = 1280
+"""Stored cells along the side of a square that is worked on at a time, for odd cell sizes."""
 
 
 class Request(NamedTuple):
@@ -33,80 +49,40 @@ class Request(NamedTuple):
     frame_filter: Callable[[FrameRecord], bool] | None = None
     layers: tuple[str, ...] = ()
 
+    @property
+    def beyond_density(self) -> tuple[str, ...]:
+        """The layers beside the density."""
+        return tuple(name for name in self.layers if name != "density")
+
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     """The view, by the shortest way that gives the same bits."""
-    if HEIGHT in request.layers:
-        return _with_heights(evidence, header, request)
-    view = empty_view(request.lattice, request.window, header.datum)
-    level = stored_level(evidence, header, request)
-    if level is not None:
-        evidence.fill_from_tiles(view, level)
-        return view
-    beyond = _beyond(request)
-    own_cells = _by_own_rule(header, request) and request.lattice == header.lattice
-    if beyond or own_cells:
-        view = with_layers(view, beyond)
-        tally_sessions(evidence, header, request, lambda: LayerTally(view))
-        return view
-    frames = evidence.accepted(view.bounds, request.sessions, request.frame_filter)
-    _check_cells(request.lattice, frames)
-    fold(view, frames, request.averaging, request.transfer)
-    return view
-
-
-def stored_level(evidence: Evidence, header: Header, request: Request) -> int | None:
-    """The level of the map's own tiles that has all that is asked for; None when none has."""
-    if _beyond(request) or request.sessions is not None or not _by_own_rule(header, request):
-        return None
-    level = level_of(header.lattice, request.lattice)
-    # Small maps have few levels; the rest of them is soon folded.
-    return level if level is not None and level <= evidence.levels() else None
-
-
-def _beyond(request: Request) -> tuple[str, ...]:
-    return tuple(name for name in request.layers if name != "density")
-
-
-def _by_own_rule(header: Header, request: Request) -> bool:
-    """Whether cells are filled as the map's own are, of whichever size they are."""
-    return (
-        request.transfer is header.transfer
-        and request.averaging is Averaging.MEAN
-        and request.frame_filter is None
-    )
-
-
-def _with_heights(evidence: Evidence, header: Header, request: Request) -> MapView:
-    _refuse_layers_of_paper(request)
-    others = tuple(name for name in request.layers if name != HEIGHT)
-    view = read_view(evidence, header, request._replace(layers=others))
-    frames = evidence.accepted(view.bounds, request.sessions, request.frame_filter)
-    return with_heights(view, frames, request.transfer)
-
-
-def _refuse_layers_of_paper(request: Request) -> None:
+    view = empty_view(request.lattice, request.window, header.datum, request.beyond_density)
     if request.averaging is Averaging.PAPER:
-        raise ConfigError("The paper's averaging gives a density only; leave the other layers out.")
+        if request.beyond_density:
+            raise ConfigError(
+                "The paper's averaging gives a density only; leave the other layers out."
+            )
+        frames = evidence.accepted(view.bounds, request.sessions, request.frame_filter)
+        _check_cells(request.lattice, frames)
+        fold_as_the_paper(view, frames)
+        return view
+    times = multiple_of(header.lattice, request.lattice)
+    level = _picture_level(evidence, header, request, times)
+    if level is not None:
+        _draw_pictures(view, evidence, header, level)
+        return view
+    groups = tuple(GROUPS[name] for name in groups_of(request.layers))
+    source, factor = _source(evidence, header, request, times, groups)
 
+    def fill(chunk: Window) -> None:
+        cells = source.merged(_times(chunk, factor))
+        if cells is not None:
+            _write(view, chunk, coarser(groups, cells, factor))
 
-def tally_sessions(
-    evidence: Evidence, header: Header, request: Request, tally: Callable[[], Tally]
-) -> None:
-    """Tally each session's moments, stored ones where the request is as the map is stored."""
-    _refuse_layers_of_paper(request)
-    names = request.sessions or tuple(info.name for info in evidence.active())
-    as_stored = (request.lattice, request.transfer, request.frame_filter) == (
-        header.lattice, header.transfer, None,
-    )  # fmt: skip
-    if as_stored:
-        tally_stored(evidence.session_tiles(request.window, names), tally)
-        return
-    near = request.lattice.bounds(request.window)
-    frames = evidence.accepted(near, names, request.frame_filter)
-    _check_cells(request.lattice, frames)
-    by_session = [(name, [f for f in frames if f.session == name]) for name in names]
-    tally_folded(request.window, request.lattice, request.transfer, by_session, tally)
+    for _ in in_order(fill, chunks(request.window, factor)):
+        pass
+    return view
 
 
 def read_change(
@@ -127,17 +103,115 @@ def read_change(
             f"{path} has no session {gap}, so there is nothing to compare; `fieldgrid sessions` "
             "lists the dates of its drives."
         )
-    view = ChangeView(
-        request.lattice,
-        request.window,
-        np.zeros(request.window.shape, dtype=np.uint8),
-        header.datum,
-        tuple(early),
-        tuple(late),
-    )
     both = request._replace(sessions=(*early, *late))
-    tally_sessions(evidence, header, both, lambda: ChangeTally(view, late))
-    return view
+    change = np.zeros(request.window.shape, dtype=np.uint8)
+    groups = (GROUPS["density"],)
+    times = multiple_of(header.lattice, request.lattice)
+    source, factor = _source(evidence, header, both, times, groups)
+
+    def fill(chunk: Window) -> None:
+        found = (
+            (name, coarser(groups, cells, factor))
+            for name, cells in source.by_session(_times(chunk, factor))
+        )
+        states = latest_states(chunk.shape, found, late)
+        change[request.window.slices_of(chunk)] = outcome(states)
+
+    for _ in in_order(fill, chunks(request.window, factor)):
+        pass
+    names = tuple(early), tuple(late)
+    return ChangeView(request.lattice, request.window, change, header.datum, *names)
+
+
+def _source(
+    evidence: Evidence,
+    header: Header,
+    request: Request,
+    times: int | None,
+    groups: tuple[ChannelGroup, ...],
+) -> tuple[CellSource, int]:
+    """Where the cells come from, and how many of them lie along the side of one asked for."""
+    tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
+    by_own_rule = request.transfer is header.transfer and request.frame_filter is None
+    has_tiles = {group.name for group in groups} <= set(header.groups)
+    if times is not None and by_own_rule and has_tiles:
+        if request.sessions is not None:
+            return StoredSessions(tables, evidence.session_ids(request.sessions)), times
+        level = 0
+        while level < evidence.levels() and times % 2 == 0:
+            level, times = level + 1, times // 2
+        return StoredLevel(tables, level), times
+    # Cells of a whole multiple follow from the map's own, also where these are made anew.
+    lattice, factor = (request.lattice, 1) if times is None else (header.lattice, times)
+    names = request.sessions or tuple(info.name for info in evidence.active())
+    near = request.lattice.bounds(request.window)
+    frames = evidence.accepted(near, names, request.frame_filter)
+    _check_cells(lattice, frames)
+    by_session = [(name, [f for f in frames if f.session == name]) for name in names]
+    return FoldedFrames(lattice, request.transfer, groups, by_session), factor
+
+
+def _write(view: MapView, chunk: Window, cells: Cells) -> None:
+    """Fill a part of a view, and of its layers, from the channels of its cells."""
+    place = view.window.slices_of(chunk)
+    view.density[place], observed = mean_density(cells["weight"], cells["sum"])
+    view.observed[place] = observed
+    for name, array in view.layers.items():
+        layer = LAYERS[name]
+        array[place] = np.where(observed, layer.values(cells), layer.nodata or 0)
+
+
+def chunks(window: Window, factor: int) -> Iterator[Window]:
+    """A window cut where tiles begin, in squares of about a million stored cells."""
+    side = TILE_CELLS * max(1, 4 // factor) if factor <= 5 else max(1, _CHUNK_CELLS // factor)
+    for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
+        for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
+            chunk = window.intersect(Window(i0, j0, side, side))
+            assert chunk is not None
+            yield chunk
+
+
+def _times(chunk: Window, factor: int) -> Window:
+    return Window(*(value * factor for value in chunk))
+
+
+def multiple_of(own: Lattice, other: Lattice) -> int | None:
+    """How many cells of a lattice lie along the side of one of another; None for no whole number."""
+    times = round(other.cell_m / own.cell_m)
+    same = abs(times * own.cell_m - other.cell_m) <= 1e-9 * other.cell_m
+    return times if times >= 1 and same else None
+
+
+def _picture_level(
+    evidence: Evidence, header: Header, request: Request, times: int | None
+) -> int | None:
+    """The zoom level, from the base up, whose pictures have all that is asked for, if any has."""
+    plain = request.sessions is None and request.frame_filter is None and not request.beyond_density
+    if times is None or not plain or request.transfer is not header.transfer:
+        return None
+    level = times.bit_length() - 1
+    return level if times == 1 << level and level <= evidence.levels() else None
+
+
+def _draw_pictures(view: MapView, evidence: Evidence, header: Header, level: int) -> None:
+    """Fill a view from the pictures of a level: they hold just the mean and the mask, and are read
+    several times as fast as the sums that they were drawn from."""
+    matrices = TileMatrixSet(header.lattice)
+
+    def draw(picture: tuple[object, ...]) -> None:
+        tile, blob = picture
+        cells = tile_window(tile)  # type: ignore[arg-type]
+        part = cells.intersect(view.window)
+        if part is not None:
+            # Its first row is the northernmost.
+            grey_alpha = decode_png(blob, f"picture of tile {tuple(tile)}")[::-1]  # type: ignore[arg-type]
+            grey_alpha = grey_alpha[cells.slices_of(part)]
+            place = view.window.slices_of(part)
+            view.density[place] = grey_alpha[..., 0]
+            np.not_equal(grey_alpha[..., 1], 0, out=view.observed[place])
+
+    for _ in in_order(draw, evidence.pictures(view.window, matrices, level)):
+        pass
 
 
 def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...]:
@@ -148,13 +222,6 @@ def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...
             f"{path} has no session up to {at}; `fieldgrid sessions` lists the dates of its drives."
         )
     return found
-
-
-def level_of(own: Lattice, other: Lattice) -> int | None:
-    """How many times the cells of a lattice are doubled in another; None for any other ratio."""
-    level = round(math.log2(other.cell_m / own.cell_m))
-    # Exactly, because only then do both lattices put every point into the same cells.
-    return level if level >= 0 and own.cell_m * 2.0**level == other.cell_m else None
 
 
 def extent_of(evidence: Evidence, header: Header) -> Bounds:

@@ -12,22 +12,28 @@ import numpy as np
 
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.mapfile.codec import decode_grid, encode_grid
-from fieldgrid.mapfile.digest import frame_digest
+from fieldgrid.layers import FrameCells
+from fieldgrid.mapfile.codec import EncodedChannel, decode_cells
+from fieldgrid.mapfile.staging import StagedFrame
+from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.trajectory import Pose, Status
 
 SESSION_SQL = (
     "SELECT name, created, source, config, software_version, heading_source, first_time_ns, "
     "last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, removed, "
-    "source_sha256, digest FROM fieldgrid_session"
+    "source_sha256, digest, transform FROM fieldgrid_session"
 )
 
 FRAME_SQL = (
     "SELECT f.id, s.name, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.frame_id, f.time_ns, "
     "f.east_m, f.north_m, f.up_m, f.heading_deg, f.position_sigma_m, f.heading_sigma_deg, "
-    "f.speed_mps, f.status, f.reason, f.quality, f.images, f.images_sha256, f.digest "
+    "f.speed_mps, f.status, f.reason, f.quality, f.images, f.images_sha256, "
+    "f.cells_sha256, f.digest, s.transform "
     "FROM fieldgrid_frame AS f JOIN fieldgrid_session AS s ON s.id = f.session_id"
 )
+
+
+_NOWHERE = Pose(0, *(math.nan,) * 7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +43,8 @@ class SessionInfo:
     `created` is ISO 8601 in UTC, and so is `removed`, None while the session is in the universal
     grid. The times are those of the first and the last frame; None, like `grid`, in a session
     without frames. `accepted` counts the frames that are in the universal grid. `digest` is the
-    SHA-256 of the evidence, the same under any name.
+    SHA-256 of the evidence, the same under any name and transform. `transform` puts the drive into
+    its place in the map.
     """
 
     name: str
@@ -54,6 +61,7 @@ class SessionInfo:
     removed: str | None = None
     source_sha256: str = ""
     digest: str = ""
+    transform: Transform = IDENTITY
 
     @property
     def driven(self) -> str:
@@ -72,8 +80,10 @@ class SessionInfo:
 class FrameRecord:
     """One frame as the map keeps it: where it was, the verdict, and what it saw.
 
-    `quality` is that of the accepted fix nearest in time (of GGA), None where there is none.
-    `images_sha256` are the hashes of the files named in `images`, as far as they are known.
+    `pose` is as placed in the map, `driven` as it was before the session's transform. `quality` is
+    that of the accepted fix nearest in time (of GGA), None where there is none. `images_sha256` are
+    the hashes of the files named in `images`, as far as they are known; `cells_sha256` is that of
+    what the frame saw.
     """
 
     session: str
@@ -81,10 +91,12 @@ class FrameRecord:
     pose: Pose
     images: tuple[str, ...]
     spec: GridSpec
-    load: Callable[[], LocalGrid] = field(repr=False, compare=False)
+    load: Callable[[], tuple[EncodedChannel, ...]] = field(repr=False, compare=False)
     quality: int | None = None
     images_sha256: tuple[str, ...] = ()
+    cells_sha256: str = ""
     digest: str = ""
+    driven: Pose = field(default_factory=lambda: _NOWHERE, repr=False)
 
     @property
     def status(self) -> Status:
@@ -103,25 +115,28 @@ class FrameRecord:
 
     def grid(self) -> LocalGrid:
         """The local grid, decompressed at each call."""
-        return self.load()
+        return self.cells().grid
+
+    def cells(self) -> FrameCells:
+        """The local grid and all further channels, decompressed at each call."""
+        return decode_cells(self.spec, self.load(), f"grid of frame {self.frame_id!r}")
+
+    def staged(self) -> StagedFrame:
+        """What the frame saw, as it is stored: for another map."""
+        return StagedFrame(
+            self.frame_id,
+            self.pose.time_ns,
+            self.spec,
+            self.load(),
+            self.cells_sha256,
+            self.images,
+            self.images_sha256,
+        )
 
 
 def is_accepted(pose: Pose) -> bool:
     """The one rule for what enters the universal grid."""
     return pose.status is Status.OK
-
-
-def frame_row(
-    grid: LocalGrid,
-    pose: Pose,
-    frame_id: str,
-    quality: int | None,
-    images: Sequence[str],
-    images_sha256: Sequence[str],
-) -> tuple[Any, ...]:
-    """A frame as stored, in the order of `schema.FRAME_COLUMNS`."""
-    values = frame_values(pose, frame_id, quality, images, images_sha256)
-    return (*values, frame_digest(values, grid), *encode_grid(grid))
 
 
 def frame_values(
@@ -130,8 +145,9 @@ def frame_values(
     quality: int | None,
     images: Sequence[str],
     images_sha256: Sequence[str],
+    cells_sha256: str,
 ) -> tuple[Any, ...]:
-    """What is stored of a frame before its digest and its cells."""
+    """What is stored of a frame before its digest; the pose is as driven."""
     return (
         frame_id,
         int(pose.time_ns),
@@ -147,36 +163,41 @@ def frame_values(
         quality,
         json.dumps(list(images), ensure_ascii=False),
         json.dumps(list(images_sha256)),
+        cells_sha256,
     )
 
 
-def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]]) -> FrameRecord:
-    """A frame from a row of `FRAME_SQL`; `blobs` fetches its density and observed blobs."""
+def frame_record(
+    row: tuple[Any, ...], load: Callable[[], tuple[EncodedChannel, ...]]
+) -> FrameRecord:
+    """A frame from a row of `FRAME_SQL`; `load` fetches its stored channels."""
     _, session, width_m, length_m, cell_m, frame_id, time_ns, *pose = row[:14]
-    status, reason, quality, images, images_sha256, digest = row[14:]
+    status, reason, quality, images, images_sha256, cells_sha256, digest, transform = row[14:]
     try:
-        spec = GridSpec(width_m, length_m, cell_m)
+        driven = Pose(
+            time_ns=int(time_ns),
+            east_m=number(pose[0]),
+            north_m=number(pose[1]),
+            up_m=number(pose[2]),
+            heading_deg=number(pose[3]),
+            position_sigma_m=number(pose[4]),
+            heading_sigma_deg=number(pose[5]),
+            speed_mps=number(pose[6]),
+            status=Status(status),
+            reason=str(reason),
+        )
         return FrameRecord(
             session=str(session),
             frame_id=str(frame_id),
-            pose=Pose(
-                time_ns=int(time_ns),
-                east_m=number(pose[0]),
-                north_m=number(pose[1]),
-                up_m=number(pose[2]),
-                heading_deg=number(pose[3]),
-                position_sigma_m=number(pose[4]),
-                heading_sigma_deg=number(pose[5]),
-                speed_mps=number(pose[6]),
-                status=Status(status),
-                reason=str(reason),
-            ),
+            pose=transform_of(transform).pose(driven),
             images=tuple(str(name) for name in json.loads(images)),
-            spec=spec,
-            load=lambda: decode_grid(spec, *blobs(), f"grid of frame {frame_id!r}"),
+            spec=GridSpec(width_m, length_m, cell_m),
+            load=load,
             quality=None if quality is None else int(quality),
             images_sha256=tuple(str(value) for value in json.loads(images_sha256)),
+            cells_sha256=str(cells_sha256),
             digest=str(digest),
+            driven=driven,
         )
     except (TypeError, ValueError, FieldgridError) as error:
         raise MapError(f"Frame {frame_id!r} of session {session!r} is damaged: {error}") from error
@@ -185,7 +206,7 @@ def frame_record(row: tuple[Any, ...], blobs: Callable[[], tuple[object, object]
 def session_info(row: tuple[Any, ...]) -> SessionInfo:
     """A session from a row of `SESSION_SQL`."""
     name, created, source, config, software, heading_source, first, last, *counts = row[:13]
-    removed, source_sha256, digest = row[13:]
+    removed, source_sha256, digest, transform = row[13:]
     frames, accepted, width_m, length_m, cell_m = counts
     try:
         return SessionInfo(
@@ -203,6 +224,7 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
             removed=None if removed is None else str(removed),
             source_sha256=str(source_sha256),
             digest=str(digest),
+            transform=transform_of(transform),
         )
     except (TypeError, ValueError, FieldgridError) as error:
         raise MapError(f"Session {name!r} is damaged: {error}") from error

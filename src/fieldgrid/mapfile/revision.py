@@ -1,4 +1,4 @@
-"""Changing what a map says of a session: taking it out, putting it back, moving its frames.
+"""Changing what a map says of a session: out, back in, other poses, another place.
 
 Each is one transaction. The evidence of a session that is taken out stays in the file.
 """
@@ -8,53 +8,40 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from fieldgrid.errors import ConfigError, MapError
-from fieldgrid.geodesy import Datum
+from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import derived
-from fieldgrid.mapfile.arrays import Kind, read_arrays, trajectory_of
+from fieldgrid.mapfile.arrays import Kind
 from fieldgrid.mapfile.digest import frame_digest
+from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.records import (
-    FRAME_SQL,
-    FrameRecord,
-    frame_record,
-    frame_values,
-    is_accepted,
-)
-from fieldgrid.mapfile.schema import NOW_SQL
-from fieldgrid.mapfile.session import (
-    About,
+from fieldgrid.mapfile.metadata import (
+    Found,
     as_json,
     check_pose,
+    find,
     put_arrays,
     quality_at,
+    row_of,
     sum_up,
 )
-from fieldgrid.mapfile.staging import SessionFold, Staging
-from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.records import frame_values
+from fieldgrid.mapfile.schema import NOW_SQL
+from fieldgrid.mapfile.transform import IDENTITY, Transform
 from fieldgrid.trajectory import Pose, Trajectory
-
-
-class _Found(NamedTuple):
-    """A session that is to be changed."""
-
-    session_id: int
-    removed: str | None
-    about: About
 
 
 def remove(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
     """Take a session out of the map, within the caller's transaction."""
     # Its evidence is not looked at: a session may be taken out because that is damaged.
-    session_id, removed, *_ = _row_of(connection, path, name)
+    session_id, removed, *_ = row_of(connection, path, name)
     if removed is not None:
         raise ConfigError(f"Session {name!r} of {path} is removed already; --restore puts it back.")
     connection.execute(
         f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (session_id,)
     )
-    derived.hide(connection, TileMatrixSet(header.lattice), session_id, name)
+    derived.hide(connection, header, session_id, name, path)
 
 
 def restore(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
@@ -65,12 +52,34 @@ def restore(connection: sqlite3.Connection, path: Path, header: Header, name: st
     connection.execute(
         "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
     )
-    matrices = TileMatrixSet(header.lattice)
-    fold = derived.fold_evidence(connection, matrices, header.transfer, found.session_id)
-    try:
-        derived.show(connection, matrices, found.session_id, name, found.about.trajectory, fold)
-    finally:
-        fold.close()
+    _place_again(connection, path, header, found)
+
+
+def transform(
+    connection: sqlite3.Connection, path: Path, header: Header, name: str, to: Transform
+) -> None:
+    """Put a session elsewhere in the map, in place of any transform that it had."""
+    found = find(connection, path, header.datum, name)
+    if to.is_identity:
+        to = IDENTITY
+    for record in frames_of(connection, found.session_id):
+        check_pose(to.pose(record.driven))
+    connection.execute(
+        "UPDATE fieldgrid_session SET transform = ? WHERE id = ?", (to.to_text(), found.session_id)
+    )
+    if found.removed is None:
+        placed = found._replace(metadata=found.metadata._replace(transform=to))
+        _place_again(connection, path, header, placed)
+
+
+def middle_m(connection: sqlite3.Connection, path: Path, name: str) -> tuple[float, float]:
+    """The middle of a session's accepted frames as driven, east and north: what it is turned about."""
+    session_id, *_ = row_of(connection, path, name)
+    poses = [r.driven for r in frames_of(connection, session_id) if r.accepted]
+    if not poses:
+        return 0.0, 0.0
+    east_m, north_m = [pose.east_m for pose in poses], [pose.north_m for pose in poses]
+    return (min(east_m) + max(east_m)) / 2.0, (min(north_m) + max(north_m)) / 2.0
 
 
 def repose(
@@ -82,57 +91,49 @@ def repose(
     trajectory: Trajectory | None,
     config: Mapping[str, Any] | None,
 ) -> None:
-    """Give the frames of a session other poses, within the caller's transaction."""
-    session_id, removed, about = find(connection, path, header.datum, name)
+    """Give the frames of a session other poses as driven, within the caller's transaction."""
+    session_id, removed, metadata = find(connection, path, header.datum, name)
     if trajectory is not None:
-        about = about._replace(trajectory=trajectory)
+        metadata = metadata._replace(trajectory=trajectory)
         connection.execute(
             "UPDATE fieldgrid_session SET heading_source = ? WHERE id = ?",
             (trajectory.heading_source, session_id),
         )
-        put_arrays(connection, session_id, {Kind.TRAJECTORY: about.arrays[Kind.TRAJECTORY]})
+        put_arrays(connection, session_id, {Kind.TRAJECTORY: metadata.arrays[Kind.TRAJECTORY]})
     if config is not None:
-        about = about._replace(config=as_json(config))
+        metadata = metadata._replace(config=as_json(config))
         connection.execute(
-            "UPDATE fieldgrid_session SET config = ? WHERE id = ?", (about.config, session_id)
+            "UPDATE fieldgrid_session SET config = ? WHERE id = ?", (metadata.config, session_id)
         )
-    rows = connection.execute(
-        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.id", (session_id,)
-    ).fetchall()
-    _check_complete(path, name, [str(row[5]) for row in rows], poses)
-    fold = SessionFold(header.lattice, header.transfer, Staging())
-    try:
-        for row in rows:
-            record = frame_record(row, derived.blobs_of(connection, row[0]))
-            _move(connection, row[0], record, poses[record.frame_id], about.trajectory, fold)
-        sum_up(connection, session_id, about)
-        if removed is None:
-            matrices = TileMatrixSet(header.lattice)
-            derived.show(connection, matrices, session_id, name, about.trajectory, fold)
-    finally:
-        fold.close()
+    records = frames_of(connection, session_id)
+    _check_complete(path, name, [record.frame_id for record in records], poses)
+    for record in records:
+        pose = poses[record.frame_id]
+        check_pose(metadata.transform.pose(pose))
+        values = frame_values(
+            pose,
+            record.frame_id,
+            quality_at(metadata.trajectory, pose.time_ns),
+            record.images,
+            record.images_sha256,
+            record.cells_sha256,
+        )
+        connection.execute(
+            "UPDATE fieldgrid_frame SET (frame_id, time_ns, east_m, north_m, up_m, heading_deg, "
+            "position_sigma_m, heading_sigma_deg, speed_mps, status, reason, quality, images, "
+            f"images_sha256, cells_sha256, digest) = (?{', ?' * 15}) "
+            "WHERE session_id = ? AND frame_id = ?",
+            (*values, frame_digest(values), session_id, record.frame_id),
+        )
+    sum_up(connection, session_id, metadata)
+    if removed is None:
+        _place_again(connection, path, header, Found(session_id, removed, metadata))
 
 
-def _move(
-    connection: sqlite3.Connection,
-    row_id: int,
-    record: FrameRecord,
-    pose: Pose,
-    track: Trajectory | None,
-    fold: SessionFold,
-) -> None:
-    check_pose(pose)
-    grid = record.grid()
-    quality = quality_at(track, pose.time_ns)
-    values = frame_values(pose, record.frame_id, quality, record.images, record.images_sha256)
-    connection.execute(
-        "UPDATE fieldgrid_frame SET (frame_id, time_ns, east_m, north_m, up_m, heading_deg, "
-        "position_sigma_m, heading_sigma_deg, speed_mps, status, reason, quality, images, "
-        f"images_sha256, digest) = (?{', ?' * 14}) WHERE id = ?",
-        (*values, frame_digest(values, grid), row_id),
-    )
-    if is_accepted(pose):
-        fold.add(grid, pose)
+def _place_again(connection: sqlite3.Connection, path: Path, header: Header, found: Found) -> None:
+    """Place the stored frames of a session anew."""
+    with derived.fold_evidence(connection, header, found.session_id, path) as tiles:
+        derived.show(connection, header, found.session_id, found.metadata, tiles, path)
 
 
 def _check_complete(path: Path, name: str, frames: list[str], poses: Mapping[str, Pose]) -> None:
@@ -147,42 +148,3 @@ def _check_complete(path: Path, name: str, frames: list[str], poses: Mapping[str
         raise ConfigError(
             f"Session {name!r} of {path} has no frame {strange[0]!r}; give poses of its own frames."
         )
-
-
-def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) -> _Found:
-    """A session by its name, with all that is kept beside its frames."""
-    session_id, removed, config, source, source_sha256, software, heading_source, created = _row_of(
-        connection, path, name
-    )
-    try:
-        columns = read_arrays(connection, session_id, Kind.TRAJECTORY)
-        about = About(
-            name=name,
-            trajectory=trajectory_of(columns, datum, heading_source) if columns else None,
-            config=str(config),
-            source=str(source),
-            source_sha256=str(source_sha256),
-            inputs=read_arrays(connection, session_id, Kind.INPUT),
-            software_version=str(software),
-            created=str(created),
-        )
-    except MapError as error:
-        raise MapError(f"Session {name!r} of {path} is damaged: {error}") from error
-    return _Found(int(session_id), removed, about)
-
-
-def _row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, ...]:
-    """What a session's own row says; ConfigError when there is none of that name."""
-    row = connection.execute(
-        "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
-        "created FROM fieldgrid_session WHERE name = ?",
-        (name,),
-    ).fetchone()
-    if row is None:
-        known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")
-        raise ConfigError(
-            f"{path} has no session {name!r}; it has "
-            f"{', '.join(repr(other) for (other,) in known) or 'none'}."
-        )
-    found: tuple[Any, ...] = row
-    return found

@@ -6,7 +6,9 @@ Those that start with `fieldgrid_` hold the evidence and the sums, for this pack
 
 from __future__ import annotations
 
+import json
 import sqlite3
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from fieldgrid.geodesy import Datum
@@ -14,8 +16,8 @@ from fieldgrid.lattice import TILE_CELLS, Lattice
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 
-FORMAT_VERSION = 2
-"""Of the `fieldgrid_` tables; a map of another one is refused."""
+FORMAT_VERSION = 3
+"""Of the `fieldgrid_` tables. Older maps are read, and upgraded when they are written."""
 
 APPLICATION_ID = 0x47504B47
 """'GPKG', in the header of the file."""
@@ -144,6 +146,7 @@ CREATE TABLE fieldgrid_session (
     name TEXT NOT NULL UNIQUE,
     created DATETIME NOT NULL,
     removed DATETIME,
+    transform TEXT,
     source TEXT NOT NULL,
     source_sha256 TEXT NOT NULL,
     config TEXT NOT NULL,
@@ -181,21 +184,24 @@ CREATE TABLE fieldgrid_session_tile (
     session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
     ty INTEGER NOT NULL,
     tx INTEGER NOT NULL,
-    moments BLOB NOT NULL,
-    PRIMARY KEY (session_id, ty, tx)
+    channels TEXT NOT NULL,
+    data BLOB NOT NULL,
+    PRIMARY KEY (session_id, ty, tx, channels)
 );
-CREATE INDEX fieldgrid_session_tile_by_place ON fieldgrid_session_tile (ty, tx, session_id);
+CREATE INDEX fieldgrid_session_tile_by_place
+    ON fieldgrid_session_tile (ty, tx, session_id, channels);
 CREATE TABLE fieldgrid_tile (
     zoom INTEGER NOT NULL,
     ty INTEGER NOT NULL,
     tx INTEGER NOT NULL,
-    sums BLOB NOT NULL,
-    PRIMARY KEY (zoom, ty, tx)
+    channels TEXT NOT NULL,
+    data BLOB NOT NULL,
+    PRIMARY KEY (zoom, ty, tx, channels)
 );
-"""
-
-FRAME_COLUMNS = """
-    frame_id TEXT NOT NULL UNIQUE,
+CREATE TABLE fieldgrid_frame (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
+    frame_id TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     east_m DOUBLE,
     north_m DOUBLE,
@@ -209,27 +215,28 @@ FRAME_COLUMNS = """
     quality INTEGER,
     images TEXT NOT NULL,
     images_sha256 TEXT NOT NULL,
+    cells_sha256 TEXT NOT NULL,
     digest TEXT NOT NULL,
-    density BLOB NOT NULL,
-    observed BLOB NOT NULL
-"""
-"""What is kept of a frame. The blobs come last: a scan of the poses does not read past them."""
-
-_FRAME = f"""
-CREATE TABLE fieldgrid_frame (
-    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
-    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
-    {FRAME_COLUMNS.replace(" UNIQUE", "").strip()},
     UNIQUE (session_id, frame_id)
+);
+CREATE TABLE fieldgrid_grid (
+    frame INTEGER NOT NULL REFERENCES fieldgrid_frame (id),
+    channel TEXT NOT NULL,
+    dtype TEXT NOT NULL,
+    data BLOB NOT NULL,
+    PRIMARY KEY (frame, channel)
 );
 """
 
-EVIDENCE_TABLES = ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_array")
+EVIDENCE_TABLES = (
+    "fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid", "fieldgrid_array",
+)  # fmt: skip
 
 DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
 """Those of our own that follow from the evidence."""
 
 OWN_TABLES = ("fieldgrid_meta", *EVIDENCE_TABLES, *DERIVED_TABLES)
+"""All tables of our own."""
 
 LAYERS = {
     "density": ("tiles", "3D density 0..255, bright alpha where observed"),
@@ -251,20 +258,30 @@ def software_version() -> str:
 
 
 def create(
-    connection: sqlite3.Connection, datum: Datum, matrices: TileMatrixSet, transfer: Transfer
+    connection: sqlite3.Connection,
+    datum: Datum,
+    matrices: TileMatrixSet,
+    transfer: Transfer,
+    groups: Sequence[str],
 ) -> None:
-    """Lay out an empty map. To be called within one transaction."""
+    """Lay out an empty map whose tiles hold these channel groups, within one transaction."""
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {GEOPACKAGE_VERSION}")
-    for statement in (_GEOPACKAGE + _OWN + _FRAME).split(";\n"):
+    for statement in (_GEOPACKAGE + _OWN).split(";\n"):
         connection.execute(statement)
     connection.executemany(
-        "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", _reference_systems(datum)
+        "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", reference_systems(datum)
     )
     announce_layers(connection, matrices)
     connection.executemany(
-        "INSERT INTO fieldgrid_meta VALUES (?, ?)", _meta(datum, matrices.lattice, transfer).items()
+        "INSERT INTO fieldgrid_meta VALUES (?, ?)",
+        _meta(datum, matrices.lattice, transfer, groups).items(),
     )
+
+
+def own_tables() -> list[str]:
+    """The statements that make the tables of our own, one each, their indexes included."""
+    return [statement.strip() for statement in _OWN.split(";\n") if statement.strip()]
 
 
 def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> None:
@@ -291,7 +308,27 @@ def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> 
     )
 
 
-def _reference_systems(datum: Datum) -> tuple[tuple[str, int, str, int, str, str], ...]:
+def zoom_levels(
+    matrices: TileMatrixSet, top: int
+) -> list[tuple[str, int, int, int, int, int, float, float]]:
+    """The rows of gpkg_tile_matrix for the levels from `top` down to the base."""
+    return [
+        ("density", zoom, 1 << zoom, 1 << zoom, TILE_CELLS, TILE_CELLS, pixel_m, pixel_m)
+        for zoom in range(top, matrices.base_zoom + 1)
+        for pixel_m in (matrices.pixel_m(zoom),)
+    ]
+
+
+def set_groups(connection: sqlite3.Connection, groups: Sequence[str]) -> None:
+    """Note which channel groups the tiles hold."""
+    connection.execute(
+        "INSERT OR REPLACE INTO fieldgrid_meta VALUES ('channel_groups', ?)",
+        (json.dumps(list(groups)),),
+    )
+
+
+def reference_systems(datum: Datum) -> tuple[tuple[str, int, str, int, str, str], ...]:
+    """The rows of gpkg_spatial_ref_sys; the last is that of the map's own plane."""
     return (
         ("Undefined cartesian SRS", -1, "NONE", -1, "undefined", "undefined, cartesian"),
         ("Undefined geographic SRS", 0, "NONE", 0, "undefined", "undefined, geographic"),
@@ -307,7 +344,9 @@ def _reference_systems(datum: Datum) -> tuple[tuple[str, int, str, int, str, str
     )
 
 
-def _meta(datum: Datum, lattice: Lattice, transfer: Transfer) -> dict[str, str]:
+def _meta(
+    datum: Datum, lattice: Lattice, transfer: Transfer, groups: Sequence[str]
+) -> dict[str, str]:
     # repr gives the shortest text that reads back as the same number.
     return {
         "format_version": str(FORMAT_VERSION),
@@ -319,4 +358,5 @@ def _meta(datum: Datum, lattice: Lattice, transfer: Transfer) -> dict[str, str]:
         "transfer": transfer.value,
         "tile_cells": str(TILE_CELLS),
         "cell_weight": str(CELL_WEIGHT),
+        "channel_groups": json.dumps(list(groups)),
     }

@@ -1,161 +1,297 @@
-"""What a session has so far: frames on disk, the moments of its tiles in memory and on disk.
+"""A frame's evidence before it has a pose: encoded once, by any process, put together in any order.
 
-It is kept apart from the map until the session ends. So the map is locked for the moment of
-the commit only, readers and other drives meanwhile see it as it was, and giving up costs
-nothing. The disk part is an unnamed temporary database that SQLite deletes by itself, also
-when the process is killed; it lies where SQLITE_TMPDIR says, or in the system's place for
-temporary files. The memory taken does not depend on the length of the drive.
+A *staged frame* is all that a map keeps of what a frame saw. A *stage file* holds staged frames
+one behind the other; a frame that was not written to its end is not in it, so after a crash it has
+every frame before.
 """
 
 from __future__ import annotations
 
-import sqlite3
-from collections import OrderedDict
-from collections.abc import Iterator
-from typing import Any
+import errno
+import json
+import os
+import tempfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from struct import Struct
+from types import TracebackType
+from typing import NamedTuple, Self
 
-import numpy as np
+from fieldgrid.array_types import AnyArray
+from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.layers import FrameCells
+from fieldgrid.mapfile.codec import EncodedChannel, cells_sha256, decode_cells, encode_channels
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.grids import LocalGrid
-from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window
-from fieldgrid.mapfile.codec import decode_moments, encode_moments
-from fieldgrid.mapfile.schema import FRAME_COLUMNS
-from fieldgrid.moments import PLANES, Moments, add_to_tiles, finished, merge_moments
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer, footprint
+_MAGIC = b"fieldgrid stage 1\n"
+_FRAME = Struct("<4sIQI")
+"""Of each frame: a mark, the length of its JSON header and of its data, the CRC-32 of both."""
+_MARK = b"FRAM"
 
-POOL_TILES = 32
-"""Tiles whose moments are in memory, 2.6 MB each."""
+IN_MEMORY_BYTES = 16 << 20
+"""What a temporary stage file keeps in memory before it goes to the disk."""
 
-PART_TILES = 4
-"""Side of the largest square of tiles that a frame is folded into in one go."""
-
-
-class Staging:
-    """The temporary database of one session."""
-
-    def __init__(self) -> None:
-        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        # Nothing here outlives an error, so nothing needs to be undone or synced.
-        self._database.execute("PRAGMA journal_mode = OFF")
-        self._database.execute("PRAGMA synchronous = OFF")
-        self._database.execute(f"CREATE TABLE frame (id INTEGER PRIMARY KEY, {FRAME_COLUMNS})")
-        self._database.execute(
-            "CREATE TABLE tile (ty INTEGER, tx INTEGER, moments BLOB, PRIMARY KEY (ty, tx))"
-        )
-
-    def add_frame(self, row: tuple[Any, ...]) -> None:
-        """Keep a frame's row, in the order of `FRAME_COLUMNS`."""
-        places = ", ".join("?" * len(row))
-        try:
-            self._database.execute(f"INSERT INTO frame VALUES (NULL, {places})", row)
-        except sqlite3.IntegrityError as error:
-            raise ConfigError(
-                f"Frame {row[0]!r} is in this session already; give each frame its own frame_id."
-            ) from error
-
-    def frames(self) -> Iterator[tuple[Any, ...]]:
-        """The frames' rows in the order in which they were added."""
-        return (row[1:] for row in self._database.execute("SELECT * FROM frame ORDER BY id"))
-
-    def tiles(self) -> set[TileIndex]:
-        """The tiles whose moments are here."""
-        return {TileIndex(*row) for row in self._database.execute("SELECT ty, tx FROM tile")}
-
-    def moments(self, tile: TileIndex) -> Moments | None:
-        """A tile's moments, or None."""
-        row = self._database.execute(
-            "SELECT moments FROM tile WHERE ty = ? AND tx = ?", tile
-        ).fetchone()
-        return None if row is None else decode_moments(row[0], f"tile {tuple(tile)}")
-
-    def put_moments(self, tile: TileIndex, moments: Moments) -> None:
-        """Keep a tile's moments in place of those that were there."""
-        self._database.execute(
-            "INSERT OR REPLACE INTO tile VALUES (?, ?, ?)", (*tile, encode_moments(moments))
-        )
-
-    def close(self) -> None:
-        """Throw everything away."""
-        self._database.close()
+MAX_FRAME_BYTES = 64 << 20
 
 
-class SessionFold:
-    """The fold over a session's frames, tile by tile.
+@dataclass(frozen=True, slots=True)
+class StagedFrame:
+    """What a frame saw, encoded as the map stores it; it needs no pose and can be pickled.
 
-    The tiles last used are in memory, the others are compressed into the staging. Where the
-    drive comes back to such a tile it starts afresh, and the two parts are merged later.
+    `images` names the files that it was made from, `images_sha256` are their hashes.
+    `ground_found` is whether the ground was, without which the cells have no heights.
     """
 
-    def __init__(self, lattice: Lattice, transfer: Transfer, staging: Staging) -> None:
-        self._lattice = lattice
-        self._transfer = transfer
-        self._staging = staging
-        # Memory that is not touched is not taken.
-        self._pool = np.zeros((POOL_TILES, TILE_CELLS, TILE_CELLS, PLANES), dtype=np.uint64)
-        self._slots: OrderedDict[TileIndex, int] = OrderedDict()
-        self._free = list(range(POOL_TILES))
-        self._number = 0
+    frame_id: str
+    time_ns: int
+    spec: GridSpec
+    channels: tuple[EncodedChannel, ...]
+    cells_sha256: str
+    images: tuple[str, ...] = ()
+    images_sha256: tuple[str, ...] = ()
+    ground_found: bool = True
 
-    def add(self, grid: LocalGrid, pose: Pose) -> None:
-        """Carry one local grid into the tiles under it."""
-        self._number += 1
-        for tiles in _parts(footprint(grid.spec, pose, self._lattice)):
-            rows, columns = (
-                range(tiles.j0, tiles.j0 + tiles.height),
-                range(tiles.i0, tiles.i0 + tiles.width),
-            )
-            slots = np.array(
-                [[self._slot(TileIndex(ty, tx)) for tx in columns] for ty in rows], dtype=np.int32
-            )
-            window = Window(*(TILE_CELLS * value for value in tiles))
-            add_to_tiles(
-                self._pool, slots, window, grid, pose, self._lattice, self._transfer, self._number
-            )
+    def cells(self) -> FrameCells:
+        """The local grid and all further channels, decoded at each call."""
+        return decode_cells(self.spec, self.channels, f"grid of frame {self.frame_id!r}")
 
-    def tiles(self) -> set[TileIndex]:
-        """Every tile that any local grid may have touched."""
-        return self._staging.tiles() | self._slots.keys()
+    def grid(self) -> LocalGrid:
+        """The local grid, decoded at each call."""
+        return self.cells().grid
 
-    def moments(self, tile: TileIndex) -> Moments:
-        """What this session has in a tile, uint64 [256, 256, 5]."""
-        slot, staged = self._slots.get(tile), self._staging.moments(tile)
-        if slot is None:
-            return np.zeros(self._pool.shape[1:], dtype=np.uint64) if staged is None else staged
-        pooled = finished(self._pool[slot])
-        return pooled if staged is None else merge_moments(pooled, staged)
+
+def stage(
+    grid: LocalGrid,
+    frame_id: str,
+    time_ns: int,
+    *,
+    images: Sequence[str] = (),
+    images_sha256: Sequence[str] = (),
+    ground_found: bool = True,
+    channels: Mapping[str, AnyArray] | None = None,
+) -> StagedFrame:
+    """Encode what a frame saw. `channels` are further values [n_y, n_x] by name.
+
+    Raises ConfigError for a channel that is no array of numbers of the grid's shape.
+    """
+    cells = FrameCells(grid, channels or {})
+    return StagedFrame(
+        str(frame_id),
+        int(time_ns),
+        grid.spec,
+        encode_channels(grid, cells.channels),
+        cells_sha256(cells),
+        tuple(str(image) for image in images),
+        tuple(str(value) for value in images_sha256),
+        bool(ground_found),
+    )
+
+
+class StageEntry(NamedTuple):
+    """A frame of a stage file: what is known without reading its cells, and where it lies."""
+
+    frame_id: str
+    time_ns: int
+    ground_found: bool
+    offset: int
+    size: int
+
+
+class StageFile:
+    """Staged frames on disk, in the order in which they were appended.
+
+    `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a stage file to read it and append to it, or make it. MapError for another file."""
+        self._target = self._place = Path(path)
+        self.entries: list[StageEntry] = []
+        self._memory: bytearray | None = None
+        try:
+            self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            self._end = self._scan(self._file)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    @classmethod
+    def temporary(cls, target: Path) -> StageFile:
+        """A stage file without a name for the map at `target`: in memory, then on its disk.
+
+        The system's place for temporary files is often a small part of the memory.
+        """
+        made = cls.__new__(cls)
+        made._target, made._place = target, target.resolve().parent
+        made.entries, made._memory, made._file, made._end = [], bytearray(), None, 0
+        if not made._place.is_dir():
+            raise made._unwritable(FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
+        return made
+
+    def append(self, frame: StagedFrame) -> int:
+        """Write a frame behind the others; returns its index. MapWriteError on a full disk."""
+        record = _packed(frame)
+        try:
+            self._write(record)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        entry = StageEntry(
+            frame.frame_id, frame.time_ns, frame.ground_found, self._end, len(record)
+        )
+        self.entries.append(entry)
+        self._end += len(record)
+        return len(self.entries) - 1
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        """A frame; MapError when it was damaged since it was written."""
+        entry = self.entries[index]
+        if self._memory is not None:
+            record = bytes(self._memory[entry.offset : entry.offset + entry.size])
+        else:
+            assert self._file is not None, "the stage file is closed"
+            record = os.pread(self._file, entry.size, entry.offset)
+        frame = _unpacked(record)
+        if frame is None:
+            raise MapError(
+                f"The staged frame {entry.frame_id!r} is damaged; build the drive again."
+            )
+        return frame
+
+    def __iter__(self) -> Iterator[StagedFrame]:
+        return (self[k] for k in range(len(self.entries)))
 
     def close(self) -> None:
-        """Throw everything away."""
-        self._staging.close()
+        """Close the file; a temporary one is gone."""
+        self._memory = None
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
-    def _slot(self, tile: TileIndex) -> int:
-        slot = self._slots.get(tile)
-        if slot is None:
-            if not self._free:
-                self._stage(*self._slots.popitem(last=False))
-            slot = self._slots[tile] = self._free.pop()
-        self._slots.move_to_end(tile)
-        return slot
+    def __enter__(self) -> Self:
+        return self
 
-    def _stage(self, tile: TileIndex, slot: int) -> None:
-        moments = finished(self._pool[slot])
-        if moments[..., 0].any():  # or it is a corner of a footprint, which no cell reached
-            staged = self._staging.moments(tile)
-            merged = moments if staged is None else merge_moments(moments, staged)
-            self._staging.put_moments(tile, merged)
-            self._pool[slot] = 0
-        self._free.append(slot)
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _write(self, record: bytes) -> None:
+        if self._memory is not None:
+            if len(self._memory) + len(record) <= IN_MEMORY_BYTES:
+                self._memory += record
+                return
+            self._file = self._without_name(self._memory)
+            self._memory = None
+        if self._file is None:
+            raise ConfigError(f"The staged frames for {self._target} are closed.")
+        _write_all(self._file, record, self._end)
+
+    def _without_name(self, data: bytearray) -> int:
+        """A file that holds `data`, and that the system deletes however the program ends."""
+        file, name = tempfile.mkstemp(
+            prefix=f".{self._target.name}.", suffix=".grids", dir=self._place
+        )
+        try:
+            os.unlink(name)
+            _write_all(file, data, 0)
+        except BaseException:
+            os.close(file)
+            raise
+        return file
+
+    def _scan(self, file: int) -> int:
+        """Find the frames; returns where the next one goes."""
+        head = os.pread(file, len(_MAGIC), 0)
+        if not head:
+            _write_all(file, _MAGIC, 0)
+            return len(_MAGIC)
+        if head != _MAGIC:
+            os.close(file)
+            raise MapError(f"{self._place} is no file of staged frames. Check the name.")
+        offset = len(_MAGIC)
+        while True:
+            start = os.pread(file, _FRAME.size, offset)
+            if len(start) < _FRAME.size:
+                return offset
+            _, header, data, _ = _FRAME.unpack(start)
+            size = _FRAME.size + header + data
+            if size > MAX_FRAME_BYTES:
+                return offset
+            frame = _unpacked(os.pread(file, size, offset))
+            if frame is None:
+                return offset
+            self.entries.append(
+                StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size)
+            )
+            offset += size
+
+    def _unwritable(self, error: OSError) -> MapWriteError:
+        advice = "check the folder and its permissions"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            advice = "free some space there and try again"
+        return MapWriteError(
+            f"The local grids of the drive cannot be kept beside {self._target} "
+            f"({error.strerror}), so the drive is not in it; {advice}."
+        )
 
 
-def _parts(window: Window) -> Iterator[Window]:
-    """The tiles under a window, cut up where they are more than the pool should hold at once."""
-    ty0, ty1 = window.j0 // TILE_CELLS, (window.j0 + window.height - 1) // TILE_CELLS
-    tx0, tx1 = window.i0 // TILE_CELLS, (window.i0 + window.width - 1) // TILE_CELLS
-    whole = Window(tx0, ty0, tx1 - tx0 + 1, ty1 - ty0 + 1)
-    for ty in range(ty0, ty1 + 1, PART_TILES):
-        for tx in range(tx0, tx1 + 1, PART_TILES):
-            part = whole.intersect(Window(tx, ty, PART_TILES, PART_TILES))
-            if part is not None:
-                yield part
+def _write_all(file: int, data: bytes | bytearray, offset: int) -> None:
+    left = memoryview(data)
+    while left:  # a disk that fills up takes a part first
+        written = os.pwrite(file, left, offset)
+        left, offset = left[written:], offset + written
+
+
+def _packed(frame: StagedFrame) -> bytes:
+    spec = frame.spec
+    header = json.dumps(
+        [
+            frame.frame_id,
+            frame.time_ns,
+            [spec.width_m, spec.length_m, spec.cell_m],
+            [[name, dtype, len(data)] for name, dtype, data in frame.channels],
+            frame.cells_sha256,
+            frame.images,
+            frame.images_sha256,
+            frame.ground_found,
+        ],
+        ensure_ascii=False,
+    ).encode()
+    data = b"".join(channel.data for channel in frame.channels)
+    check = zlib.crc32(data, zlib.crc32(header))
+    return _FRAME.pack(_MARK, len(header), len(data), check) + header + data
+
+
+def _unpacked(record: bytes) -> StagedFrame | None:
+    """A frame from its record; None for one that is cut off or damaged."""
+    if len(record) < _FRAME.size:
+        return None
+    mark, size, length, check = _FRAME.unpack(record[: _FRAME.size])
+    body = record[_FRAME.size :]
+    if mark != _MARK or len(body) != size + length or zlib.crc32(body) != check:
+        return None
+    try:
+        name, time_ns, spec, sizes, sha256, images, hashes, ground = json.loads(body[:size])
+        channels, start = [], size
+        for channel, dtype, count in sizes:
+            channels.append(EncodedChannel(channel, dtype, body[start : start + count]))
+            start += count
+        return StagedFrame(
+            name,
+            time_ns,
+            GridSpec(*spec),
+            tuple(channels),
+            sha256,
+            tuple(images),
+            tuple(hashes),
+            ground,
+        )
+    except (TypeError, ValueError, FieldgridError):
+        return None

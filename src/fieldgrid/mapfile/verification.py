@@ -1,7 +1,7 @@
 """Whether a map is sound: its file, its evidence, and everything that follows from that.
 
-What follows from the evidence is made anew in a temporary database and compared; so a map that
-passes says what its frames say. `repair` makes it anew in the map itself.
+The tiles are made again from the frames, level by level, and compared with what is stored; so a
+map that passes says what its frames say. `repair` makes them in the map itself.
 """
 
 from __future__ import annotations
@@ -9,32 +9,39 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from fieldgrid.errors import MapError
+from fieldgrid.layers import GROUPS
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
-from fieldgrid.mapfile.codec import decode_moments, decode_sums
+from fieldgrid.mapfile.codec import cells_sha256
 from fieldgrid.mapfile.digest import frame_digest
+from fieldgrid.mapfile.evidence import frames_of
+from fieldgrid.mapfile.feature_check import check_features
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.png import decode_png
-from fieldgrid.mapfile.records import FRAME_SQL, frame_record, frame_values
-from fieldgrid.mapfile.revision import find
-from fieldgrid.mapfile.session import digest_of
+from fieldgrid.mapfile.metadata import count_frames, digest_of, find
+from fieldgrid.mapfile.records import FrameRecord, frame_values
+from fieldgrid.mapfile.root import check_root, read_root
+from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.workers import in_order
 
 MAX_PROBLEMS = 100
 """Problems that are listed; a map with so many needs no longer list."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What `verify` found: a sentence a problem, none in a sound map, and what was looked at."""
+class HealthReport:
+    """What `verify` found: a sentence a problem, none in a sound map, and what was looked at.
+
+    `notes` say what could not be looked at.
+    """
 
     problems: tuple[str, ...]
+    notes: tuple[str, ...]
     sessions: int
     removed: int
     frames: int
@@ -46,15 +53,28 @@ class Verdict:
         return not self.problems
 
 
-def verify(connection: sqlite3.Connection, path: Path, header: Header) -> Verdict:
+def verify(
+    connection: sqlite3.Connection, path: Path, header: Header, jobs: int | None = None
+) -> HealthReport:
     """Check everything, within the caller's reading."""
-    problems: list[str] = []
-    for check in (_file, _evidence, _derived):
+    subject = Subject(connection, path, header, jobs)
+    problems, notes = list[str](), list[str]()
+    checks: tuple[Callable[[Subject], Iterator[str]], ...]
+    checks = (_file, _root, _evidence, check_features, check_tiles)
+    if header.version < schema.FORMAT_VERSION:
+        checks = (_pages_and_orphans,)
+        notes.append(
+            f"The map is of format {header.version}, whose evidence is checked when it is "
+            "upgraded: run `fieldgrid repair --upgrade`."
+        )
+    unknown = [name for name in header.groups if name not in GROUPS]
+    if unknown:
+        notes.append(
+            f"The tiles of {', '.join(unknown)} were not checked: no imported module knows them."
+        )
+    for check in checks:
         try:
-            for problem in check(connection, path, header):
-                problems.append(problem)
-                if len(problems) == MAX_PROBLEMS:
-                    break
+            problems += islice(check(subject), MAX_PROBLEMS - len(problems))
         except (MapError, sqlite3.DatabaseError) as error:
             problems.append(str(error))
         if len(problems) >= MAX_PROBLEMS:
@@ -65,56 +85,34 @@ def verify(connection: sqlite3.Connection, path: Path, header: Header) -> Verdic
             "fieldgrid_session",
             "fieldgrid_session WHERE removed IS NOT NULL",
             "fieldgrid_frame",
-            "fieldgrid_tile",
+            "density",
         )
     )
-    return Verdict(tuple(problems), sessions, removed, frames, tiles)
+    return HealthReport(tuple(problems), tuple(notes), sessions, removed, frames, tiles)
 
 
-def repair(connection: sqlite3.Connection, path: Path, header: Header) -> None:
-    """Make everything anew that follows from the evidence, within the caller's transaction.
-
-    Raises MapError when the evidence itself is damaged: nothing can be made of that.
-    """
-    damaged = [
-        *_pages(connection),
-        *(line for table in schema.EVIDENCE_TABLES for line in _orphans(connection, table)),
-        *_evidence(connection, path, header, "WHERE removed IS NULL"),
-    ]
-    if damaged:
-        raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Take "
-            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
-        )
-    for table in (*schema.DERIVED_TABLES, *schema.GEOMETRIES, "density"):
-        connection.execute(f"DELETE FROM {table}")
-    connection.execute("DELETE FROM gpkg_tile_matrix WHERE table_name = 'density'")
-    connection.execute("DELETE FROM fieldgrid_meta WHERE key = 'data_window'")
-    schema.announce_layers(connection, TileMatrixSet(header.lattice))
-    _derive(connection, path, header, connection)
+def _file(subject: Subject) -> Iterator[str]:
+    """The file as SQLite and GeoPackage see it, and the layout of its tables."""
+    yield from _pages_and_orphans(subject)
+    expected = sqlite3.connect("")
+    try:
+        matrices = TileMatrixSet(subject.header.lattice)
+        schema.create(expected, subject.header.datum, matrices, subject.header.transfer, ())
+        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        ours, known = set(subject.connection.execute(query)), set(expected.execute(query))
+        tables = {row[2] for row in known}
+    finally:
+        expected.close()
+    for kind, name, _, _ in sorted(known - ours):
+        yield f"The {kind} {name} is not laid out as in a map."
+    for kind, name, table, _ in sorted(ours - known):
+        if kind == "trigger" and table in tables:
+            yield f"A trigger {name} changes {table} behind the map's back; drop it."
 
 
-def _derive(
-    source: sqlite3.Connection, path: Path, header: Header, target: sqlite3.Connection
-) -> None:
-    """Make the derived tables of `target` from the evidence in `source`."""
-    matrices = TileMatrixSet(header.lattice)
-    sessions = source.execute(
-        "SELECT id, name FROM fieldgrid_session WHERE removed IS NULL ORDER BY id"
-    ).fetchall()
-    for session_id, name in sessions:
-        track = find(source, path, header.datum, name).about.trajectory
-        fold = derived.fold_evidence(source, matrices, header.transfer, session_id)
-        try:
-            derived.show(target, matrices, session_id, name, track, fold, evidence=source)
-        finally:
-            fold.close()
-
-
-def _file(connection: sqlite3.Connection, path: Path, header: Header) -> Iterator[str]:
-    """The file as SQLite and GeoPackage see it."""
-    yield from _pages(connection)
-    yield from _orphans(connection)
+def _pages_and_orphans(subject: Subject) -> Iterator[str]:
+    yield from _pages(subject.connection)
+    yield from _orphans(subject.connection)
 
 
 def _pages(connection: sqlite3.Connection) -> Iterator[str]:
@@ -130,164 +128,121 @@ def _orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
         yield f"Row {row_id} of {name} has no counterpart in {parent}."
 
 
-def _evidence(
-    connection: sqlite3.Connection, path: Path, header: Header, which: str = ""
-) -> Iterator[str]:
+def _root(subject: Subject) -> Iterator[str]:
+    """Settings, plane and sessions against the root digest in both of its places."""
+    root = read_root(subject.connection)
+    if not root.trusted:
+        yield (
+            "The settings, the plane or the list of sessions are not as they were written: their "
+            f"root digest is {root.of_content}, and {root.in_meta} was kept."
+        )
+    elif not root.sound:
+        yield "One of the two copies of the root digest is damaged; repair the map."
+
+
+def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
+    connection, path, header, jobs = subject
     sessions = connection.execute(
-        "SELECT id, name, digest, frames, grid_width_m, grid_length_m, grid_cell_m, "
-        f"heading_source FROM fieldgrid_session {which} ORDER BY id"
+        "SELECT id, name, digest, frames, accepted, first_time_ns, last_time_ns, grid_width_m, "
+        f"grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session {which} ORDER BY id"
     ).fetchall()
-    for session_id, name, digest, count, *grid, heading_source in sessions:
-        frames: list[str] = []
-        yield from _frames(connection, session_id, name, frames)
-        if len(frames) != count:
-            yield f"Session {name!r} has {len(frames)} frames, but should have {count}."
+    for session_id, name, digest, *counts, width_m, length_m, cell_m, heading_source in sessions:
+        frames = [
+            row[0]
+            for row in connection.execute(
+                "SELECT digest FROM fieldgrid_frame WHERE session_id = ?", (session_id,)
+            )
+        ]
+        try:
+            records = frames_of(connection, session_id)
+        except MapError as error:
+            yield f"Session {name!r}: {error}"
+            continue
+        yield from (problem for problem in in_order(_frame_problem, records, jobs) if problem)
+        times_ns = [record.pose.time_ns for record in records]
+        found = [
+            len(records),
+            sum(record.accepted for record in records),
+            min(times_ns, default=None),
+            max(times_ns, default=None),
+        ]
+        if counts != found:
+            yield (
+                f"Session {name!r} should have {counts[0]} frames, {counts[1]} of them used, from "
+                f"{counts[2]} to {counts[3]} ns; there are {found[0]}, {found[1]} used, from "
+                f"{found[2]} to {found[3]}."
+            )
         try:
             read_arrays(connection, session_id, Kind.INPUT)
-            about = find(connection, path, header.datum, name).about
+            metadata = find(connection, path, header.datum, name).metadata
         except MapError as error:
             yield str(error)
             continue
-        if digest_of(about, grid, heading_source, frames) != digest:
+        if digest_of(metadata, (width_m, length_m, cell_m), heading_source, frames) != digest:
             yield (
                 f"Session {name!r} is not as it was stored: its settings, trajectory, inputs or "
                 "list of frames have changed."
             )
 
 
-def _frames(
-    connection: sqlite3.Connection, session_id: int, name: str, digests: list[str]
-) -> Iterator[str]:
-    rows = connection.execute(
-        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.id", (session_id,)
-    ).fetchall()
-    for row in rows:
-        digests.append(str(row[-1]))
-        try:
-            record = frame_record(row, derived.blobs_of(connection, row[0]))
-            values = frame_values(
-                record.pose, record.frame_id, record.quality, record.images, record.images_sha256
+def _frame_problem(record: FrameRecord) -> str:
+    """What is wrong with a frame; empty when it is as it was stored."""
+    values = frame_values(
+        record.driven,
+        record.frame_id,
+        record.quality,
+        record.images,
+        record.images_sha256,
+        record.cells_sha256,
+    )
+    try:
+        if frame_digest(values) != record.digest or (
+            cells_sha256(record.cells()) != record.cells_sha256
+        ):
+            return (
+                f"Frame {record.frame_id!r} of session {record.session!r} is not as it was stored."
             )
-            if frame_digest(values, record.grid()) != record.digest:
-                yield f"Frame {record.frame_id!r} of session {name!r} is not as it was stored."
-        except MapError as error:
-            yield f"Session {name!r}: {error}"
+    except MapError as error:
+        return f"Session {record.session!r}: {error}"
+    return ""
 
 
-def _derived(connection: sqlite3.Connection, path: Path, header: Header) -> Iterator[str]:
-    """Everything that follows from the evidence, against the same made anew."""
-    scratch = sqlite3.connect("", isolation_level=None)
-    try:
-        scratch.execute("PRAGMA journal_mode = OFF")
-        scratch.execute("PRAGMA synchronous = OFF")
-        schema.create(scratch, header.datum, TileMatrixSet(header.lattice), header.transfer)
-        _derive(connection, path, header, scratch)
-        for what, query, decode in _COMPARED:
-            yield from _differences(what, connection.execute(query), scratch.execute(query), decode)
-    finally:
-        scratch.close()
+def repair(
+    connection: sqlite3.Connection, path: Path, header: Header, jobs: int | None = None
+) -> tuple[str, ...]:
+    """Rebuild everything that follows from the evidence, within the caller's transaction.
+
+    Returns the channel groups that the tiles hold now. Raises MapError when the evidence itself is
+    damaged: nothing can be made of that.
+    """
+    subject = Subject(connection, path, header, jobs)
+    if not read_root(connection).trusted:
+        _renew_rows(connection, header)
+        check_root(connection, path)
+    damaged = [
+        *_pages(connection),
+        *(
+            line
+            for name in ("frame", "array")
+            for line in _orphans(connection, f"fieldgrid_{name}")
+        ),
+        *_evidence(subject, "WHERE removed IS NULL"),
+    ]
+    if damaged:
+        raise MapError(
+            f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Take "
+            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
+        )
+    derived.rebuild(connection, path, header, tuple(GROUPS))
+    return tuple(GROUPS)
 
 
-def _differences(
-    what: str,
-    here: Iterator[Any],
-    anew: Iterator[Any],
-    decode: Callable[[Any], Any] | None,
-) -> Iterator[str]:
-    """How the rows of two queries differ; both are in the order of their keys."""
-    while True:
-        mine, theirs = next(here, None), next(anew, None)
-        if mine is None and theirs is None:
-            return
-        if mine is None or theirs is None:
-            surplus = "lacks" if mine is None else "has, beyond what follows from its frames,"
-            yield f"The map {surplus} {what} {_key(theirs if mine is None else mine)}."
-            return
-        if mine != theirs and not _same(mine, theirs, decode):
-            yield f"The {what} {_key(mine)} is not what follows from the frames."
-            if mine[:-1] != theirs[:-1]:
-                return
-
-
-def _same(mine: Any, theirs: Any, decode: Callable[[Any], Any] | None) -> bool:
-    """Whether rows differ in nothing but how their last column was compressed."""
-    if decode is None or mine[:-1] != theirs[:-1]:
-        return False
-    try:
-        return bool(np.array_equal(decode(mine[-1]), decode(theirs[-1])))
-    except MapError:
-        return False
-
-
-def _key(row: Any) -> str:
-    shown = [value for value in row if not isinstance(value, bytes)][:4]
-    return " ".join(str(value) for value in shown)
-
-
-_COMPARED: tuple[tuple[str, str, Callable[[Any], Any] | None], ...] = (
-    (
-        "tile of session (its id, north, east)",
-        "SELECT session_id, ty, tx, moments FROM fieldgrid_session_tile ORDER BY 1, 2, 3",
-        lambda blob: decode_moments(blob, "session tile"),
-    ),
-    (
-        "tile (level, north, east)",
-        "SELECT zoom, ty, tx, sums FROM fieldgrid_tile ORDER BY 1, 2, 3",
-        lambda blob: decode_sums(blob, "tile"),
-    ),
-    (
-        "picture (level, column, row)",
-        "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
-        lambda blob: decode_png(blob, "picture"),
-    ),
-    (
-        "zoom level",
-        "SELECT zoom_level, matrix_width, matrix_height, tile_width, tile_height, pixel_x_size, "
-        "pixel_y_size FROM gpkg_tile_matrix WHERE table_name = 'density' ORDER BY 1",
-        None,
-    ),
-    (
-        "tile matrix set",
-        "SELECT min_x, min_y, max_x, max_y FROM gpkg_tile_matrix_set WHERE table_name = 'density'",
-        None,
-    ),
-    ("data window", "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'", None),
-    (
-        "extent of layer",
-        "SELECT table_name, min_x, min_y, max_x, max_y, data_type FROM gpkg_contents "
-        f"WHERE table_name IN ({', '.join(repr(layer) for layer in schema.LAYERS)}) ORDER BY 1",
-        None,
-    ),
-    (
-        "fix",
-        "SELECT session, time_ns, status, reason, geom, up_m, heading_deg, heading_sigma_deg, "
-        "position_sigma_m, speed_mps, gear, quality FROM trajectory ORDER BY session, time_ns, "
-        "status, reason, geom, up_m, heading_deg",
-        None,
-    ),
-    (
-        "frame position",
-        "SELECT session, frame_id, time_ns, status, reason, geom, heading_deg, quality "
-        "FROM frame_position ORDER BY session, frame_id",
-        None,
-    ),
-    (
-        "footprint",
-        "SELECT session, frame_id, time_ns, status, geom FROM footprint ORDER BY session, frame_id",
-        None,
-    ),
-)
-
-
-def as_dict(path: Path, verdict: Verdict) -> dict[str, Any]:
-    """A verdict for JSON."""
-    return {
-        "map": str(path),
-        "sound": verdict.sound,
-        "problems": list(verdict.problems),
-        "sessions": verdict.sessions,
-        "removed": verdict.removed,
-        "frames": verdict.frames,
-        "tiles": verdict.tiles,
-    }
+def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:
+    """Bring rows up to date that follow from others, although the root digest covers them."""
+    connection.executemany(
+        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)",
+        schema.reference_systems(header.datum),
+    )
+    for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
+        count_frames(connection, session_id)

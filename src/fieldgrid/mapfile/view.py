@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Bool, UInt8
+from fieldgrid.array_types import AnyArray, Bool, Float32, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile.records import FrameRecord
-from fieldgrid.transfer import Averaging, MeanFold, PaperFold, Transfer, footprint
+from fieldgrid.transfer import PaperFold, footprint
 
 MAX_CELLS = 400_000_000
 """Cells that a view may have: 800 MB of density and mask."""
@@ -64,6 +65,16 @@ class MapView:
             )
         return arrays[name]
 
+    @property
+    def peak(self) -> UInt8:
+        """The highest mean density of the map's own cells in each cell; of the layer `peak`."""
+        return self.layer("peak")
+
+    @property
+    def seen_share(self) -> Float32:
+        """The share of the map's own cells in each that were observed; of the layer `seen_share`."""
+        return self.layer("seen_share")
+
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
 
@@ -110,11 +121,17 @@ def _axis(axis: str, direction: str) -> dict[str, str]:
     }
 
 
-def empty_view(lattice: Lattice, window: Window, datum: Datum) -> MapView:
+def empty_view(
+    lattice: Lattice, window: Window, datum: Datum, layers: Sequence[str] = ()
+) -> MapView:
     """A view in which nothing has been observed, to be filled in place."""
     check_size(lattice, window)
     density = np.zeros(window.shape, dtype=np.uint8)
-    return MapView(lattice, window, density, np.zeros(window.shape, dtype=np.bool_), datum)
+    observed = np.zeros(window.shape, dtype=np.bool_)
+    arrays = {
+        name: np.full(window.shape, LAYERS[name].nodata or 0, LAYERS[name].dtype) for name in layers
+    }
+    return MapView(lattice, window, density, observed, datum, arrays)
 
 
 def check_size(lattice: Lattice, window: Window) -> None:
@@ -126,30 +143,23 @@ def check_size(lattice: Lattice, window: Window) -> None:
         )
 
 
-def fold(
-    view: MapView, frames: Sequence[FrameRecord], averaging: Averaging, transfer: Transfer
-) -> None:
+def fold_as_the_paper(view: MapView, frames: Sequence[FrameRecord]) -> None:
     """Fill a view from frames in the order given, block by block, a grid in memory at a time."""
-    for block in blocks(view.window, BLOCK_CELLS):
+    for block in squares(view.window, BLOCK_CELLS):
         inside = [
             frame
             for frame in frames
             if footprint(frame.spec, frame.pose, view.lattice).intersect(block) is not None
         ]
-        if not inside:
-            continue
-        sums: MeanFold | PaperFold
-        if averaging is Averaging.PAPER:
-            sums = PaperFold(view.lattice, block)
-        else:
-            sums = MeanFold(view.lattice, block, transfer)
-        for frame in inside:
-            sums.add(frame.grid(), frame.pose)
-        place = view.window.slices_of(block)
-        view.density[place], view.observed[place] = sums.density()
+        if inside:
+            fold = PaperFold(view.lattice, block)
+            for frame in inside:
+                fold.add(frame.grid(), frame.pose)
+            place = view.window.slices_of(block)
+            view.density[place], view.observed[place] = fold.density()
 
 
-def blocks(window: Window, side: int) -> Iterator[Window]:
+def squares(window: Window, side: int) -> Iterator[Window]:
     """The window cut into squares of at most `side` cells."""
     for j0 in range(window.j0, window.j0 + window.height, side):
         for i0 in range(window.i0, window.i0 + window.width, side):

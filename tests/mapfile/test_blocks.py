@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.lattice import Bounds, Window
-from fieldgrid.mapfile import MapFile, MapView, open_map, pieces
+from fieldgrid.mapfile import MapFile, MapView, blocks, open_map
 from tests.mapfile.maps import drive, one_cell, write_map
 
 
@@ -56,7 +56,7 @@ bounds = st.tuples(
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-def test_the_pieces_are_the_view(
+def test_the_blocks_are_the_view(
     universal: MapFile,
     monkeypatch: pytest.MonkeyPatch,
     part: Bounds | None,
@@ -64,10 +64,10 @@ def test_the_pieces_are_the_view(
     layers: tuple[str, ...],
     at: str | None,
 ) -> None:
-    monkeypatch.setattr(pieces, "_ROWS", 256)
-    monkeypatch.setattr(pieces, "_COLUMNS", 512)
+    monkeypatch.setattr(blocks, "_ROWS", 256)
+    monkeypatch.setattr(blocks, "_COLUMNS", 512)
     whole = universal.read(part, cell_m, layers=layers, at=at)
-    with universal.pieces(part, cell_m, layers=layers, at=at) as cut:
+    with universal.blocks(part, cell_m, layers=layers, at=at) as cut:
         assert (cut.lattice, cut.window) == (whole.lattice, whole.window)
         views = list(cut.views)
     found = together(views, whole)
@@ -78,7 +78,7 @@ def test_the_pieces_are_the_view(
 
 
 def test_they_come_from_the_north_and_where_something_is(universal: MapFile) -> None:
-    with universal.pieces() as cut:
+    with universal.blocks() as cut:
         windows = [view.window for view in cut.views]
         assert cut.window.height > 2000
     tops = [window.j0 + window.height for window in windows]
@@ -88,7 +88,7 @@ def test_they_come_from_the_north_and_where_something_is(universal: MapFile) -> 
 
 def test_a_window_is_cut_without_gap_or_overlap() -> None:
     whole = Window(-9000, -1100, 18000, 2300)
-    parts = list(pieces.windows(whole))
+    parts = list(blocks.windows(whole))
     assert sum(part.width * part.height for part in parts) == whole.width * whole.height
     assert len({(part.i0, part.j0) for part in parts}) == len(parts) == 4 * 4
     assert all(whole.intersect(part) == part for part in parts)
@@ -98,7 +98,7 @@ def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:
     path = write_map(tmp_path / "m.gpkg", [drive(2), drive(2, heading_deg=90.0)])
     with open_map(path) as reader:
         with (
-            reader.pieces() as cut,
+            reader.blocks() as cut,
             open_map(path, writable=True) as writer,
         ):
             writer._connection.execute("PRAGMA busy_timeout = 50")
@@ -113,7 +113,7 @@ def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:
 def test_a_map_of_no_bounds_is_refused(universal: MapFile) -> None:
     with (
         pytest.raises(ConfigError, match="over 10 thousand million"),
-        universal.pieces(Bounds(0.0, 0.0, 20000.0, 20000.0)),
+        universal.blocks(Bounds(0.0, 0.0, 20000.0, 20000.0)),
     ):
         pass
 
@@ -125,6 +125,6 @@ def test_a_damaged_picture_is_one_sentence(tmp_path: Path) -> None:
     with (
         open_map(path) as universal,
         pytest.raises(MapError, match=r"picture of tile .* is damaged"),
-        universal.pieces() as cut,
+        universal.blocks() as cut,
     ):
         list(cut.views)

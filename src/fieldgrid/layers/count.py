@@ -1,0 +1,48 @@
+"""How many frames observed a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import UInt32, UInt64
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
+from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.transfer import CELL_WEIGHT
+
+
+class _Frames:
+    def __init__(self, cells: int, _: Lattice) -> None:
+        self._frames: UInt32 = np.zeros(cells, dtype=np.uint32)
+
+    def add(self, frame: FrameInPlace) -> None:
+        self._frames[frame.touched] += 1  # each cell is in there once
+
+    def channels(self) -> UInt64:
+        return self._frames.astype(np.uint64)[None]
+
+
+def frames_of_weight(weight: UInt64) -> UInt64:
+    """The frames of a cell to which each gave one whole local cell, rounded up."""
+    frames = weight + np.uint64(CELL_WEIGHT - 1)
+    frames //= np.uint64(CELL_WEIGHT)
+    return frames
+
+
+GROUP = ChannelGroup(
+    "count",
+    (Channel("frames", coarser=Combine.MAX, signed=True),),
+    fold=_Frames,
+    expected=lambda weight, _: frames_of_weight(weight)[None],
+)
+
+COUNT = Layer(
+    "count",
+    "uint32",
+    "frames",
+    "frames that observed the cell; of a larger cell, the most that observed one of its base cells",
+    ("density", "count"),
+    lambda cells: cells["frames"],
+    0,
+    Colours(("#f7fcf5", "#41ab5d", "#00441b"), 0.0, None),
+)

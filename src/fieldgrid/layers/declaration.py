@@ -1,0 +1,140 @@
+"""What a channel group and a layer declare; everything else about them follows from it.
+
+A *channel* is a whole number for each cell (unsigned, modulo 2^64). A *channel group* is the
+channels that are accumulated and stored together. A *layer* is what a user reads: values made of
+channels. Nothing here depends on the order of frames or sessions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from fieldgrid.array_types import AnyArray, Bool, UInt64
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.frame import FrameInPlace
+
+
+class Combine(StrEnum):
+    """How two values of a channel become one."""
+
+    SUM = "sum"
+    """Added, and subtracted again when a session leaves, exactly: all is modulo 2^64."""
+
+    MAX = "max"
+    """The larger one; made again from what stays when a session leaves."""
+
+
+class Cells(Mapping[str, UInt64]):
+    """The channels of some cells by name, uint64 [rows north, columns east].
+
+    Each cell stands for `base_cells` cells of the lattice that frames were folded into.
+    """
+
+    def __init__(self, arrays: Mapping[str, UInt64], base_cells: int = 1) -> None:
+        self._arrays = dict(arrays)
+        self.base_cells = base_cells
+
+    def __getitem__(self, name: str) -> UInt64:
+        return self._arrays[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    @property
+    def observed(self) -> Bool:
+        """The cells that have any weight."""
+        seen: Bool = self["weight"] > 0
+        return seen
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A stored channel.
+
+    `sessions` says how the sessions meet in a base cell, `coarser` how base cells meet in a larger
+    one. `signed` values are stored as small numbers of either sign.
+    """
+
+    name: str
+    sessions: Combine = Combine.SUM
+    coarser: Combine = Combine.SUM
+    signed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class OverviewChannel:
+    """A channel that follows from the other channels of its group in a base cell, and is stored
+    only of larger cells, where it no longer does."""
+
+    name: str
+    coarser: Combine
+    of_base: Callable[[Cells], UInt64]
+
+
+class Fold(Protocol):
+    """Takes up the frames of one session over a window of cells."""
+
+    def add(self, frame: FrameInPlace) -> None:
+        """Add a frame to the cells that it lands in."""
+
+    def channels(self) -> UInt64:
+        """The channels so far, uint64 [channels, cells]; a cell without a frame is all 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelGroup:
+    """Channels that are accumulated and stored together.
+
+    They come from the frames (`fold`, given the number of cells and the lattice) or from a
+    session's finished density (`of_session`, given its `Cells`; returns [channels, ...]). `frame`
+    names channels of a frame's evidence that are needed beyond density and mask. `expected` guesses
+    the channels from a cell's weight and sum, flat arrays, as they are when it was seen once or
+    always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
+    give 0 for a cell of weight 0.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    fold: Callable[[int, Lattice], Fold] | None = None
+    of_session: Callable[[Cells], UInt64] | None = None
+    overview: tuple[OverviewChannel, ...] = ()
+    expected: Callable[[UInt64, UInt64], UInt64] | None = None
+    frame: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """How values are drawn: from the first of `stops` at `low` to the last at `high`.
+
+    Without `low` and `high` they are those of the data.
+    """
+
+    stops: tuple[str, ...]
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Something that can be read of every cell.
+
+    `values` makes it from the channels of `groups`, of cells of any size. An unobserved cell gets
+    `nodata`; without one it gets 0, which the mask tells from a value. `above_datum` marks heights
+    above the datum's plane.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    groups: tuple[str, ...]
+    values: Callable[[Cells], AnyArray]
+    nodata: float | None
+    colours: Colours
+    above_datum: bool = False

@@ -1,0 +1,79 @@
+"""The 3D density: the mean over all that frames said of a cell, and what its base cells say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import AnyArray, UInt64
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+)
+from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.transfer import WeightedSums, mean_density
+
+
+class _Sums:
+    """Weight and weighted sum, in sixteenths of a local cell."""
+
+    def __init__(self, cells: int, lattice: Lattice) -> None:
+        self._lattice = lattice
+        self._sums = WeightedSums(cells)
+
+    def add(self, frame: FrameInPlace) -> None:
+        self._sums.add(frame.cells.grid, frame.landing, self._lattice)
+
+    def channels(self) -> UInt64:
+        return self._sums.channels()
+
+
+def mean(cells: Cells) -> AnyArray:
+    """The density of each cell, uint8."""
+    return mean_density(cells["weight"], cells["sum"])[0]
+
+
+def _seen_share(cells: Cells) -> AnyArray:
+    return cells["seen"] / np.float32(cells.base_cells)
+
+
+GROUP = ChannelGroup(
+    "density",
+    (Channel("weight"), Channel("sum")),
+    fold=_Sums,
+    overview=(
+        OverviewChannel("peak", Combine.MAX, lambda cells: mean(cells).astype(np.uint64)),
+        OverviewChannel("seen", Combine.SUM, lambda cells: cells.observed.astype(np.uint64)),
+    ),
+)
+
+_DARK = Colours(("#ffffff", "#000000"), 0.0, 255.0)
+
+DENSITY = Layer("density", "uint8", "", "mean 3D density, 0..255", ("density",), mean, None, _DARK)
+
+PEAK = Layer(
+    "peak",
+    "uint8",
+    "",
+    "highest mean density of the base cells in the cell",
+    ("density",),
+    lambda cells: cells["peak"],
+    None,
+    _DARK,
+)
+
+SEEN_SHARE = Layer(
+    "seen_share",
+    "float32",
+    "1",
+    "share of the base cells in the cell that were observed",
+    ("density",),
+    _seen_share,
+    float("nan"),
+    Colours(("#f7fbff", "#08306b"), 0.0, 1.0),
+)

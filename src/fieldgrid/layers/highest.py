@@ -1,0 +1,61 @@
+"""The highest density that any frame gave a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import UInt8, UInt64
+from fieldgrid.kernel import kernel
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
+from fieldgrid.layers.frame import FrameInPlace
+
+
+class _Highest:
+    def __init__(self, cells: int, _: Lattice) -> None:
+        self._highest: UInt8 = np.zeros(cells, dtype=np.uint8)
+
+    def add(self, frame: FrameInPlace) -> None:
+        landing = frame.landing
+        raise_to(frame.cells.grid.density, landing.cell, landing.shift, self._highest)
+
+    def channels(self) -> UInt64:
+        return self._highest.astype(np.uint64)[None]
+
+
+@kernel
+def raise_to(values, cell, shift, highest):  # type: ignore[no-untyped-def]
+    """Raise each cell of a landing to the value of the local cell, where that is higher."""
+    for r in range(cell.shape[0]):
+        for c in range(cell.shape[1]):
+            k = cell[r, c]
+            if k >= 0:
+                value = values[r >> shift, c >> shift]
+                if value > highest[np.uint32(k)]:
+                    highest[np.uint32(k)] = value
+
+
+def _expected(weight: UInt64, total: UInt64) -> UInt64:
+    """The mean rounded up, which the highest value is not below."""
+    divisor = np.maximum(weight, np.uint64(1))
+    expected: UInt64 = (total + divisor - np.uint64(1)) // divisor
+    return expected[None]
+
+
+GROUP = ChannelGroup(
+    "max",
+    (Channel("highest", Combine.MAX, Combine.MAX),),
+    fold=_Highest,
+    expected=_expected,
+)
+
+MAX = Layer(
+    "max",
+    "uint8",
+    "",
+    "highest density that any frame gave the cell",
+    ("density", "max"),
+    lambda cells: cells["highest"],
+    None,
+    Colours(("#ffffff", "#000000"), 0.0, 255.0),
+)

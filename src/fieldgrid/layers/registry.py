@@ -1,0 +1,100 @@
+"""Which channel groups and layers there are: the built-in ones, and those of other modules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.layers import count, density, height, highest, sessions, variance
+from fieldgrid.layers.declaration import ChannelGroup, Layer
+
+_GROUPS: dict[str, ChannelGroup] = {}
+_LAYERS: dict[str, Layer] = {}
+
+GROUPS: Mapping[str, ChannelGroup] = MappingProxyType(_GROUPS)
+"""The channel groups by name; a group may use those before it, and all may use the density."""
+
+LAYERS: Mapping[str, Layer] = MappingProxyType(_LAYERS)
+"""The layers by name."""
+
+
+def register_group(group: ChannelGroup) -> None:
+    """Make a channel group known. New maps accumulate it from then on; `repair` adds it to others.
+
+    Raises ConfigError when its name, or that of a channel, is taken.
+    """
+    taken = {name for other in _GROUPS.values() for name in channel_names(other)}
+    twice = taken.intersection(channel_names(group))
+    if group.name in _GROUPS or twice:
+        what = f"channel {min(twice)!r}" if twice else f"channel group {group.name!r}"
+        raise ConfigError(f"There is a {what} already; give it another name.")
+    if not group.name.isidentifier() or (group.fold is None) == (group.of_session is None):
+        raise ConfigError(
+            f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
+            "or a function of a session's cells."
+        )
+    _GROUPS[group.name] = group
+
+
+def register_layer(layer: Layer) -> None:
+    """Make a layer known; ConfigError when its name is taken or a group that it reads is unknown."""
+    if layer.name in _LAYERS or layer.name == "observed":
+        raise ConfigError(f"There is a layer {layer.name!r} already; give it another name.")
+    for name in layer.groups:
+        if name not in _GROUPS:
+            raise ConfigError(
+                f"The layer {layer.name!r} reads the channel group {name!r}, which is not there; "
+                "register the group first."
+            )
+    _LAYERS[layer.name] = layer
+
+
+def unregister(name: str) -> None:
+    """Forget the layer and the channel group of a name, as far as there are such."""
+    _LAYERS.pop(name, None)
+    _GROUPS.pop(name, None)
+
+
+def check_layers(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, once it is sure that there are such layers."""
+    wanted = tuple(names)
+    for name in wanted:
+        if name not in _LAYERS:
+            raise ConfigError(f"There is no layer {name!r}; there are {', '.join(_LAYERS)}.")
+    return wanted
+
+
+def groups_of(layers: Iterable[str]) -> tuple[str, ...]:
+    """The channel groups that layers are made of, in the order of their registration."""
+    wanted = {name for layer in layers for name in _LAYERS[layer].groups} | {density.GROUP.name}
+    return tuple(name for name in _GROUPS if name in wanted)
+
+
+def channel_names(group: ChannelGroup) -> tuple[str, ...]:
+    """All channels of a group, those of overviews included."""
+    return (*(own.name for own in group.channels), *(extra.name for extra in group.overview))
+
+
+for _group in (
+    density.GROUP,
+    variance.GROUP,
+    count.GROUP,
+    highest.GROUP,
+    sessions.GROUP,
+    height.GROUP,
+):
+    register_group(_group)
+
+for _layer in (
+    density.DENSITY,
+    count.COUNT,
+    variance.VARIANCE,
+    highest.MAX,
+    sessions.SESSIONS,
+    sessions.PERSISTENCE,
+    height.HEIGHT,
+    density.PEAK,
+    density.SEEN_SHARE,
+):
+    register_layer(_layer)

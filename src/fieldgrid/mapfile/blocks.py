@@ -1,0 +1,54 @@
+"""A view of a map block by block, for what never needs all of it at once.
+
+The blocks have the bits of `MapFile.read`, and are of one state of the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.mapfile.evidence import Evidence
+from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.reading import Request, read_view
+from fieldgrid.mapfile.view import MapView
+
+MAX_CELLS = 10_000_000_000
+"""Cells that may be read in blocks: 25 square kilometres at 5 cm."""
+
+_ROWS, _COLUMNS = 4 * TILE_CELLS, 32 * TILE_CELLS
+
+
+class Blocks(NamedTuple):
+    """The cells that were asked for, and the views that cover those that were observed.
+
+    The views come from the north to the south, and from the west to the east; each begins and
+    ends where tiles do, or at the window's edge. There is none where nothing was observed.
+    """
+
+    lattice: Lattice
+    window: Window
+    views: Iterator[MapView]
+
+
+def read_blocks(evidence: Evidence, header: Header, request: Request) -> Blocks:
+    """The view that is asked for in blocks; ConfigError when it has too many cells."""
+    window = request.window
+    if window.width * window.height > MAX_CELLS:
+        raise ConfigError(
+            f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
+            f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
+        )
+    views = (read_view(evidence, header, request._replace(window=w)) for w in windows(window))
+    return Blocks(request.lattice, window, (view for view in views if view.observed.any()))
+
+
+def windows(whole: Window) -> Iterator[Window]:
+    """A window cut where tiles begin, the northern rows first."""
+    for j0 in reversed(range(whole.j0 // _ROWS * _ROWS, whole.j0 + whole.height, _ROWS)):
+        for i0 in range(whole.i0 // _COLUMNS * _COLUMNS, whole.i0 + whole.width, _COLUMNS):
+            part = whole.intersect(Window(i0, j0, _COLUMNS, _ROWS))
+            assert part is not None
+            yield part

@@ -1,0 +1,101 @@
+"""The layers of features, and what is announced to a GIS, against the same made again."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from typing import Any
+
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.derived import active, show_features
+from fieldgrid.mapfile.metadata import find
+from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.tiling import TileMatrixSet
+
+
+def check_features(subject: Subject) -> Iterator[str]:
+    """The layers of features, and what is announced to a GIS, against the same made again."""
+    connection, path, header, _ = subject
+    scratch = sqlite3.connect("", isolation_level=None)
+    try:
+        matrices = TileMatrixSet(header.lattice)
+        schema.create(scratch, header.datum, matrices, header.transfer, header.groups)
+        for session_id, name in active(connection):
+            metadata = find(connection, path, header.datum, name).metadata
+            show_features(scratch, session_id, metadata, evidence=connection)
+        for what, query in _COMPARED:
+            yield from _differences(what, connection.execute(query), scratch.execute(query))
+    finally:
+        scratch.close()
+
+
+def _differences(what: str, here: Iterator[Any], anew: Iterator[Any]) -> Iterator[str]:
+    """How the rows of two queries differ; both are in the order of their keys."""
+    while True:
+        mine, theirs = next(here, None), next(anew, None)
+        if mine is None and theirs is None:
+            return
+        if mine is None or theirs is None:
+            surplus = "lacks" if mine is None else "has, beyond what follows from its frames,"
+            yield f"The map {surplus} {what} {_key(theirs if mine is None else mine)}."
+            return
+        if mine != theirs:
+            yield f"The {what} {_key(mine)} is not what follows from the frames."
+            if mine[:2] != theirs[:2]:
+                return
+
+
+def _key(row: Any) -> str:
+    shown = [value for value in row if not isinstance(value, bytes)][:4]
+    return " ".join(str(value) for value in shown)
+
+
+_OURS = ", ".join(repr(layer) for layer in schema.LAYERS)
+
+_COMPARED: tuple[tuple[str, str], ...] = (
+    (
+        "reference system",
+        "SELECT srs_id, organization, organization_coordsys_id, srs_name FROM gpkg_spatial_ref_sys "
+        "WHERE srs_id IN (-1, 0, 4326) ORDER BY 1",
+    ),
+    (
+        "tile matrix set",
+        "SELECT table_name, srs_id, min_x, min_y, max_x, max_y FROM gpkg_tile_matrix_set "
+        "WHERE table_name = 'density'",
+    ),
+    (
+        "geometry of layer",
+        "SELECT table_name, column_name, geometry_type_name, srs_id, z, m "
+        f"FROM gpkg_geometry_columns WHERE table_name IN ({_OURS}) ORDER BY 1",
+    ),
+    (
+        "layer",
+        "SELECT table_name, data_type, identifier, srs_id FROM gpkg_contents "
+        f"WHERE table_name IN ({_OURS}) ORDER BY 1",
+    ),
+    (
+        "extent of layer",
+        "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents "
+        f"WHERE table_name IN ({_OURS}) AND table_name <> 'density' ORDER BY 1",
+    ),
+    (
+        "extent of session",
+        "SELECT session_id, layer, west_m, south_m, east_m, north_m FROM fieldgrid_extent "
+        "ORDER BY 1, 2",
+    ),
+    (
+        "fix",
+        "SELECT session, time_ns, status, reason, geom, up_m, heading_deg, heading_sigma_deg, "
+        "position_sigma_m, speed_mps, gear, quality FROM trajectory ORDER BY session, time_ns, "
+        "status, reason, geom, up_m, heading_deg",
+    ),
+    (
+        "frame position",
+        "SELECT session, frame_id, time_ns, status, reason, geom, heading_deg, quality "
+        "FROM frame_position ORDER BY session, frame_id",
+    ),
+    (
+        "footprint",
+        "SELECT session, frame_id, time_ns, status, geom FROM footprint ORDER BY session, frame_id",
+    ),
+)

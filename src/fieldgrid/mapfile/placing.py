@@ -1,0 +1,228 @@
+"""Placing a session: its frames, each with its pose in the map, become the tiles of the session.
+
+This is the only way from frames to tiles. The frames may come from anywhere, in any order; the
+tiles have the same bits.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, Self, TypeVar
+
+from fieldgrid.array_types import UInt64
+from fieldgrid.grids import GridSpec
+from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
+from fieldgrid.layers import Cells, ChannelGroup, FrameCells
+from fieldgrid.layers.window import WindowFold
+from fieldgrid.mapfile.tile_codec import Box, box_of, decode_tile, encode_tile
+from fieldgrid.mapfile.workers import in_order
+from fieldgrid.trajectory import Pose
+from fieldgrid.transfer import Transfer, footprint
+
+_Result = TypeVar("_Result")
+
+BLOCK_TILES = 3
+"""Side of the square of tiles that is folded at a time; it takes up to 60 MB."""
+
+RECENT_FRAMES, RECENT_TILES = 32, 8
+"""What is kept decoded, because the next block or the commit is likely to want it."""
+
+
+class PlacedFrame(NamedTuple):
+    """A frame at its pose in the map; `load` decodes its cells, and any thread may call it."""
+
+    pose: Pose
+    spec: GridSpec
+    load: Callable[[], FrameCells]
+
+
+def fold_tiles(
+    frames: Sequence[PlacedFrame],
+    lattice: Lattice,
+    transfer: Transfer,
+    groups: Sequence[ChannelGroup],
+    work: Callable[[TileIndex, Cells], _Result],
+    jobs: int | None = None,
+) -> Iterator[_Result]:
+    """What `work`, in any thread, makes of each tile that the frames of a session observed.
+
+    The tiles come square by square, so that the memory taken does not depend on the session.
+    """
+    squares: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+    footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
+    side = BLOCK_TILES * TILE_CELLS
+    for k, window in enumerate(footprints):
+        for y in range(window.j0 // side, (window.j0 + window.height - 1) // side + 1):
+            for x in range(window.i0 // side, (window.i0 + window.width - 1) // side + 1):
+                squares[y, x].append(k)
+    recent = _Recent(frames)
+
+    def fold_square(place: tuple[int, int]) -> list[_Result]:
+        y, x = place
+        inside = squares[place]
+        window = _tiles_under(
+            [footprints[k] for k in inside], Window(x * side, y * side, side, side)
+        )
+        fold = WindowFold(lattice, window, transfer, groups)
+        for k in inside:
+            fold.add(recent.cells(k), frames[k].pose)
+        found = ((tile, fold.cells(tile_window(tile))) for tile in window.tiles())
+        return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
+
+    # To and fro, so that neighbours follow each other and share frames.
+    order = sorted(squares, key=lambda place: (place[0], place[1] if place[0] % 2 else -place[1]))
+    for results in in_order(fold_square, order, jobs):
+        yield from results
+
+
+def _tiles_under(footprints: list[Window], square: Window) -> Window:
+    """The whole tiles of a square that footprints reach into."""
+    parts = [part for window in footprints if (part := window.intersect(square)) is not None]
+    i0, j0 = (
+        min(values) // TILE_CELLS for values in zip(*(part[:2] for part in parts), strict=True)
+    )
+    i1 = max(part.i0 + part.width - 1 for part in parts) // TILE_CELLS + 1
+    j1 = max(part.j0 + part.height - 1 for part in parts) // TILE_CELLS + 1
+    return Window(*(TILE_CELLS * value for value in (i0, j0, i1 - i0, j1 - j0)))
+
+
+class _Recent:
+    """Frames decoded once where the next square wants them again."""
+
+    def __init__(self, frames: Sequence[PlacedFrame]) -> None:
+        self._frames = frames
+        self._lock = threading.Lock()
+        self._cells: OrderedDict[int, FrameCells] = OrderedDict()
+
+    def cells(self, k: int) -> FrameCells:
+        with self._lock:
+            found = self._cells.get(k)
+        if found is None:
+            found = self._frames[k].load()
+            with self._lock:
+                self._cells[k] = found
+                while len(self._cells) > RECENT_FRAMES:
+                    self._cells.popitem(last=False)
+        return found
+
+
+class SessionTiles:
+    """The tiles of a session, encoded, beside the map until they are in it.
+
+    The map is locked for the moment of the commit only, readers and other drives meanwhile see it
+    as it was, and giving up costs nothing. They lie in an unnamed temporary database that SQLite
+    deletes by itself, also when the process is killed, where SQLITE_TMPDIR says, or in the
+    system's place for temporary files.
+    """
+
+    def __init__(self, groups: Sequence[ChannelGroup]) -> None:
+        self._groups = groups
+        self._lock = threading.Lock()
+        self._recent: OrderedDict[TileIndex, Cells] = OrderedDict()
+        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        # Nothing here outlives an error, so nothing needs to be undone or synced.
+        self._database.execute("PRAGMA journal_mode = OFF")
+        self._database.execute("PRAGMA synchronous = OFF")
+        self._database.execute("CREATE TABLE tile (ty, tx, channels, data)")
+        self._database.execute("CREATE INDEX place ON tile (ty, tx)")
+        self.tiles: set[TileIndex] = set()
+
+    @classmethod
+    def folded(
+        cls,
+        frames: Sequence[PlacedFrame],
+        lattice: Lattice,
+        transfer: Transfer,
+        groups: Sequence[ChannelGroup],
+    ) -> SessionTiles:
+        """Place the accepted frames of a session."""
+        made = cls(groups)
+
+        def encode(tile: TileIndex, cells: Cells) -> tuple[TileIndex, Cells, dict[str, bytes]]:
+            return tile, cells, encode_groups(stored_of_session(groups), cells, base=True)
+
+        try:
+            for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode):
+                made._put(tile, cells, blobs)
+        except BaseException:
+            made.close()
+            raise
+        return made
+
+    def _put(self, tile: TileIndex, cells: Cells, blobs: dict[str, bytes]) -> None:
+        self._database.executemany(
+            "INSERT INTO tile VALUES (?, ?, ?, ?)",
+            [(*tile, name, blob) for name, blob in blobs.items()],
+        )
+        self.tiles.add(tile)
+        if len(self._recent) < RECENT_TILES:
+            self._recent[tile] = cells
+
+    def blobs(self, tile: TileIndex) -> dict[str, bytes]:
+        """The stored form of a tile, by channel group."""
+        with self._lock:
+            rows = self._database.execute(
+                "SELECT channels, data FROM tile WHERE ty = ? AND tx = ?", tile
+            ).fetchall()
+        return dict(rows)
+
+    def cells(self, tile: TileIndex) -> Cells:
+        """The channels of a tile."""
+        found = self._recent.get(tile)
+        if found is None:
+            found = session_cells(self._groups, self.blobs(tile), f"tile {tuple(tile)}")
+        return found
+
+    def close(self) -> None:
+        """Throw them away."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def stored_of_session(groups: Sequence[ChannelGroup]) -> list[ChannelGroup]:
+    """The groups that session tiles hold: others follow from those of the session."""
+    return [group for group in groups if group.of_session is None]
+
+
+def encode_groups(
+    groups: Sequence[ChannelGroup], cells: Cells, *, base: bool, box: Box | None = None
+) -> dict[str, bytes]:
+    """The blobs of a tile that has been observed, by channel group."""
+    inside = box or box_of(cells["weight"])
+    return {group.name: encode_tile(group, cells, inside, base=base) for group in groups}
+
+
+def session_cells(groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str) -> Cells:
+    """What a session has in a tile, from the blobs of its session tiles."""
+    arrays = dict(decode_groups(stored_of_session(groups), blobs, what, base=True))
+    for group in groups:
+        if group.of_session is not None:
+            made = group.of_session(Cells(arrays))
+            arrays.update(zip((channel.name for channel in group.channels), made, strict=True))
+    return Cells(arrays)
+
+
+def decode_groups(
+    groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str, *, base: bool
+) -> Cells:
+    """The channels of a tile from its blobs; MapError when one is damaged or missing."""
+    arrays: dict[str, UInt64] = {}
+    for group in groups:
+        arrays.update(
+            decode_tile(
+                group,
+                blobs.get(group.name),
+                arrays if arrays else None,
+                f"{group.name} of {what}",
+                base=base,
+            )
+        )
+    return Cells(arrays)

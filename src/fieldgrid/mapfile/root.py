@@ -1,0 +1,91 @@
+"""The root digest: one SHA-256 of a map's settings, its plane and its sessions, and so of all.
+
+It covers the digests of the sessions, which cover those of their frames, which cover their cells.
+It is kept in two places, and changes with each commit; a note of it elsewhere tells whether a map
+is still the one that was noted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid.errors import MapError
+from fieldgrid.mapfile.digest import as_json
+from fieldgrid.mapfile.schema import SRS_ID
+
+_KEY = "root_sha256"
+_DERIVED = ("data_window", _KEY)
+
+_DRIVES = "The drives in this map"
+
+
+class Root(NamedTuple):
+    """The root digest as the map's content gives it, and as it is kept in the two places."""
+
+    of_content: str
+    in_meta: str | None
+    in_contents: str | None
+
+    @property
+    def sound(self) -> bool:
+        """Whether all three agree."""
+        return self.of_content == self.in_meta == self.in_contents
+
+    @property
+    def trusted(self) -> bool:
+        """Whether one of the two places confirms the content."""
+        return self.of_content in (self.in_meta, self.in_contents)
+
+
+def read_root(connection: sqlite3.Connection) -> Root:
+    """The root digest of a map, from its content and from where it is kept."""
+    hashed = hashlib.sha256()
+    for query in (
+        "SELECT key, value FROM fieldgrid_meta "
+        f"WHERE key NOT IN ({', '.join(repr(key) for key in _DERIVED)}) ORDER BY key",
+        "SELECT srs_name, srs_id, organization, organization_coordsys_id, definition, description "
+        f"FROM gpkg_spatial_ref_sys WHERE srs_id = {SRS_ID}",
+        "SELECT id, name, created, removed, transform, first_time_ns, last_time_ns, frames, "
+        "accepted, digest FROM fieldgrid_session ORDER BY id",
+    ):
+        for row in connection.execute(query):
+            hashed.update(as_json([_plain(value) for value in row]))
+        hashed.update(b"\n")
+    meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = ?", (_KEY,)).fetchone()
+    contents = connection.execute(
+        "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
+    ).fetchone()
+    noted = None if contents is None else str(contents[0])
+    return Root(
+        hashed.hexdigest(),
+        None if meta is None else str(meta[0]),
+        None if noted is None or "(" not in noted else noted.rsplit("(", 1)[1].rstrip(")")[-64:],
+    )
+
+
+def seal(connection: sqlite3.Connection) -> None:
+    """Write the root digest of what the map holds now, at the end of a transaction."""
+    root = read_root(connection).of_content
+    connection.execute("INSERT OR REPLACE INTO fieldgrid_meta VALUES (?, ?)", (_KEY, root))
+    connection.execute(
+        "UPDATE gpkg_contents SET description = ? WHERE table_name = 'fieldgrid_session'",
+        (f"{_DRIVES} (SHA-256 {root})",),
+    )
+
+
+def check_root(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise MapError when a map is not as it was left: a change would hide that for good."""
+    if not read_root(connection).trusted:
+        raise MapError(
+            f"{path} is not as it was written: its settings, its plane or its list of sessions "
+            "have changed since. Nothing was written; see `fieldgrid verify`, try `fieldgrid repair`, "
+            "or restore the map from a copy."
+        )
+
+
+def _plain(value: object) -> object:
+    """What JSON takes: a blob where none belongs as its hexadecimal digits."""
+    return value.hex() if isinstance(value, bytes) else value

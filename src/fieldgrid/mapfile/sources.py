@@ -1,0 +1,134 @@
+"""Where the channels of a window of cells come from: stored tiles, or frames folded anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from fieldgrid.lattice import Lattice, TileIndex, Window, tile_window
+from fieldgrid.layers import Cells, ChannelGroup
+from fieldgrid.layers.window import WindowFold, merge_sessions, with_overviews
+from fieldgrid.mapfile.records import FrameRecord
+from fieldgrid.mapfile.tiles import TileTables
+from fieldgrid.transfer import Transfer, footprint
+
+
+class CellSource(Protocol):
+    """Gives the channels of windows of cells, those of overviews included; from any thread."""
+
+    def merged(self, window: Window) -> Cells | None:
+        """The sessions that were asked for together; None where they saw nothing."""
+
+    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        """Each session that may have seen something, in the order in which they were given."""
+
+
+class StoredLevel:
+    """The tiles over all sessions of a zoom level; `level` counts from the base."""
+
+    def __init__(self, tables: TileTables, level: int) -> None:
+        self._tables = tables
+        self._zoom, self._level = tables.matrices.base_zoom - level, level
+
+    def merged(self, window: Window) -> Cells | None:
+        """See `CellSource`."""
+        found = []
+        for tile in window.tiles():
+            cells = self._tables.cells(self._zoom, tile)
+            if cells is not None:
+                if self._level == 0:
+                    cells = with_overviews(self._tables.groups, cells)
+                found.append((tile, cells))
+        return _assembled(window, found)
+
+    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        """These tiles do not tell sessions apart."""
+        raise NotImplementedError
+
+
+class StoredSessions:
+    """The base tiles of some sessions, by their row ids in the order of their drives."""
+
+    def __init__(self, tables: TileTables, names: Mapping[int, str]) -> None:
+        self._tables = tables
+        self._names = names
+
+    def merged(self, window: Window) -> Cells | None:
+        """See `CellSource`."""
+        groups = self._tables.groups
+        total: dict[TileIndex, Cells] = {}
+        for tile, session_id in self._tables.sessions_near(window):
+            if session_id in self._names:
+                cells = self._tables.session_cells(session_id, tile)
+                before = total.get(tile)
+                total[tile] = cells if before is None else merge_sessions(groups, before, cells)
+        return _assembled(
+            window, [(t, with_overviews(groups, cells)) for t, cells in total.items()]
+        )
+
+    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        """See `CellSource`."""
+        near = self._tables.sessions_near(window)
+        for session_id, name in self._names.items():
+            tiles = [tile for tile, other in near if other == session_id]
+            cells = ((tile, self._tables.session_cells(session_id, tile)) for tile in tiles)
+            found = [(tile, with_overviews(self._tables.groups, one)) for tile, one in cells]
+            whole = _assembled(window, found)
+            if whole is not None:
+                yield name, whole
+
+
+class FoldedFrames:
+    """Frames folded anew: on any lattice, by any rule, from any frames."""
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        transfer: Transfer,
+        groups: Sequence[ChannelGroup],
+        sessions: Sequence[tuple[str, Sequence[FrameRecord]]],
+    ) -> None:
+        self._lattice, self._transfer, self._groups = lattice, transfer, groups
+        self._sessions = [
+            (name, [(frame, footprint(frame.spec, frame.pose, lattice)) for frame in frames])
+            for name, frames in sessions
+        ]
+
+    def merged(self, window: Window) -> Cells | None:
+        """See `CellSource`."""
+        total: Cells | None = None
+        for _, cells in self._folded(window):
+            total = cells if total is None else merge_sessions(self._groups, total, cells)
+        return None if total is None else with_overviews(self._groups, total)
+
+    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        """See `CellSource`."""
+        for name, cells in self._folded(window):
+            yield name, with_overviews(self._groups, cells)
+
+    def _folded(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        for name, frames in self._sessions:
+            inside = [frame for frame, place in frames if place.intersect(window) is not None]
+            if inside:
+                fold = WindowFold(self._lattice, window, self._transfer, self._groups)
+                for frame in inside:
+                    fold.add(frame.cells(), frame.pose)
+                yield name, fold.cells()
+
+
+def _assembled(window: Window, tiles: Iterable[tuple[TileIndex, Cells]]) -> Cells | None:
+    """The cells of a window from the tiles that it touches; None when there are none."""
+    arrays, base_cells = None, 1
+    for tile, cells in tiles:
+        if arrays is None:
+            arrays = {name: np.zeros(window.shape, dtype=np.uint64) for name in cells}
+            base_cells = cells.base_cells
+        whole = tile_window(tile)
+        part = whole.intersect(window)
+        if part is not None:
+            inside, place = whole.slices_of(part), window.slices_of(part)
+            for name, array in arrays.items():
+                array[place] = cells[name][inside]
+    return None if arrays is None else Cells(arrays, base_cells)

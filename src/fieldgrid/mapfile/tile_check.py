@@ -1,0 +1,173 @@
+"""The tiles of a map against what its frames say: made again, level by level, and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from fieldgrid.errors import MapError
+from fieldgrid.lattice import TileIndex
+from fieldgrid.layers import GROUPS, Cells
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.derived import active, placed_frames
+from fieldgrid.mapfile.evidence import frames_of
+from fieldgrid.mapfile.placing import fold_tiles, stored_of_session
+from fieldgrid.mapfile.png import decode_png
+from fieldgrid.mapfile.pyramid import Pyramid
+from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.tile_codec import stored_channels
+from fieldgrid.mapfile.tiles import TileTables
+from fieldgrid.mapfile.tiling import parent
+from fieldgrid.mapfile.workers import in_order
+from fieldgrid.transfer import mean_density
+
+
+def check_tiles(subject: Subject) -> Iterator[str]:
+    """The tiles of sessions against a new fold, those above against those below them."""
+    tables = subject.tables
+    pyramid = Pyramid(subject.connection, tables)
+    for session_id, name in active(subject.connection):
+        yield from _session_tiles(subject, session_id, name)
+    removed = subject.connection.execute(
+        "SELECT DISTINCT s.name FROM fieldgrid_session_tile AS t LEFT JOIN fieldgrid_session AS s "
+        "ON s.id = t.session_id WHERE s.removed IS NOT NULL OR s.id IS NULL"
+    ).fetchall()
+    for (name,) in removed:
+        yield f"The map has tiles of session {name!r}, which is not in it."
+    base = tables.matrices.base_zoom
+    corners = tables.corners()
+    top = tables.matrices.top_zoom(corners) if corners else base + 1
+    tiles = {TileIndex(*row) for row in tables.rows("SELECT ty, tx FROM fieldgrid_session_tile")}
+    for zoom in range(base, top - 1, -1):
+        if zoom < base:
+            tiles = {parent(tile) for tile in tiles}
+        yield from _level(subject, pyramid, zoom, tiles)
+    strays = tables.rows(
+        "SELECT DISTINCT zoom FROM fieldgrid_tile WHERE zoom < ? OR zoom > ?", (top, base)
+    )
+    strays += tables.rows(
+        "SELECT DISTINCT zoom_level FROM density WHERE zoom_level < ? OR zoom_level > ?",
+        (top, base),
+    )
+    for (zoom,) in strays:
+        yield f"The map has tiles of a level {zoom} that it does not need."
+    yield from _extent_of_tiles(subject, pyramid, top)
+
+
+def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str]:
+    header, tables = subject.header, subject.tables
+    frames = placed_frames(frames_of(subject.connection, session_id))
+    names = [c.name for g in stored_of_session(tables.groups) for c in g.channels]
+    what = f"tile {{}} of session {name!r}"
+
+    def compare(tile: TileIndex, cells: Cells) -> tuple[TileIndex, str]:
+        return tile, _difference(
+            lambda: tables.session_cells(session_id, tile), cells, names, what.format(tuple(tile))
+        )
+
+    left = tables.session_tiles(session_id)
+    for tile, problem in fold_tiles(
+        frames, header.lattice, header.transfer, tables.groups, compare, subject.jobs
+    ):
+        if tile not in left:
+            yield f"The map lacks {what.format(tuple(tile))}."
+            continue
+        left.discard(tile)
+        if problem:
+            yield problem
+    for tile in sorted(left):
+        yield f"The map has {what.format(tuple(tile))}, which does not follow from its frames."
+    expected = {g.name for g in stored_of_session(tables.groups)}
+    known = {*expected, *(name for name in header.groups if name not in GROUPS)}
+    groups = tables.rows(
+        "SELECT DISTINCT channels FROM fieldgrid_session_tile WHERE session_id = ?", (session_id,)
+    )
+    for (group,) in groups:
+        if group not in known:
+            yield f"The map has channels {group!r} of session {name!r} that it should not have."
+
+
+def _level(subject: Subject, pyramid: Pyramid, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
+    """The tiles and pictures of a zoom level against what is below them."""
+    tables, base = subject.tables, subject.tables.matrices.base_zoom
+    names = [n for g in tables.groups for n, _ in stored_channels(g, base=zoom == base)]
+    pictures = {
+        tables.matrices.tile(zoom, column, row)
+        for column, row in tables.rows(
+            "SELECT tile_column, tile_row FROM density WHERE zoom_level = ?", (zoom,)
+        )
+    }
+    stored = set(tables.tiles(zoom))
+    for kind, there in (("tile", stored), ("picture of tile", pictures)):
+        for tile in sorted(tiles - there):
+            yield f"The map lacks {kind} {tuple(tile)} of level {zoom}."
+        for tile in sorted(there - tiles):
+            yield f"The map has {kind} {tuple(tile)} of level {zoom}, where nothing was observed."
+
+    def compare(tile: TileIndex) -> str:
+        what = f"tile {tuple(tile)} of level {zoom}"
+        try:
+            expected = pyramid.merged(tile) if zoom == base else pyramid.above(zoom, tile)
+        except MapError:
+            return ""  # what it is made of was told of already
+        if expected is None:
+            return ""
+        found = _difference(lambda: tables.cells(zoom, tile), expected, names, what)
+        return found or _picture_problem(tables, zoom, tile, expected)
+
+    for problem in in_order(compare, sorted(tiles & stored & pictures), subject.jobs):
+        if problem:
+            yield problem
+
+
+def _picture_problem(tables: TileTables, zoom: int, tile: TileIndex, cells: Cells) -> str:
+    ((blob,),) = tables.rows(
+        "SELECT tile_data FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
+        (zoom, *tables.matrices.column_row(zoom, tile)),
+    )
+    density, observed = mean_density(cells["weight"], cells["sum"])
+    try:
+        grey_alpha = decode_png(blob, "picture")[::-1]
+        if np.array_equal(grey_alpha, np.stack([density, observed * np.uint8(255)], axis=-1)):
+            return ""
+    except MapError:
+        pass
+    return f"The picture of tile {tuple(tile)} of level {zoom} is not that of its density."
+
+
+def _difference(
+    stored: Callable[[], Cells | None], expected: Cells, names: list[str], what: str
+) -> str:
+    """Whether stored channels are what they should be; empty when they are."""
+    try:
+        found = stored()
+    except MapError as error:
+        return str(error)
+    if found is None or any(not np.array_equal(found[name], expected[name]) for name in names):
+        return f"The {what} is not what follows from the frames."
+    return ""
+
+
+def _extent_of_tiles(subject: Subject, pyramid: Pyramid, top: int) -> Iterator[str]:
+    """The extents that are announced of the tiles."""
+    connection, matrices = subject.connection, subject.tables.matrices
+    window = pyramid.window_at_the_edges()
+    meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = 'data_window'")
+    expected = None if window is None else (str(list(window)),)
+    if meta.fetchone() != expected:
+        yield "The extent of the map's cells is not what follows from its frames."
+    bounds: tuple[float | None, ...] = (None,) * 4
+    if window is not None:
+        bounds = tuple(matrices.lattice.bounds(matrices.whole_cells(window, top)))
+    announced = connection.execute(
+        "SELECT min_x, min_y, max_x, max_y FROM gpkg_contents WHERE table_name = 'density'"
+    ).fetchone()
+    if announced != bounds:
+        yield "The extent of the layer density is not what follows from the frames."
+    levels = connection.execute(
+        "SELECT zoom_level, matrix_width, matrix_height, tile_width, tile_height, pixel_x_size, "
+        "pixel_y_size FROM gpkg_tile_matrix WHERE table_name = 'density' ORDER BY 1"
+    ).fetchall()
+    if levels != [row[1:] for row in schema.zoom_levels(matrices, top)]:
+        yield "The zoom levels that are announced are not those of the map."

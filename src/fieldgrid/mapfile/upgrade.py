@@ -1,0 +1,157 @@
+"""Maps of format 2: read as they are, and brought to the present format in place.
+
+Format 2 kept a frame's density and mask in its own row, had no transforms and no root digest, and
+other tiles. Its pictures are those of today, so a density is read from them; everything else is
+folded anew from the frames until the map is upgraded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+
+from fieldgrid.errors import MapError
+from fieldgrid.grids import GridSpec
+from fieldgrid.layers import GROUPS
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
+from fieldgrid.mapfile.derived import rebuild
+from fieldgrid.mapfile.digest import as_json, frame_digest
+from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.metadata import digest_of, find
+
+_GREY = "|u1"
+
+_VIEWS = (
+    "CREATE TEMP VIEW fieldgrid_session AS SELECT *, NULL AS transform FROM main.fieldgrid_session",
+    "CREATE TEMP VIEW fieldgrid_frame AS SELECT *, '' AS cells_sha256 FROM main.fieldgrid_frame",
+    "CREATE TEMP VIEW fieldgrid_grid AS "
+    f"SELECT id AS frame, 'density' AS channel, '{_GREY}' AS dtype, density AS data "
+    "FROM main.fieldgrid_frame UNION ALL "
+    f"SELECT id, 'observed', '{BITS}', observed FROM main.fieldgrid_frame",
+)
+"""What stands in for the tables of today while a map of format 2 is read."""
+
+_FRAME_COLUMNS = (
+    "frame_id, time_ns, east_m, north_m, up_m, heading_deg, position_sigma_m, heading_sigma_deg, "
+    "speed_mps, status, reason, quality, images, images_sha256"
+)
+_SESSION_COLUMNS = (
+    "id, name, created, removed, source, source_sha256, config, software_version, heading_source, "
+    "first_time_ns, last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, digest"
+)
+
+
+def read_as_is(connection: sqlite3.Connection) -> None:
+    """Let a map of format 2 be read like one of today."""
+    (read_only,) = connection.execute("PRAGMA query_only").fetchone()
+    connection.execute("PRAGMA query_only = 0")
+    for statement in _VIEWS:
+        connection.execute(statement)
+    connection.execute(f"PRAGMA query_only = {read_only}")
+
+
+def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
+    """Bring a map of format 2 to the present one, within the caller's transaction.
+
+    What was damaged stays so: it keeps a digest that does not fit. Raises MapError when the frames
+    of an active session cannot be read.
+    """
+    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
+        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+    # Other tables keep referring to the sessions by the name that the new table takes.
+    connection.execute("PRAGMA legacy_alter_table = ON")
+    for name in ("session", "frame"):
+        connection.execute(f"ALTER TABLE fieldgrid_{name} RENAME TO fieldgrid_{name}_2")
+    connection.execute("PRAGMA legacy_alter_table = OFF")
+    for name in schema.DERIVED_TABLES:
+        connection.execute(f"DROP TABLE {name}")
+    for statement in schema.own_tables():
+        if not statement.startswith(
+            ("CREATE TABLE fieldgrid_meta", "CREATE TABLE fieldgrid_array")
+        ):
+            connection.execute(statement)
+    connection.execute(
+        f"INSERT INTO fieldgrid_session ({_SESSION_COLUMNS}) "
+        f"SELECT {_SESSION_COLUMNS} FROM fieldgrid_session_2 ORDER BY id"
+    )
+    whole = _copy_frames(connection)
+    for session_id in sorted(whole):
+        _renew_digest(connection, path, header, session_id)
+    for name in ("frame", "session"):
+        connection.execute(f"DROP TABLE fieldgrid_{name}_2")
+    connection.execute(
+        "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
+        (str(schema.FORMAT_VERSION),),
+    )
+    rebuild(connection, path, header, tuple(GROUPS))
+
+
+def _copy_frames(connection: sqlite3.Connection) -> set[int]:
+    """Copy the frames; returns the sessions of which all were as they had been stored."""
+    damaged: set[int] = set()
+    rows = connection.execute(
+        "SELECT f.id, f.session_id, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.digest, "
+        f"{', '.join('f.' + name for name in _FRAME_COLUMNS.split(', '))} FROM fieldgrid_frame_2 "
+        "AS f JOIN fieldgrid_session_2 AS s ON s.id = f.session_id ORDER BY f.id"
+    ).fetchall()
+    for frame, session_id, width_m, length_m, cell_m, digest, *values in rows:
+        density, observed = connection.execute(
+            "SELECT density, observed FROM fieldgrid_frame_2 WHERE id = ?", (frame,)
+        ).fetchone()
+        channels = (
+            EncodedChannel("density", _GREY, density),
+            EncodedChannel("observed", BITS, observed),
+        )
+        sha256, renewed = "", str(digest)
+        try:
+            cells = decode_cells(GridSpec(width_m, length_m, cell_m), channels, "frame")
+            hashed = hashlib.sha256(as_json(values))
+            hashed.update(cells.grid.density.tobytes())
+            hashed.update(np.packbits(cells.grid.observed).tobytes())
+            sha256 = cells_sha256(cells)
+            if hashed.hexdigest() == digest:
+                renewed = frame_digest((*values, sha256))
+        except (MapError, TypeError, ValueError):
+            pass
+        if renewed == str(digest):
+            damaged.add(session_id)
+        connection.execute(
+            f"INSERT INTO fieldgrid_frame VALUES (?, ?{', ?' * 16})",
+            (frame, session_id, *values, sha256, renewed),
+        )
+        connection.executemany(
+            "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
+            [(frame, *channel) for channel in channels],
+        )
+    every = {row[0] for row in connection.execute("SELECT id FROM fieldgrid_session")}
+    return every - damaged
+
+
+def _renew_digest(
+    connection: sqlite3.Connection, path: Path, header: Header, session_id: int
+) -> None:
+    """Give a session the digest of today, if it was as it had been stored."""
+    name, digest, heading_source, *grid = connection.execute(
+        "SELECT name, digest, heading_source, grid_width_m, grid_length_m, grid_cell_m "
+        "FROM fieldgrid_session WHERE id = ?",
+        (session_id,),
+    ).fetchone()
+    try:
+        metadata = find(connection, path, header.datum, name).metadata
+    except MapError:
+        return
+    before, now = (
+        digest_of(metadata, grid, heading_source, [row[0] for row in rows.fetchall()])
+        for rows in (
+            connection.execute(f"SELECT digest FROM {table} WHERE session_id = ?", (session_id,))
+            for table in ("fieldgrid_frame_2", "fieldgrid_frame")
+        )
+    )
+    if before == digest:
+        connection.execute(
+            "UPDATE fieldgrid_session SET digest = ? WHERE id = ?", (now, session_id)
+        )

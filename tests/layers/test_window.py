@@ -1,0 +1,97 @@
+"""What frames leave in cells: each channel against a plain sum over the frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.layers import GROUPS, Cells, FrameCells
+from fieldgrid.layers.window import WindowFold, coarser, merge_sessions, with_overviews
+from fieldgrid.transfer import CELL_WEIGHT, Transfer
+from tests.mapfile.maps import CELL_M, Frame, drive, grid_of, one_cell, pose_at
+
+ALL = tuple(GROUPS.values())
+WINDOW = Window(-256, -256, 512, 512)
+
+
+def folded(
+    frames: list[Frame], transfer: Transfer = Transfer.CENTRE, cell_m: float = CELL_M
+) -> Cells:
+    fold = WindowFold(Lattice(cell_m), WINDOW, transfer, ALL)
+    for grid, pose in frames:
+        fold.add(FrameCells(grid, {}), pose)
+    return fold.cells()
+
+
+def test_a_cell_says_how_often_how_much_and_how_high() -> None:
+    frames = [one_cell(1.05, -2.05, density) for density in (10, 200, 7)]
+    frames[1] = frames[1][0], replace(frames[1][1], up_m=-1.25)
+    frames[2] = frames[2][0], replace(frames[2][1], up_m=math.nan)
+    cells = folded(frames)
+    (place,) = (tuple(p) for p in np.argwhere(cells.observed))
+    assert {name: int(values[place].view(np.int64)) for name, values in cells.items()} == {
+        "weight": 3 * CELL_WEIGHT,
+        "sum": 217 * CELL_WEIGHT,
+        "squares": (100 + 40000 + 49) * CELL_WEIGHT,
+        "frames": 3,
+        "highest": 200,
+        "seen_sessions": 1,
+        "obstacle_sessions": 0,
+        "height_mm": 700 - 1250,
+        "height_frames": 2,
+    }
+
+
+@pytest.mark.parametrize("transfer", Transfer)
+def test_a_frame_counts_once_in_a_cell_that_several_of_its_cells_fall_into(
+    transfer: Transfer,
+) -> None:
+    frames = [(grid_of(1), pose_at(0.01, 0.02, 30.0)), (grid_of(2), pose_at(0.2, 0.1, -70.0))]
+    both, alone = folded(frames, transfer, 0.5), [folded([f], transfer, 0.5) for f in frames]
+    assert alone[0]["weight"].max() > 9 * CELL_WEIGHT
+    counts = sum(one.observed.astype(int) for one in alone)
+    np.testing.assert_array_equal(both["frames"], counts)
+    np.testing.assert_array_equal(both["height_frames"], counts)
+    np.testing.assert_array_equal(both["highest"], np.maximum(*(a["highest"] for a in alone)))
+
+
+@pytest.mark.parametrize("transfer", Transfer)
+def test_a_part_of_a_window_is_a_part_of_the_whole(transfer: Transfer) -> None:
+    frames = drive(5, step_m=0.7)
+    whole, part = folded(frames, transfer), Window(-40, 30, 90, 70)
+    fold = WindowFold(Lattice(CELL_M), part, transfer, ALL)
+    for grid, pose in frames:
+        fold.add(FrameCells(grid, {}), pose)
+    inside = WINDOW.slices_of(part)
+    corner = Window(-30, 40, 11, 12)
+    for name, values in fold.cells().items():
+        np.testing.assert_array_equal(values, whole[name][inside])
+    for name, values in fold.cells(corner).items():
+        np.testing.assert_array_equal(values, whole[name][WINDOW.slices_of(corner)])
+
+
+def test_sessions_meet_by_sums_and_maxima() -> None:
+    frames = drive(6, step_m=0.7)
+    whole, parts = folded(frames), [folded(frames[::2]), folded(frames[1::2])]
+    merged = merge_sessions(ALL, *parts)
+    for name in set(whole) - {"seen_sessions", "obstacle_sessions"}:
+        np.testing.assert_array_equal(merged[name], whole[name])
+    np.testing.assert_array_equal(
+        merged["seen_sessions"], sum(part.observed.astype(int) for part in parts)
+    )
+
+
+def test_coarser_twice_is_coarser_by_four() -> None:
+    cells = with_overviews(ALL, folded(drive(5, step_m=0.7)))
+    twice, once = coarser(ALL, coarser(ALL, cells, 2), 2), coarser(ALL, cells, 4)
+    assert once.base_cells == twice.base_cells == 16
+    assert set(once) == set(cells)
+    for name in once:
+        np.testing.assert_array_equal(twice[name], once[name])
+    assert once["weight"].sum() == cells["weight"].sum()
+    assert once["seen"].sum() == cells.observed.sum()
+    assert once["frames"].max() == cells["frames"].max()

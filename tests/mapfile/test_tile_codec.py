@@ -1,0 +1,109 @@
+"""Blobs of tiles: whatever channels hold reads back, and what is damaged is told of."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldgrid.errors import MapError
+from fieldgrid.layers import GROUPS
+from fieldgrid.mapfile.tile_codec import (
+    box_of,
+    decode_tile,
+    encode_tile,
+    stored_channels,
+)
+
+DENSITY = GROUPS["density"]
+SHAPE = (256, 256)
+
+
+def noise(seed: int, bits: int, unit: int, seen: np.ndarray) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    values = random.integers(0, 1 << bits, SHAPE, dtype=np.uint64, endpoint=True)
+    return np.where(seen, values * np.uint64(unit), np.uint64(0))
+
+
+@settings(max_examples=40)
+@given(
+    name=st.sampled_from(sorted(GROUPS)),
+    bits=st.integers(0, 63),
+    unit=st.sampled_from([1, 2, 16, 64]),
+    share=st.sampled_from([0.001, 0.1, 1.0]),
+    base=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_channels_read_back_even_where_no_drive_has_them(
+    name: str, bits: int, unit: int, share: float, base: bool, seed: int
+) -> None:
+    group = GROUPS[name]
+    seen = np.random.default_rng(seed).random(SHAPE) < share
+    seen[7, 9] = True
+    weight = np.where(seen, np.maximum(noise(seed, min(bits, 40), 1, seen), 1), 0)
+    cells = {"weight": weight.astype(np.uint64), "sum": noise(seed + 1, bits, unit, seen)}
+    for k, (channel, _) in enumerate(stored_channels(group, base=base)):
+        cells.setdefault(channel, noise(seed + 2 + k, bits, unit, seen))
+    box = box_of(cells["weight"])
+    blob = encode_tile(group, cells, box, base=base)
+    read = decode_tile(group, blob, cells, "tile", base=base)
+    assert set(read) == {channel for channel, _ in stored_channels(group, base=base)}
+    for channel, values in read.items():
+        assert values.dtype == np.uint64
+        np.testing.assert_array_equal(values, cells[channel])
+
+
+def test_cells_seen_once_cost_no_more_than_their_density() -> None:
+    density = np.random.default_rng(1).integers(0, 256, SHAPE).astype(np.uint64)
+    sixteen = np.full_like(density, 16)
+    cells = {
+        "weight": sixteen,
+        "sum": 16 * density,
+        "squares": 16 * density**2,
+        "frames": np.ones_like(density),
+        "highest": density,
+    }
+    box = box_of(sixteen)
+    sizes = [
+        len(encode_tile(GROUPS[name], cells, box, base=True))
+        for name in ("density", "variance", "count", "max")
+    ]
+    assert sizes[0] < 256 * 256 * 1.02
+    assert max(sizes[1:]) < 20
+
+
+def test_only_the_box_that_was_observed_is_stored() -> None:
+    weight = np.zeros(SHAPE, np.uint64)
+    weight[250:252, 3] = 16
+    assert box_of(weight) == (250, 3, 251, 3)
+    blob = encode_tile(DENSITY, {"weight": weight, "sum": weight}, box_of(weight), base=True)
+    assert tuple(blob[:9]) == (2, 250, 3, 251, 3, 4, 1, 4, 1)
+    assert zlib.decompress(blob[9:]) == bytes([1, 1, 1, 1])
+
+
+GOOD = bytes([2, 0, 0, 0, 1, 0, 1, 0, 1])
+
+
+@pytest.mark.parametrize(
+    "blob",
+    [
+        None,
+        "text",
+        b"",
+        GOOD,
+        GOOD[:5],
+        bytes([3]) + GOOD[1:] + zlib.compress(bytes(4)),
+        bytes([2, 1, 0, 0, 1, 0, 1, 0, 1]) + zlib.compress(bytes(4)),
+        bytes([2, 0, 0, 0, 1, 64, 1, 0, 1]) + zlib.compress(bytes(4)),
+        bytes([2, 0, 0, 0, 1, 0, 9, 0, 1]) + zlib.compress(bytes(20)),
+        GOOD + zlib.compress(bytes(3)),
+        GOOD + zlib.compress(bytes(5)),
+    ],
+)
+def test_a_blob_that_is_none_is_damage(blob: object) -> None:
+    assert decode_tile(DENSITY, GOOD + zlib.compress(bytes(4)), None, "tile", base=True)
+    with pytest.raises(MapError, match="tile is damaged"):
+        decode_tile(DENSITY, blob, None, "tile", base=True)
