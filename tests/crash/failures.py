@@ -35,6 +35,7 @@ from tests.crash.operations import (
     repair,
     repose,
     restore,
+    shift,
     state_of,
 )
 
@@ -69,6 +70,7 @@ def steps(folder: Path) -> list[Step]:
         remove("0"),
         restore("1"),
         repose("0", -140.0),
+        shift("0", 0.75),
         repair(),
         merge(folder / "copy.gpkg"),
     ]

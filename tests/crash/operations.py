@@ -11,8 +11,9 @@ import numpy as np
 from fieldgrid.mapfile import create_map, merge_maps, open_map
 from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_session
 
-State = dict[str, tuple[bool, float]]
-"""The sessions of a map: whether each is active, and the heading of its first frame."""
+State = dict[str, tuple[bool, float, float]]
+"""The sessions of a map: whether each is active, the heading of its first frame as driven, and how
+far east it was shifted."""
 
 
 class Step(NamedTuple):
@@ -29,7 +30,11 @@ def state_of(path: Path) -> State:
         return {}
     with open_map(path) as universal:
         return {
-            info.name: (info.active, next(universal.frames(info.name)).pose.heading_deg)
+            info.name: (
+                info.active,
+                next(universal.frames(info.name)).driven.heading_deg,
+                info.transform.shift_east_m,
+            )
             for info in universal.sessions()
         }
 
@@ -39,7 +44,7 @@ def add(name: str, heading_deg: float, frames: int) -> Step:
         with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
             write_session(universal, name, drive(frames, heading_deg=heading_deg), track(5))
 
-    return Step(f"add {name}", run, lambda state: {**state, name: (True, heading_deg)})
+    return Step(f"add {name}", run, lambda state: {**state, name: (True, heading_deg, 0.0)})
 
 
 def remove(name: str) -> Step:
@@ -47,7 +52,7 @@ def remove(name: str) -> Step:
         with open_map(path, writable=True) as universal:
             universal.remove_session(name)
 
-    return Step(f"remove {name}", run, lambda s: {**s, name: (False, s[name][1])})
+    return Step(f"remove {name}", run, lambda s: {**s, name: (False, *s[name][1:])})
 
 
 def restore(name: str) -> Step:
@@ -55,7 +60,7 @@ def restore(name: str) -> Step:
         with open_map(path, writable=True) as universal:
             universal.restore_session(name)
 
-    return Step(f"restore {name}", run, lambda s: {**s, name: (True, s[name][1])})
+    return Step(f"restore {name}", run, lambda s: {**s, name: (True, *s[name][1:])})
 
 
 def repose(name: str, heading_deg: float) -> Step:
@@ -68,7 +73,15 @@ def repose(name: str, heading_deg: float) -> Step:
             }
             universal.repose(name, poses, track(7))
 
-    return Step(f"repose {name}", run, lambda s: {**s, name: (s[name][0], heading_deg)})
+    return Step(f"repose {name}", run, lambda s: {**s, name: (s[name][0], heading_deg, s[name][2])})
+
+
+def shift(name: str, east_m: float) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.set_transform(name, east_m, -1.5 * east_m, 7.0 * east_m)
+
+    return Step(f"shift {name}", run, lambda s: {**s, name: (*s[name][:2], east_m)})
 
 
 def repair() -> Step:
@@ -96,12 +109,13 @@ def make(path: Path, heading_deg: float = 30.0) -> None:
 
 def random_step(random: np.random.Generator, state: State, number: int) -> Step:
     """Any step that is possible now."""
-    active = sorted(name for name, (is_active, _) in state.items() if is_active)
+    active = sorted(name for name, (is_active, *_) in state.items() if is_active)
     removed = sorted(state.keys() - set(active))
     heading_deg = round(float(random.uniform(-170.0, 170.0)), 2)
     steps = [
         add(f"s{number}", heading_deg, int(random.integers(1, 9))),
         repose(str(random.choice(sorted(state))), heading_deg),
+        shift(str(random.choice(sorted(state))), round(heading_deg / 100.0, 2)),
         repair(),
     ]
     if len(active) > 1:

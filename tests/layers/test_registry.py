@@ -19,7 +19,7 @@ from fieldgrid.layers import (
 
 
 def test_every_built_in_layer_says_what_it_is() -> None:
-    assert tuple(LAYERS)[0] == "density"
+    assert next(iter(LAYERS)) == "density"
     for name, layer in LAYERS.items():
         assert layer.name == name
         assert layer.meaning

@@ -52,14 +52,14 @@ def test_a_map_as_written_is_sound(sound: Path) -> None:
 
 
 DERIVED = [
-    "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE rowid = (SELECT min(rowid) FROM fieldgrid_tile)) "
-    "WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
+    "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'max' "
+    "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'max')",
     "UPDATE fieldgrid_tile SET data = 'text' WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
     "DELETE FROM fieldgrid_tile WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
     "DELETE FROM fieldgrid_tile",
     "UPDATE fieldgrid_tile SET ty = ty + 90 WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
     "DELETE FROM fieldgrid_session_tile WHERE session_id = 1",
-    "UPDATE fieldgrid_session_tile SET data = zeroblob(20) WHERE rowid = (SELECT min(rowid) FROM fieldgrid_session_tile)",
+    "UPDATE fieldgrid_session_tile SET data = zeroblob(20) WHERE ty = 0 AND channels = 'max'",
     "UPDATE fieldgrid_session_tile SET session_id = 3 WHERE session_id = 1",
     "UPDATE density SET tile_data = (SELECT tile_data FROM density WHERE id = 1)",
     "UPDATE density SET tile_data = x'00' WHERE id = 2",
@@ -193,7 +193,7 @@ EVIDENCE = [
     "UPDATE fieldgrid_frame SET images = '[\"a\"]' WHERE id = 2",
     "UPDATE fieldgrid_frame SET quality = 9 WHERE id = 2",
     "UPDATE fieldgrid_frame SET digest = 'x' WHERE id = 2",
-    "UPDATE fieldgrid_grid SET data = (SELECT data FROM fieldgrid_grid WHERE rowid = (SELECT min(rowid) FROM fieldgrid_grid)) "
+    "UPDATE fieldgrid_grid SET data = (SELECT data FROM fieldgrid_grid WHERE frame = 1) "
     "WHERE frame = 2 AND channel = 'density'",
     "UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame = 2 AND channel = 'observed'",
     "UPDATE fieldgrid_grid SET dtype = '|i1' WHERE frame = 2 AND channel = 'density'",

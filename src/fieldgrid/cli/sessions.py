@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ import typer
 from fieldgrid.cli import output
 
 if TYPE_CHECKING:
-    from fieldgrid.mapfile import MapFile, SessionInfo
+    from fieldgrid.mapfile import MapFile, SessionInfo, Transform
 
 
 def command(
@@ -21,26 +22,42 @@ def command(
     restore: Annotated[
         str | None, typer.Option(metavar="NAME", help="Put a removed session back.")
     ] = None,
+    shift: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="NAME E,N[,TURN]",
+            help="Shift a session by metres east and north, turn it by degrees clockwise; "
+            "replaces an earlier shift, 0,0 undoes it.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """List the drives that a map was made from; take one out, or put it back.
+    """List the drives that a map was made from; take one out, put it back, or shift it.
 
     Examples:
 
         fieldgrid sessions vineyard.gpkg
 
         fieldgrid sessions vineyard.gpkg --remove june-17
+
+        fieldgrid sessions vineyard.gpkg --shift june-17 0.12,-0.31,0.2
     """
-    if remove is not None and restore is not None:
-        raise typer.BadParameter("--remove and --restore exclude each other", param_hint="--remove")
+    changes = [value for value in (remove, restore, shift) if value is not None]
+    if len(changes) > 1:
+        raise typer.BadParameter(
+            "--remove, --restore and --shift exclude each other", param_hint="--remove"
+        )
+    move = None if shift is None else (shift[0], _parsed(shift[1]))
     from fieldgrid.mapfile import open_map
 
-    change = remove is not None or restore is not None
+    change = bool(changes)
     with open_map(map_, writable=change) as universal:
         if remove is not None:
             universal.remove_session(remove)
         if restore is not None:
             universal.restore_session(restore)
+        if move is not None:
+            universal.set_transform(move[0], *move[1])
         infos = universal.sessions()
         if as_json:
             output.print_json(_as_dict(map_, universal, infos))
@@ -50,6 +67,21 @@ def command(
     )
 
 
+def _parsed(text: str) -> tuple[float, ...]:
+    """East and north in metres, and the turn in degrees where there is one."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in (2, 3):
+        raise typer.BadParameter(
+            f"{text!r} is not EAST,NORTH in metres or EAST,NORTH,TURN with degrees clockwise, as "
+            "in 0.12,-0.31,0.2",
+            param_hint="--shift",
+        )
+    return values
+
+
 def _row(info: SessionInfo) -> tuple[str, ...]:
     return (
         info.name,
@@ -57,8 +89,21 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
         info.source,
         str(info.accepted),
         str(info.frames - info.accepted),
-        "" if info.active else "removed",
+        ", ".join(
+            note for note in ("" if info.active else "removed", _shifted(info.transform)) if note
+        ),
     )
+
+
+def _shifted(transform: Transform) -> str:
+    """Where a session was put, in words; empty for where it was driven."""
+    if transform.is_identity:
+        return ""
+    east_m, north_m, turn_deg = (
+        transform.shift_east_m, transform.shift_north_m, transform.turn_deg,
+    )  # fmt: skip
+    turn = f", turned {turn_deg:+g}°" if turn_deg else ""
+    return f"shifted {east_m:+g} m east, {north_m:+g} m north{turn}"
 
 
 def _as_dict(path: Path, universal: MapFile, infos: list[SessionInfo]) -> dict[str, Any]:
@@ -73,6 +118,7 @@ def _as_dict(path: Path, universal: MapFile, infos: list[SessionInfo]) -> dict[s
         },
         "cell_m": universal.cell_m,
         "transfer": universal.transfer.value,
+        "root_sha256": universal.root_sha256,
         "bounds_m": universal.bounds._asdict() if has_cells else None,
         "sessions": [
             {
@@ -88,6 +134,7 @@ def _as_dict(path: Path, universal: MapFile, infos: list[SessionInfo]) -> dict[s
                 "frames_used": info.accepted,
                 "frames_rejected": info.frames - info.accepted,
                 "digest": info.digest,
+                "transform": None if info.transform.is_identity else asdict(info.transform),
             }
             for info in infos
         ],

@@ -13,6 +13,9 @@ from fieldgrid.cli import output
 
 def command(
     map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Threads [all cores].")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Check a map: its file, its evidence against hashes, and that all else follows from it.
@@ -24,16 +27,16 @@ def command(
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:
-        verdict = universal.verify()
+        health = universal.verify(jobs)
     if as_json:
-        output.print_json({"map": str(map_), "sound": verdict.sound, **asdict(verdict)})
+        output.print_json({"map": str(map_), "sound": health.sound, **asdict(health)})
     else:
-        for problem in verdict.problems:
-            print(problem)
-        state = "sound" if verdict.sound else f"{len(verdict.problems)} problems"
+        for line in (*health.problems, *health.notes):
+            print(line)
+        state = "sound" if health.sound else f"{len(health.problems)} problems"
         print(
-            f"{map_}: {state}; {verdict.sessions} sessions ({verdict.removed} removed), "
-            f"{verdict.frames} frames, {verdict.tiles} tiles"
+            f"{map_}: {state}; {health.sessions} sessions ({health.removed} removed), "
+            f"{health.frames} frames, {health.tiles} tiles"
         )
-    if not verdict.sound:
+    if not health.sound:
         raise typer.Exit(1)

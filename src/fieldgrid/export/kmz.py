@@ -148,7 +148,8 @@ def _document(
     _add(
         document,
         "description",
-        f"{selection.layer}: {LAYERS[selection.layer].meaning}. Cells of {lattice.cell_m:g} m in the "
+        f"{selection.layer}: {LAYERS[selection.layer].meaning}. "
+        f"Cells of {lattice.cell_m:g} m in the "
         f"plane that touches the WGS84 datum {datum.described()}, {len(names)} sessions up to "
         f"{names[-1]}.",
     )

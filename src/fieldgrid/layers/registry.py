@@ -38,7 +38,7 @@ def register_group(group: ChannelGroup) -> None:
 
 
 def register_layer(layer: Layer) -> None:
-    """Make a layer known; ConfigError when its name is taken or a group that it reads is unknown."""
+    """Make a layer known; ConfigError for a name that is taken, or a group that is not there."""
     if layer.name in _LAYERS or layer.name == "observed":
         raise ConfigError(f"There is a layer {layer.name!r} already; give it another name.")
     for name in layer.groups:

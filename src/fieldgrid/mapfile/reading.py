@@ -176,7 +176,7 @@ def _times(chunk: Window, factor: int) -> Window:
 
 
 def multiple_of(own: Lattice, other: Lattice) -> int | None:
-    """How many cells of a lattice lie along the side of one of another; None for no whole number."""
+    """How many cells of a lattice lie along the side of another's; None for no whole number."""
     times = round(other.cell_m / own.cell_m)
     same = abs(times * own.cell_m - other.cell_m) <= 1e-9 * other.cell_m
     return times if times >= 1 and same else None

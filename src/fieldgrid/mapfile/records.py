@@ -13,7 +13,7 @@ import numpy as np
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
-from fieldgrid.mapfile.codec import EncodedChannel, decode_cells
+from fieldgrid.mapfile.codec import EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.staging import StagedFrame
 from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.trajectory import Pose, Status
@@ -128,7 +128,7 @@ class FrameRecord:
             self.pose.time_ns,
             self.spec,
             self.load(),
-            self.cells_sha256,
+            self.cells_sha256 or cells_sha256(self.cells()),  # maps of format 2 have none
             self.images,
             self.images_sha256,
         )

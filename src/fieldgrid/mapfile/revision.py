@@ -73,7 +73,7 @@ def transform(
 
 
 def middle_m(connection: sqlite3.Connection, path: Path, name: str) -> tuple[float, float]:
-    """The middle of a session's accepted frames as driven, east and north: what it is turned about."""
+    """The middle of a session's accepted frames as driven, east and north."""
     session_id, *_ = row_of(connection, path, name)
     poses = [r.driven for r in frames_of(connection, session_id) if r.accepted]
     if not poses:

@@ -81,8 +81,8 @@ def check_root(connection: sqlite3.Connection, path: Path) -> None:
     if not read_root(connection).trusted:
         raise MapError(
             f"{path} is not as it was written: its settings, its plane or its list of sessions "
-            "have changed since. Nothing was written; see `fieldgrid verify`, try `fieldgrid repair`, "
-            "or restore the map from a copy."
+            "have changed since. Nothing was written; see `fieldgrid verify`, try `fieldgrid "
+            "repair`, or restore the map from a copy."
         )
 
 

@@ -35,7 +35,7 @@ from fieldgrid.transfer import check_cell_sizes
 
 
 class _Waiting(NamedTuple):
-    """A frame that is to be added: where it is staged, its pose as driven, the quality of its fix."""
+    """A frame to be added: where it is staged, its pose as driven, the quality of its fix."""
 
     stage: StageFile
     number: int

@@ -36,7 +36,8 @@ def open_map(
     exist is made, with cells of `cell_m` (0.05 m when not given) and the `transfer` rule (centre
     when not given). A map that exists keeps its own: another datum raises DatumError, another
     cell size or rule ConfigError. A file that is absent, foreign, damaged or of a newer
-    format raises MapError. One of an older format is read as it is, and upgraded by the first change.
+    format raises MapError. One of an older format is read as it is, and upgraded by the first
+    change.
     """
     path = Path(path)
     if datum is not None and not path.exists():

@@ -41,7 +41,8 @@ _FRAME_COLUMNS = (
 )
 _SESSION_COLUMNS = (
     "id, name, created, removed, source, source_sha256, config, software_version, heading_source, "
-    "first_time_ns, last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, digest"
+    "first_time_ns, last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, "
+    "digest"
 )
 
 

@@ -7,7 +7,7 @@ map that passes says what its frames say. `repair` makes them in the map itself.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -234,15 +234,23 @@ def repair(
             f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Take "
             "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
+    # The map's own plane is under the root digest: another PROJ may word it in another way.
+    _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
     derived.rebuild(connection, path, header, tuple(GROUPS))
     return tuple(GROUPS)
 
 
 def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:
     """Bring rows up to date that follow from others, although the root digest covers them."""
-    connection.executemany(
-        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)",
-        schema.reference_systems(header.datum),
-    )
+    *_, own_plane = schema.reference_systems(header.datum)
+    _replace_systems(connection, [own_plane])
     for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
         count_frames(connection, session_id)
+
+
+def _replace_systems(
+    connection: sqlite3.Connection, rows: Sequence[tuple[str, int, str, int, str, str]]
+) -> None:
+    connection.executemany(
+        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", rows
+    )

@@ -1,0 +1,142 @@
+"""A session's transform: exact to undo, apart from the poses, and in all that is shown."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fieldgrid.errors import ConfigError, DatumError, MapError
+from fieldgrid.mapfile import LAYERS, Transform, merge_maps, open_map
+from fieldgrid.mapfile.transform import transform_of
+from tests.mapfile.content import content
+from tests.mapfile.maps import drive, pose_at, track, write_map
+
+metres = st.floats(-900.0, 900.0)
+
+
+@given(metres, metres, st.floats(-180.0, 180.0), metres, metres, metres, metres)
+def test_it_is_a_clockwise_turn_about_the_pivot_then_a_shift(
+    de: float, dn: float, turn: float, pe: float, pn: float, east: float, north: float
+) -> None:
+    placed = Transform(de, dn, turn, pe, pn).pose(pose_at(east, north, 10.0))
+    offset = complex(east - pe, north - pn) * np.exp(-1j * math.radians(turn))
+    assert placed.east_m == pytest.approx(pe + offset.real + de, abs=1e-7)
+    assert placed.north_m == pytest.approx(pn + offset.imag + dn, abs=1e-7)
+    away = math.radians(placed.heading_deg - 10.0 - turn)
+    assert math.sin(away) == pytest.approx(0.0, abs=1e-9)
+    assert math.cos(away) > 0
+
+
+def test_a_turn_of_a_right_angle_to_the_right() -> None:
+    placed = Transform(turn_deg=90.0, pivot_east_m=10.0, pivot_north_m=20.0).pose(
+        pose_at(10.0, 25.0, 0.0)
+    )
+    assert (placed.east_m, placed.north_m) == pytest.approx((15.0, 20.0))
+    assert placed.heading_deg == pytest.approx(90.0)
+
+
+def test_it_reads_back_and_what_is_unknown_is_refused() -> None:
+    transform = Transform(0.1, -0.2, 0.3, 1 / 3, 2e9 / 7)
+    assert transform_of(transform.to_text()) == transform
+    assert Transform(pivot_east_m=5.0).to_text() is None
+    with pytest.raises(MapError, match="has knots, rigid, and this fieldgrid knows rigid only"):
+        transform_of(json.dumps({"rigid": {}, "knots": []}))
+    for text in ("{", "[]", '{"rigid": {"turn_deg": "x"}}', '{"rigid": 7}', "7"):
+        with pytest.raises(MapError):
+            transform_of(text)
+    for bad in ((math.nan, 0.0), (0.0, 1001.0), (0.0, 0.0, 181.0)):
+        with pytest.raises(ConfigError, match="cannot be"):
+            Transform(*bad)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    sessions = [drive(6), drive(5, heading_deg=-60.0)]
+    return write_map(tmp_path / "map.gpkg", sessions, trajectory=track(6))
+
+
+def test_a_map_is_as_if_it_had_been_driven_there_and_back_bit_for_bit(
+    path: Path, tmp_path: Path
+) -> None:
+    before = content(path)
+    with open_map(path, writable=True) as universal:
+        root = universal.root_sha256
+        transform = universal.set_transform("1", 1.5, -2.25, 11.0)
+        universal.set_transform("1", 0.31, 0.12, -3.0)  # in place of the one before
+        transform = universal.transform("1")
+        assert (transform.shift_east_m, transform.turn_deg) == (0.31, -3.0)
+        assert universal.sessions()[1].transform == transform
+        assert universal.verify().problems == ()
+        moved = [(grid, transform.pose(pose)) for grid, pose in drive(5, heading_deg=-60.0)]
+        assert [f.pose for f in universal.frames("1")] == [pose for _, pose in moved]
+        assert [f.driven for f in universal.frames("1")] == [
+            pose for _, pose in drive(5, heading_deg=-60.0)
+        ]
+        view = universal.read(layers=LAYERS)
+        anew = universal.read(layers=LAYERS, frame_filter=lambda frame: True)
+        assert universal.trajectory("1", as_driven=True).east_m.tolist() == track(6).east_m.tolist()
+        assert universal.trajectory("1").east_m.tolist() == (
+            transform.trajectory(track(6)).east_m.tolist()
+        )
+    other = write_map(tmp_path / "other.gpkg", [drive(6), moved], trajectory=track(6))
+    for name in LAYERS:
+        np.testing.assert_array_equal(view.layer(name), anew.layer(name))
+    kinds = ("tiles", "session tiles", "pictures", "window", "frames", "footprints")
+    assert content(path, *kinds) == content(other, *kinds)
+    with open_map(path, writable=True) as universal:
+        universal.set_transform("1", 0.0, 0.0)
+        assert universal.root_sha256 == root
+    assert content(path) == before
+
+
+def test_it_survives_new_poses_leaving_and_coming_back_and_merging(
+    path: Path, tmp_path: Path
+) -> None:
+    with open_map(path, writable=True) as universal:
+        transform = universal.set_transform("1", 1.0, 2.0, 5.0)
+        poses = {f"{k:06d}": pose for k, (_, pose) in enumerate(drive(5, heading_deg=20.0))}
+        universal.repose("1", poses)
+        assert universal.transform("1") == transform
+        assert next(universal.frames("1")).pose == transform.pose(poses["000000"])
+        universal.remove_session("1")
+        universal.set_transform("1", 3.0, 0.0)
+        universal.restore_session("1")
+        assert universal.transform("1").shift_east_m == 3.0
+        assert universal.verify().problems == ()
+    merge_maps([path], tmp_path / "copy.gpkg")
+    assert content(tmp_path / "copy.gpkg", "tiles", "fixes") == content(path, "tiles", "fixes")
+    with open_map(tmp_path / "copy.gpkg") as copy:
+        assert copy.transform("1").shift_east_m == 3.0
+
+
+def test_what_cannot_be_changes_nothing(path: Path, tmp_path: Path) -> None:
+    before = path.read_bytes()
+    with open_map(path, writable=True) as universal:
+        with pytest.raises(ConfigError, match="no session 'x'"):
+            universal.set_transform("x", 1.0, 0.0)
+        with pytest.raises(ConfigError, match="cannot be"):
+            universal.set_transform("1", 2000.0, 0.0)
+    assert path.read_bytes() == before
+    far = write_map(
+        tmp_path / "far.gpkg", [[(g, pose_at(49_500.0, 0.0, 9.0)) for g, _ in drive(1)]]
+    )
+    with (
+        open_map(far, writable=True) as universal,
+        pytest.raises(DatumError, match="over 50 km"),
+    ):
+        universal.set_transform("0", 900.0, 0.0)
+
+
+def test_a_transform_of_a_newer_program_is_said_so(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE fieldgrid_session SET transform = '{\"knots\": []}'")
+    with open_map(path) as universal, pytest.raises(MapError, match="update fieldgrid"):
+        universal.sessions()

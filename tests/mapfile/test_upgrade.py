@@ -1,0 +1,153 @@
+"""A map of format 2, written by the last program that wrote that: three drives of
+`tests.mapfile.maps`, of which "1" has new poses and "2" is removed."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.errors import MapError
+from fieldgrid.mapfile import LAYERS, MapView, merge_maps, open_map
+from tests.mapfile.content import content
+from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_map
+
+FORMAT_2 = Path(__file__).with_name("format2.gpkg")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return Path(shutil.copy(FORMAT_2, tmp_path / "map.gpkg"))
+
+
+@pytest.fixture
+def today(tmp_path: Path) -> Path:
+    """The same drives in a map of today."""
+    sessions = [drive(6), drive(5, heading_deg=80.0), drive(4, heading_deg=150.0)]
+    made = write_map(tmp_path / "today.gpkg", sessions, trajectory=track(6))
+    with open_map(made, writable=True) as universal:
+        poses = {f"{k:06d}": pose for k, (_, pose) in enumerate(sessions[1])}
+        universal.repose("1", poses, track(9))
+        universal.remove_session("2")
+    return made
+
+
+def assert_same(a: MapView, b: MapView) -> None:
+    assert a.window == b.window
+    for name in ("observed", *LAYERS):
+        np.testing.assert_array_equal(a.layer(name), b.layer(name), name)
+
+
+def version(path: Path) -> str:
+    with closing(sqlite3.connect(path)) as database:
+        query = "SELECT value FROM fieldgrid_meta WHERE key = 'format_version'"
+        return str(database.execute(query).fetchone()[0])
+
+
+def test_it_is_read_as_it_is(path: Path, today: Path) -> None:
+    before = path.read_bytes()
+    with open_map(path) as old, open_map(today) as new:
+        for cell_m in (CELL_M, 0.2, 0.3):
+            assert_same(
+                old.read(cell_m=cell_m, layers=LAYERS), new.read(cell_m=cell_m, layers=LAYERS)
+            )
+        assert_same(
+            old.read(layers=LAYERS, sessions=["1"]), new.read(layers=LAYERS, sessions=["1"])
+        )
+        assert [(i.name, i.active, i.frames, i.accepted) for i in old.sessions()] == [
+            ("0", True, 6, 6), ("1", True, 5, 5), ("2", False, 4, 4),
+        ]  # fmt: skip
+        assert [f.pose for f in old.frames()] == [f.pose for f in new.frames()]
+        assert (
+            old.trajectory("1").heading_deg.tobytes() == new.trajectory("1").heading_deg.tobytes()
+        )
+        found, expected = old.query(-5.0, 6.0), new.query(-5.0, 6.0)
+        assert found.density == expected.density
+        assert len(found.contributions) == len(expected.contributions) > 0
+        assert old.session_inputs("0")["fix.time_ns"].tolist() == [0, 1, 2, 3, 4]
+        health = old.verify()
+        assert health.sound
+        assert "repair --upgrade" in health.notes[0]
+    assert path.read_bytes() == before
+    merge_maps([path], path.with_name("merged.gpkg"))
+    with open_map(path.with_name("merged.gpkg")) as merged:
+        assert merged.verify().problems == ()
+        assert [info.name for info in merged.sessions()] == ["0", "1"]
+
+
+def test_it_is_upgraded_in_place(path: Path, today: Path) -> None:
+    with open_map(path, writable=True) as universal:
+        assert universal.upgrade()
+        assert not universal.upgrade()
+        assert universal.verify().problems == ()
+        assert [(i.name, dict(i.config)) for i in universal.sessions()] == [
+            (str(k), {"every": k}) for k in range(3)
+        ]
+    assert version(path) == "3"
+    kinds = set(content(today)) - {"digests"}
+    assert content(path, *kinds) == content(today, *kinds)
+    with open_map(path, writable=True) as universal:
+        universal.restore_session("2")
+        assert universal.verify().problems == ()
+
+
+@pytest.mark.parametrize("change", ["add", "remove", "shift", "repair"])
+def test_the_first_change_upgrades_it(path: Path, change: str) -> None:
+    with open_map(path, datum=DATUM) as universal:
+        if change == "add":
+            with universal.add_session("more") as session:
+                session.add(*drive(1)[0])
+        elif change == "remove":
+            universal.remove_session("0")
+        elif change == "shift":
+            universal.set_transform("1", 1.0, 2.0)
+        else:
+            universal.repair()
+        assert universal.verify().problems == ()
+    assert version(path) == "3"
+
+
+def test_an_upgrade_that_is_cut_short_changes_nothing(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fieldgrid.mapfile import upgrade
+
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = path.read_bytes()
+    monkeypatch.setattr(upgrade, "rebuild", fail)
+    with pytest.raises(KeyboardInterrupt), open_map(path, writable=True) as universal:
+        universal.upgrade()
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE fieldgrid_frame SET east_m = east_m + 1 WHERE id = 13",
+        "UPDATE fieldgrid_frame SET observed = zeroblob(3) WHERE id = 13",
+        "UPDATE fieldgrid_session SET source = 'another' WHERE name = '2'",
+        "DELETE FROM fieldgrid_array WHERE name = 'up_m' AND session_id = 3",
+    ],
+)
+def test_damage_of_before_is_not_blessed(path: Path, statement: str) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        assert database.execute(statement).rowcount == 1
+    with open_map(path, writable=True) as universal:
+        universal.upgrade()
+        (problem, *_) = universal.verify().problems
+    assert "'2'" in problem
+
+
+def test_a_map_whose_frames_cannot_be_read_stays_as_it_is(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE fieldgrid_frame SET density = zeroblob(3) WHERE id = 2")
+    before = path.read_bytes()
+    with open_map(path, writable=True) as universal, pytest.raises(MapError, match="is damaged"):
+        universal.upgrade()
+    assert path.read_bytes() == before
