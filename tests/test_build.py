@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import gc
 import hashlib
 import json
 import re
 import shutil
 import sqlite3
-import tempfile
 import threading
 import time
 import weakref
@@ -23,7 +21,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from fieldgrid.build.spool import Spool
 
 from fieldgrid.build import (
     Progress,
@@ -42,13 +39,12 @@ from fieldgrid.errors import (
     FieldgridError,
     GnssError,
     MapExistsError,
-    MapWriteError,
     RecordingError,
 )
 from fieldgrid.evaluation import Evaluation, evaluate, read_truth
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, open_map
@@ -881,63 +877,6 @@ def test_what_does_not_fit_the_map_is_refused_before_the_images(
     ):
         add_recording(universal, recording, name="first")
     assert out.read_bytes() == before
-
-
-# --- the grids that wait
-
-
-def waiting(spool: Spool, frame_id: str, value: int) -> LocalGrid:
-    grid = LocalGrid(
-        GridSpec(), np.full((300, 200), value, np.uint8), np.ones((300, 200), np.bool_)
-    )
-    spool.put(frame_id, value, ("l", "r"), ("", ""), value > 1, grid)
-    return grid
-
-
-def test_a_spool_gives_back_what_was_put_and_leaves_no_file(tmp_path: Path) -> None:
-    with Spool(GridSpec(), tmp_path / "m.gpkg") as spool:
-        put = [waiting(spool, name, k) for k, name in enumerate("abc", 1)]
-        for _ in range(2):
-            for one, grid in zip(spool, put, strict=True):
-                np.testing.assert_array_equal(one.grid.density, grid.density)
-        assert [one.frame_id for one in spool] == ["a", "b", "c"]
-        assert [values.tolist() for values in spool.frames()] == [[1, 2, 3], [False, True, True]]
-    assert list(tmp_path.iterdir()) == []
-
-
-class FullDisk:
-    """A file on a disk that takes some bytes more."""
-
-    def __init__(self, room: int) -> None:
-        self.room = room
-
-    def write(self, data: memoryview) -> int:
-        taken = min(self.room, len(data))
-        self.room -= taken
-        if not taken:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return taken
-
-    def close(self) -> None:
-        pass
-
-
-def test_a_disk_that_fills_up_under_a_spool(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk(10))
-    with Spool(GridSpec(), tmp_path / "m.gpkg") as spool, pytest.raises(MapWriteError) as caught:
-        waiting(spool, "a", 1)
-    assert re.fullmatch(
-        r"The local grids of the drive cannot be kept beside .*m\.gpkg \(No space left on "
-        r"device\), so the drive is not in it; free some space there and try again\.",
-        str(caught.value),
-    )
-
-
-def test_a_spool_in_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(MapWriteError, match=r"beside .*m\.gpkg \(No such file .*check the folder"):
-        Spool(GridSpec(), tmp_path / "nowhere" / "m.gpkg")
 
 
 # --- memory

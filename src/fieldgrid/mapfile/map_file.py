@@ -196,8 +196,9 @@ class MapFile:
         """Give the frames of a session other poses and verdicts, without their images.
 
         `poses` has one for each frame_id, as driven: the session's transform stays. `trajectory`
-        and `config` replace those of the session where they are given. The map is then as if the session had been added so. Raises
-        ConfigError when a frame is left out, DatumError for a trajectory of another datum.
+        and `config` replace those of the session where they are given. The map is then as if the
+        session had been added so. Raises ConfigError when a frame is left out, DatumError for a
+        trajectory of another datum.
         """
         if trajectory is not None:
             self._header.check_datum(self.path, trajectory.datum)

@@ -72,7 +72,7 @@ class MapView:
 
     @property
     def seen_share(self) -> Float32:
-        """The share of the map's own cells in each cell that were seen; of the layer `seen_share`."""
+        """The share of the map's own cells in each that were seen; of the layer `seen_share`."""
         return self.layer("seen_share")
 
     def to_xarray(self) -> Any:
