@@ -68,8 +68,9 @@ def build(paths: list[Path], out: Path, **options: Any) -> list[SessionReport]:
 
 
 def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
-    """Every row of every table of a map, but for the times at which they were written."""
-    written = {"created", "last_change"}
+    """Every row of every table of a map, but for the times at which they were written, and the root
+    digest, which covers those."""
+    written = {"created", "last_change", "description"}
     connection = sqlite3.connect(path)
     try:
         names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
@@ -78,6 +79,7 @@ def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
             info = connection.execute(f"PRAGMA table_info('{name}')").fetchall()
             columns = ", ".join(f'"{column[1]}"' for column in info if column[1] not in written)
             rows[name] = connection.execute(f'SELECT {columns} FROM "{name}"').fetchall()
+        rows["fieldgrid_meta"] = [r for r in rows["fieldgrid_meta"] if r[0] != "root_sha256"]
         return rows
     finally:
         connection.close()

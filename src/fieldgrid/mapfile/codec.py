@@ -7,10 +7,12 @@ the value's known size asks for, whatever a file claims.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import zlib
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,20 +31,27 @@ BITS = "bits"
 """The type of a channel of truth values: eight cells a byte, the first in the high bit."""
 
 
+_zlib: Any = zlib
+with suppress(ImportError):  # three times as fast, for a few more bytes
+    _zlib = importlib.import_module("isal.isal_zlib")
+
+
 def deflate(data: bytes | memoryview, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> bytes:
     """A zlib stream of `data`. Z_RLE suits bytes that repeat or are noise: faster and smaller."""
+    if _zlib is not zlib:
+        return bytes(_zlib.compress(data, _LEVEL))
     stream = zlib.compressobj(_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS, 8, strategy)
     return stream.compress(data) + stream.flush()
 
 
 def inflate(blob: object, size: int, what: str) -> bytes:
     """The `size` bytes of a zlib stream, or MapError: neither fewer nor more are accepted."""
-    stream = zlib.decompressobj()
+    stream = _zlib.decompressobj()
     try:
         if not isinstance(blob, bytes):
             raise TypeError(f"a blob was expected, not {type(blob).__name__}")
-        data = stream.decompress(blob, size + 1)
-    except (zlib.error, TypeError) as error:
+        data = bytes(stream.decompress(blob, size + 1))
+    except (zlib.error, _zlib.error, TypeError) as error:
         raise damaged(what, str(error)) from error
     if len(data) != size or not stream.eof:
         raise damaged(what, f"it does not hold {size} bytes")

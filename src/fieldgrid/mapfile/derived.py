@@ -66,13 +66,22 @@ def hide(
     touch(connection)
 
 
+def settle(connection: sqlite3.Connection, header: Header, path: Path) -> None:
+    """Fill in what commits have left for later, within the caller's transaction."""
+    Pyramid(connection, tables_of(connection, header, path)).settle()
+
+
 def fold_evidence(
-    connection: sqlite3.Connection, header: Header, session_id: int, path: Path
+    connection: sqlite3.Connection,
+    header: Header,
+    session_id: int,
+    path: Path,
+    jobs: int | None = None,
 ) -> SessionTiles:
     """The tiles of a session from its stored frames; to be closed."""
     frames = placed_frames(frames_of(connection, session_id))
     groups = header.writable_groups(path)
-    return SessionTiles.folded(frames, header.lattice, header.transfer, groups)
+    return SessionTiles.folded(frames, header.lattice, header.transfer, groups, jobs)
 
 
 def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
@@ -88,7 +97,11 @@ def touch(connection: sqlite3.Connection) -> None:
 
 
 def rebuild(
-    connection: sqlite3.Connection, path: Path, header: Header, groups: tuple[str, ...]
+    connection: sqlite3.Connection,
+    path: Path,
+    header: Header,
+    groups: tuple[str, ...],
+    jobs: int | None = None,
 ) -> None:
     """Make all that follows from the evidence, its tiles with these channel groups."""
     for table in (*schema.DERIVED_TABLES, *schema.GEOMETRIES, "density"):
@@ -102,10 +115,10 @@ def rebuild(
     tables = tables_of(connection, header, path)
     for session_id, name in active(connection):
         show_features(connection, session_id, find(connection, path, header.datum, name).metadata)
-        with fold_evidence(connection, header, session_id, path) as tiles:
+        with fold_evidence(connection, header, session_id, path, jobs) as tiles:
             for tile in sorted(tiles.tiles):
                 tables.put_session(session_id, tile, tiles.blobs(tile))
-    Pyramid(connection, tables).rebuild()
+    Pyramid(connection, tables, jobs).rebuild()
     touch(connection)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import sqlite3
 import weakref
@@ -11,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import check_layers
@@ -21,6 +22,7 @@ from fieldgrid.mapfile.blocks import Blocks, read_blocks
 from fieldgrid.mapfile.change import ChangeView
 from fieldgrid.mapfile.codec import EncodedChannel
 from fieldgrid.mapfile.database import clear_journal, reading, writing
+from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.evidence import Evidence, loader
 from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.metadata import SessionMetadata, find, name_is_taken, session_metadata
@@ -37,6 +39,8 @@ from fieldgrid.mapfile.view import MapView
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
+
+_LOG = logging.getLogger(__name__)
 
 
 class MapFile:
@@ -63,6 +67,7 @@ class MapFile:
         self._writable = writable
         self._session: Session | None = None
         self._has_new_session = False
+        self._unsettled = False
         # Also a map that is forgotten gives up its file, and its draft.
         self._release = weakref.finalize(self, _release, connection, draft)
 
@@ -104,6 +109,7 @@ class MapFile:
     def close(self) -> None:
         """Close the map. A new one gets its name now, if it has a session."""
         self._abandon_session()
+        self._settle()
         try:
             if self._draft is not None and self._has_new_session and self._release.alive:
                 self._connection.close()
@@ -407,6 +413,21 @@ class MapFile:
                 check_root(self._connection, self.path)
             yield
             seal(self._connection)
+        self._unsettled = True
+
+    def _settle(self) -> None:
+        """Fill in what commits have left for later, unless another program is writing."""
+        if not self._unsettled or not self._release.alive:
+            return
+        self._unsettled = False
+        try:
+            with reading(self._connection, self.path):
+                self._connection.execute("PRAGMA busy_timeout = 0")
+            with writing(self._connection, self.path):
+                settle(self._connection, self._header, self.path)
+        except MapError as error:
+            # The map is complete without: readers make it from the tiles below.
+            _LOG.info("%s was not settled: %s", self.path, error)
 
     def _upgrade(self) -> bool:
         if self._header.version == FORMAT_VERSION:
@@ -434,6 +455,7 @@ class MapFile:
     def _session_ended(self, committed: bool) -> None:
         self._session = None
         self._has_new_session |= committed
+        self._unsettled |= committed
 
     def _abandon_session(self) -> None:
         if self._session is not None:

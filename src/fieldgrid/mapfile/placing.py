@@ -137,6 +137,7 @@ class SessionTiles:
         lattice: Lattice,
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
+        jobs: int | None = None,
     ) -> SessionTiles:
         """Place the accepted frames of a session."""
         made = cls(groups)
@@ -145,7 +146,7 @@ class SessionTiles:
             return tile, cells, encode_groups(stored_of_session(groups), cells, base=True)
 
         try:
-            for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode):
+            for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode, jobs):
                 made._put(tile, cells, blobs)
         except BaseException:
             made.close()

@@ -3,32 +3,34 @@
 What a session adds to a base tile is added to what is there, and what leaves is subtracted,
 modulo 2^64; maxima are made again from the sessions that stay. A quadrant of a tile above follows
 from the tile below it. So the tiles are those of a map that was made of the present sessions at
-once, at a cost that goes with the change.
+once, at a cost that goes with the change. A commit brings the density and its pictures up to date
+at every level; the other groups of the levels above the base are left out where they changed, are
+made from the tiles below when they are read, and are filled in by `settle`, when the map is closed.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
-from fieldgrid.layers import Cells, Combine
-from fieldgrid.layers.window import coarser, combined, empty_cells, merge_sessions, with_overviews
+from fieldgrid.layers import Cells, ChannelGroup, Combine
+from fieldgrid.layers.window import combined, empty_cells, merge_sessions
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.placing import SessionTiles, encode_groups
+from fieldgrid.mapfile.placing import RECENT_TILES, SessionTiles, encode_groups
 from fieldgrid.mapfile.png import encode_png
-from fieldgrid.mapfile.tile_codec import Box, box_of, stored_channels
+from fieldgrid.mapfile.tile_codec import Box, box_of
 from fieldgrid.mapfile.tiles import TileTables
-from fieldgrid.mapfile.tiling import children, parent
+from fieldgrid.mapfile.tiling import parent
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
 
-_HALF = TILE_CELLS // 2
 _SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
@@ -45,38 +47,47 @@ class _Encoded(NamedTuple):
 class Pyramid:
     """Changes the tiles of a map, within the caller's transaction."""
 
-    def __init__(self, connection: sqlite3.Connection, tables: TileTables) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, tables: TileTables, jobs: int | None = None
+    ) -> None:
         self._connection = connection
         self._tables = tables
         self._groups = tables.groups
         self._base = tables.matrices.base_zoom
         self._seen: Window | None = None
+        self._jobs = jobs
 
     def replace(self, session_id: int, new: SessionTiles | None) -> None:
         """Put the tiles of a session in place of those that it has; None takes it out."""
         before = self._tables.session_tiles(session_id)
         after = set() if new is None else new.tiles
 
-        def work(tile: TileIndex) -> tuple[dict[str, bytes], _Encoded]:
+        def work(tile: TileIndex) -> tuple[dict[str, bytes], _Encoded, Cells]:
             leaving = self._tables.session_cells(session_id, tile) if tile in before else None
             joining = new.cells(tile) if new is not None and tile in after else None
             blobs = new.blobs(tile) if new is not None and tile in after else {}
-            return blobs, self._encoded(tile, self._changed(session_id, tile, leaving, joining))
+            cells = self._changed(session_id, tile, leaving, joining)
+            return blobs, self._encoded(tile, cells, self._groups), cells
 
-        tiles = sorted(before | after)
-        for blobs, encoded in in_order(work, tiles):
+        changed: dict[TileIndex, Cells | None] = {}
+        for blobs, encoded, cells in in_order(work, sorted(before | after), self._jobs):
             self._tables.put_session(session_id, encoded.tile, blobs)
             self._put(self._base, encoded)
-        self._raise_levels(set(tiles))
+            changed[encoded.tile] = cells if len(changed) < RECENT_TILES else None
+        self._raise_levels(changed, self._groups[:1])
         self._announce(shrinks=bool(before))
 
     def rebuild(self) -> None:
         """Make all tiles from those of the sessions; the tables of the map are empty before."""
         rows = self._tables.rows("SELECT DISTINCT ty, tx FROM fieldgrid_session_tile ORDER BY 1, 2")
         tiles = [TileIndex(*row) for row in rows]
-        for encoded in in_order(lambda tile: self._encoded(tile, self.merged(tile)), tiles):
+
+        def remade(tile: TileIndex) -> _Encoded:
+            return self._encoded(tile, self.merged(tile), self._groups)
+
+        for encoded in in_order(remade, tiles, self._jobs):
             self._put(self._base, encoded)
-        self._raise_levels(set(tiles))
+        self._raise_levels(dict.fromkeys(tiles), self._groups)
         self._announce(shrinks=False)
 
     def merged(self, tile: TileIndex, without: int | None = None) -> Cells | None:
@@ -91,13 +102,26 @@ class Pyramid:
             total = part if total is None else merge_sessions(self._groups, total, part)
         return total
 
-    def above(self, zoom: int, tile: TileIndex) -> Cells | None:
-        """A tile made of the four below it."""
-        return self._from_children(zoom, tile, None, set(children(tile)))
+    def settle(self) -> None:
+        """Add to the tiles above the base what a commit has left for later."""
+        for zoom, rows in groupby(self._tables.unsettled(), key=lambda row: row[0]):
+
+            def complete(
+                row: tuple[int, TileIndex, set[str]],
+            ) -> tuple[int, TileIndex, dict[str, bytes]]:
+                level, tile, has = row
+                cells = self._tables.cells(level, tile)
+                assert cells is not None
+                lacking = [group for group in self._groups if group.name not in has]
+                return level, tile, encode_groups(lacking, cells, base=False)
+
+            for level, tile, blobs in in_order(complete, list(rows), self._jobs):
+                assert level == zoom
+                self._tables.add_groups(level, tile, blobs)
 
     def _changed(
         self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None
-    ) -> Cells | None:
+    ) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
         total = self._tables.cells(self._base, tile) or empty_cells(self._groups, _SHAPE)
         stay: Cells | None = None
@@ -118,27 +142,44 @@ class Pyramid:
             arrays[channel.name] = value
         return Cells(arrays)
 
-    def _raise_levels(self, touched: set[TileIndex]) -> None:
-        """Bring the levels above the base up to date, and have just those that are needed."""
+    def _raise_levels(
+        self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]
+    ) -> None:
+        """Bring these groups of the levels above the base up to date, and have just the levels that
+        are needed. `changed` has the base tiles that changed."""
         matrices, corners, top = self._tables.matrices, self._tables.corners(), self._base + 1
         if corners:
             top = matrices.top_zoom(corners)
         existing = self._tables.top_zoom()
         for zoom in range(self._base - 1, top - 1, -1):
+            below: dict[TileIndex, dict[TileIndex, Cells | None]] = {}
             if existing is None or zoom < existing:
-                touched = set(self._tables.tiles(zoom + 1))
-            below, touched = touched, {parent(tile) for tile in touched}
-            level = zoom
+                for tile in self._tables.tiles(zoom + 1):
+                    below.setdefault(parent(tile), {})[tile] = None
+            for tile in changed:
+                below.setdefault(parent(tile), {})[tile] = None
 
             def work(
-                tile: TileIndex, level: int = level, below: set[TileIndex] = below
-            ) -> _Encoded:
-                before = self._tables.cells(level, tile)
-                changed = {child for child in children(tile) if child in below}
-                return self._encoded(tile, self._from_children(level, tile, before, changed))
+                tile: TileIndex,
+                level: int = zoom,
+                changed: Mapping[TileIndex, Cells | None] = changed,
+                below: Mapping[TileIndex, Mapping[TileIndex, Cells | None]] = below,
+            ) -> tuple[_Encoded, Cells]:
+                parts = {
+                    child: changed[child]
+                    if changed.get(child) is not None
+                    else self._tables.cells(level + 1, child, groups)
+                    for child in below[tile]
+                }
+                before = self._tables.cells(level, tile, groups)
+                cells = self._tables.above(level, tile, groups, before, parts)
+                return self._encoded(tile, cells, groups), cells
 
-            for encoded in in_order(work, sorted(touched)):
+            raised: dict[TileIndex, Cells | None] = {}
+            for encoded, cells in in_order(work, sorted(below), self._jobs):
                 self._put(zoom, encoded)
+                raised[encoded.tile] = cells if len(raised) < RECENT_TILES else None
+            changed = raised
         for table, column in (
             ("fieldgrid_tile", "zoom"),
             ("density", "zoom_level"),
@@ -151,31 +192,13 @@ class Pyramid:
             schema.zoom_levels(matrices, top),
         )
 
-    def _from_children(
-        self, zoom: int, tile: TileIndex, before: Cells | None, changed: Iterable[TileIndex]
-    ) -> Cells:
-        """A tile whose quadrants follow from those below it, as far as they changed."""
-        names = [name for g in self._groups for name, _ in stored_channels(g, base=False)]
-        arrays = {name: np.zeros(_SHAPE, np.uint64) for name in names}
-        if before is not None:
-            arrays = {name: before[name] for name in names}
-        for child in changed:
-            cells = self._tables.cells(zoom + 1, child)
-            if cells is not None:
-                if zoom + 1 == self._base:
-                    cells = with_overviews(self._groups, cells)
-                cells = coarser(self._groups, cells, 2)
-            j, i = _HALF * (child.ty & 1), _HALF * (child.tx & 1)
-            quadrant = slice(j, j + _HALF), slice(i, i + _HALF)
-            for name in names:
-                arrays[name][quadrant] = 0 if cells is None else cells[name]
-        return Cells(arrays, 1 << 2 * (self._base - zoom))
-
-    def _encoded(self, tile: TileIndex, cells: Cells | None) -> _Encoded:
+    def _encoded(
+        self, tile: TileIndex, cells: Cells | None, groups: Sequence[ChannelGroup]
+    ) -> _Encoded:
         if cells is None or not cells["weight"].any():
             return _Encoded(tile, {}, b"", None)
         box = box_of(cells["weight"])
-        blobs = encode_groups(self._groups, cells, base=cells.base_cells == 1, box=box)
+        blobs = encode_groups(groups, cells, base=cells.base_cells == 1, box=box)
         picture = encode_png(*mean_density(cells["weight"], cells["sum"]))
         return _Encoded(tile, blobs, picture, box)
 

@@ -26,7 +26,7 @@ from fieldgrid.transfer import mean_density
 def check_tiles(subject: Subject) -> Iterator[str]:
     """The tiles of sessions against a new fold, those above against those below them."""
     tables = subject.tables
-    pyramid = Pyramid(subject.connection, tables)
+    pyramid = Pyramid(subject.connection, tables, subject.jobs)
     for session_id, name in active(subject.connection):
         yield from _session_tiles(subject, session_id, name)
     removed = subject.connection.execute(
@@ -108,7 +108,9 @@ def _level(subject: Subject, pyramid: Pyramid, zoom: int, tiles: set[TileIndex])
     def compare(tile: TileIndex) -> str:
         what = f"tile {tuple(tile)} of level {zoom}"
         try:
-            expected = pyramid.merged(tile) if zoom == base else pyramid.above(zoom, tile)
+            expected = (
+                pyramid.merged(tile) if zoom == base else tables.above(zoom, tile, tables.groups)
+            )
         except MapError:
             return ""  # what it is made of was told of already
         if expected is None:

@@ -8,15 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import UInt8, UInt64
-from fieldgrid.errors import MapError
+from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS
 from fieldgrid.layers import ChannelGroup
 from fieldgrid.mapfile.codec import damaged, deflate, inflate
+from fieldgrid.mapfile.packing import differences, join, split
 
 _WORD_BYTES = 8
-_SIGN = np.uint64(63)
-_ONE = np.uint64(1)
 
 
 class Box(NamedTuple):
@@ -57,25 +55,19 @@ def stored_channels(group: ChannelGroup, *, base: bool) -> tuple[tuple[str, bool
 def encode_tile(group: ChannelGroup, cells: Mapping[str, UInt64], box: Box, *, base: bool) -> bytes:
     """The blob of a group's channels, uint64 [256, 256] each."""
     names = stored_channels(group, base=base)
-    values = np.empty((len(names), *box.shape), dtype=np.uint64)
-    for row, (name, _) in zip(values, names, strict=True):
-        row[:] = cells[name][box.slices]
-    flat = values.reshape(len(names), -1)
-    if base and group.expected is not None:
-        flat -= group.expected(*_weight_and_sum(cells, box))
-    header, planes = [len(names), *box], list[UInt8]()
-    for row, (_, signed) in zip(flat, names, strict=True):
-        if signed:
-            row[:] = (row << _ONE) ^ (row.view(np.int64) >> 63).view(np.uint64)
-        bits = int(np.bitwise_or.reduce(row))
+    area = box.shape[0] * box.shape[1]
+    expected = _expected(group, cells, box, base=base)
+    header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
+    stored, used = np.empty(area, dtype=np.uint64), 0
+    for guess, (name, signed) in zip(expected, names, strict=True):
+        values = np.ascontiguousarray(cells[name][box.slices]).reshape(-1)
+        bits = int(differences(values, guess, signed, stored))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
-        row >>= np.uint64(shift)
         count = -(-(bits >> shift).bit_length() // 8)
+        split(stored, shift, planes[used : used + count])
         header += [shift, count]
-        octets = row.view(np.uint8).reshape(-1, _WORD_BYTES)
-        planes += [octets[:, k] for k in range(count)]
-    body = np.stack(planes).data if planes else b""
-    return bytes(header) + deflate(body, zlib.Z_RLE)
+        used += count
+    return bytes(header) + deflate(planes[:used].data if used else b"", zlib.Z_RLE)
 
 
 def decode_tile(
@@ -94,28 +86,36 @@ def decode_tile(
     head = 5 + 2 * len(names)
     if not isinstance(blob, bytes) or len(blob) < head or blob[0] != len(names):
         raise damaged(what, "its header does not fit its channels")
-    box, codes = Box(*blob[1:5]), blob[5:head]
-    shifts, counts = codes[::2], codes[1::2]
+    box, shifts, counts = Box(*blob[1:5]), blob[5:head:2], blob[6:head:2]
     if min(box.shape) < 1 or max(shifts) > 63 or max(counts) > _WORD_BYTES:
         raise damaged(what, f"its header is {tuple(blob[:head])}")
+    if base and group.expected is not None and density is None:
+        raise damaged(what, "it has no density beside it")
     area = box.shape[0] * box.shape[1]
-    data = inflate(blob[head:], area * sum(counts), what)
-    planes = np.frombuffer(data, dtype=np.uint8).reshape(-1, area)
-    flat, first = np.zeros((len(names), area), dtype=np.uint64), 0
-    for row, (_, signed), shift, count in zip(flat, names, shifts, counts, strict=True):
-        octets = row.view(np.uint8).reshape(-1, _WORD_BYTES)
-        octets[:, :count] = planes[first : first + count].T
+    planes = np.frombuffer(inflate(blob[head:], area * sum(counts), what), dtype=np.uint8).reshape(
+        -1, area
+    )
+    expected = _expected(group, density or {}, box, base=base)
+    arrays, first = dict[str, UInt64](), 0
+    for guess, (name, signed), shift, count in zip(expected, names, shifts, counts, strict=True):
+        values = np.zeros(area, dtype=np.uint64)
+        join(planes[first : first + count], shift, guess, signed, values)
         first += count
-        row <<= np.uint64(shift)
-        if signed:
-            row[:] = (row >> _ONE) ^ (np.uint64(0) - (row & _ONE))
+        whole = np.zeros((TILE_CELLS, TILE_CELLS), dtype=np.uint64)
+        whole[box.slices] = values.reshape(box.shape)
+        arrays[name] = whole
+    return arrays
+
+
+def _expected(
+    group: ChannelGroup, density: Mapping[str, UInt64], box: Box, *, base: bool
+) -> UInt64:
+    """What is expected of a group's stored channels, uint64 [channels, cells of the box]."""
     if base and group.expected is not None:
-        if density is None:
-            raise MapError(f"The {what} has no density beside it. Repair the map.")
-        flat += group.expected(*_weight_and_sum(density, box))
-    whole = np.zeros((len(names), TILE_CELLS, TILE_CELLS), dtype=np.uint64)
-    whole[(slice(None), *box.slices)] = flat.reshape(len(names), *box.shape)
-    return {name: array for (name, _), array in zip(names, whole, strict=True)}
+        return group.expected(*_weight_and_sum(density, box))
+    area = box.shape[0] * box.shape[1]
+    count = len(stored_channels(group, base=base))
+    return np.zeros((count, area), dtype=np.uint64)
 
 
 def _weight_and_sum(cells: Mapping[str, UInt64], box: Box) -> tuple[UInt64, UInt64]:

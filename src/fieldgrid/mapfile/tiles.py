@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fieldgrid.lattice import TileIndex, Window
+import numpy as np
+
+from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
 from fieldgrid.layers import Cells, ChannelGroup
+from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
-from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.tile_codec import stored_channels
+from fieldgrid.mapfile.tiling import TileMatrixSet, children
+
+_HALF = TILE_CELLS // 2
+_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
 class TileTables:
@@ -84,10 +92,56 @@ class TileTables:
         )
         if not rows:
             return None
-        levels = self.matrices.base_zoom - zoom
+        blobs, levels = dict(rows), self.matrices.base_zoom - zoom
+        wanted = self.groups if groups is None else groups
+        stored = [group for group in wanted if levels == 0 or group.name in blobs]
         what = f"tile {tuple(tile)} of level {zoom}"
-        found = decode_groups(groups or self.groups, dict(rows), what, base=levels == 0)
+        found = dict(decode_groups(stored, blobs, what, base=levels == 0))
+        if len(stored) < len(wanted):
+            later = [group for group in wanted if group not in stored]
+            found.update(self.above(zoom, tile, later))
         return Cells(found, 1 << 2 * levels)
+
+    def above(
+        self,
+        zoom: int,
+        tile: TileIndex,
+        groups: Sequence[ChannelGroup],
+        before: Cells | None = None,
+        below: Mapping[TileIndex, Cells | None] | None = None,
+    ) -> Cells:
+        """A tile of a level above the base, whose quadrants follow from the tiles below it.
+
+        `below` has those that changed since `before`, None for one that is gone; without it all
+        four are read.
+        """
+        if below is None:
+            wanted = tuple(dict.fromkeys((self.groups[0], *groups)))
+            below = {child: self.cells(zoom + 1, child, wanted) for child in children(tile)}
+        names = [name for group in groups for name, _ in stored_channels(group, base=False)]
+        arrays = {
+            name: np.zeros(_SHAPE, np.uint64) if before is None else before[name] for name in names
+        }
+        for child, cells in below.items():
+            quadrant = quadrant_of(child)
+            halved = None
+            if cells is not None:
+                if zoom + 1 == self.matrices.base_zoom:
+                    cells = with_overviews(groups, cells)
+                halved = coarser(groups, cells, 2)
+            for name in names:
+                arrays[name][quadrant] = 0 if halved is None else halved[name]
+        return Cells(arrays, 1 << 2 * (self.matrices.base_zoom - zoom))
+
+    def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
+        """The tiles above the base that lack some groups, the lower levels first, and those that
+        they have."""
+        rows = self.rows(
+            "SELECT zoom, ty, tx, json_group_array(channels) FROM fieldgrid_tile WHERE zoom < ? "
+            "GROUP BY 1, 2, 3 HAVING count(*) < ? ORDER BY 1 DESC, 2, 3",
+            (self.matrices.base_zoom, len(self.groups)),
+        )
+        return [(zoom, TileIndex(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
 
     def tiles(self, zoom: int) -> list[TileIndex]:
         """The observed tiles of a zoom level, in order."""
@@ -131,10 +185,7 @@ class TileTables:
             self._connection.execute(
                 "DELETE FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?", (zoom, *tile)
             )
-            self._connection.executemany(
-                "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
-                [(zoom, *tile, name, blob) for name, blob in blobs.items()],
-            )
+            self._insert(zoom, tile, blobs)
             place = (zoom, *self.matrices.column_row(zoom, tile))
             if not blobs:
                 self._connection.execute(
@@ -148,3 +199,20 @@ class TileTables:
                 "DO UPDATE SET tile_data = excluded.tile_data",
                 (*place, picture),
             )
+
+    def add_groups(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        """Add groups that a tile lacks."""
+        with self._lock:
+            self._insert(zoom, tile, blobs)
+
+    def _insert(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        self._connection.executemany(
+            "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
+            [(zoom, *tile, name, blob) for name, blob in blobs.items()],
+        )
+
+
+def quadrant_of(child: TileIndex) -> tuple[slice, slice]:
+    """Where a tile lies in the array of the one above it."""
+    j, i = _HALF * (child.ty & 1), _HALF * (child.tx & 1)
+    return slice(j, j + _HALF), slice(i, i + _HALF)

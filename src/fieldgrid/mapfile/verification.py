@@ -236,7 +236,7 @@ def repair(
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
-    derived.rebuild(connection, path, header, tuple(GROUPS))
+    derived.rebuild(connection, path, header, tuple(GROUPS), jobs)
     return tuple(GROUPS)
 
 
