@@ -86,7 +86,11 @@ def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     assert re.search(r"vineyard\.gpkg: sound; 1 sessions \(0 removed\), 50 frames, \d+ tiles", text)
     expected = content(path)
     database = sqlite3.connect(path, isolation_level=None)
-    database.execute("UPDATE fieldgrid_tile SET sums = zeroblob(9) WHERE rowid = 4")
+    database.execute(
+        "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'max' "
+        "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'max' AND "
+        "zoom = (SELECT min(zoom) FROM fieldgrid_tile))"
+    )
     database.close()
     result = fieldgrid("verify", path)
     assert (result.status, result.err) == (1, "")

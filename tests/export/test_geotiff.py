@@ -136,7 +136,7 @@ def test_the_tags_say_what_it_is(asymmetric_map: MapFile, tmp_path: Path) -> Non
         assert tuple(dataset.bounds) == pytest.approx((-1.0, -2.0, 3.0, 4.0))
         tags = dataset.tags()
     assert tags["FIELDGRID_LAYER"] == "variance"
-    assert tags["FIELDGRID_SAYS"] == LAYERS["variance"].says
+    assert tags["FIELDGRID_SAYS"] == LAYERS["variance"].meaning
     assert float(tags["FIELDGRID_CELL_M"]) == 0.25
     assert (tags["FIELDGRID_SESSIONS"], tags["FIELDGRID_AS_OF_SESSION"]) == ("1", "spring")
     assert tags["FIELDGRID_AS_OF_TIME"].startswith("2026-04-03T")

@@ -24,7 +24,7 @@ def command(
         str,
         typer.Option(
             metavar="LAYER",
-            help="density|count|variance|max|sessions|persistence|height.",
+            help="density|count|variance|max|sessions|persistence|height|peak|seen_share.",
         ),
     ] = "density",
     bounds: Annotated[
