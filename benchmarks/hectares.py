@@ -34,7 +34,7 @@ def build(path: Path) -> str:
 
 
 def read(path: Path) -> str:
-    """All of it at 5 cm window by window, at 10 cm at once, and folded anew to 25 cm."""
+    """All of it at 5 cm window by window, at 10 cm and at 25 cm at once."""
     seen = 0
     with open_map(path) as universal:
         west_m, south_m, east_m, north_m = universal.bounds
@@ -50,8 +50,8 @@ def read(path: Path) -> str:
 def verify(path: Path) -> str:
     """The whole map made anew and compared."""
     with open_map(path) as universal:
-        verdict = universal.verify()
-    return f"sound {verdict.sound}, {verdict.tiles} tiles"
+        health = universal.verify()
+    return f"sound {health.sound}, {health.tiles} tiles"
 
 
 if __name__ == "__main__":
