@@ -82,7 +82,7 @@ def _bytes_a_cell(path: Path) -> str:
 
 
 def measure_fold(folder: Path) -> Iterator[Line]:
-    """2000 frames of the paper's 133 x 280 cells, folded anew to cells of 0.26 m, and read at 0.25."""
+    """2000 frames of the paper's 133 x 280 cells: folded anew to 0.26 m, read at 0.25 m."""
     grids, path = real_grids(6.65, 14.0), folder / "fold.gpkg"
     with create_map(path, DATUM) as universal, universal.add_session("a") as session:
         for k, pose in enumerate(rows(2000, 300.0, 2.0, 3.0, 0.0, 0.0)):
