@@ -8,24 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import rasterio
 import rasterio.errors
 import rasterio.shutil
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
 from rasterio.enums import ColorInterp
 from rasterio.warp import transform
 
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
 from fieldgrid.export import Selection, export_change, export_geotiff
-from fieldgrid.export.overviews import halve
-from fieldgrid.export.raster import check_whole, layout_of
-from fieldgrid.lattice import Bounds
+from fieldgrid.export.raster import check_whole
+from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map
+from fieldgrid.transfer import MeanFold, mean_density
 from tests.export import asymmetric
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 from tests.export.placed import faults, faults_at_centres, mutants, opened
@@ -180,61 +176,74 @@ def test_what_changed_is_a_geotiff_too(asymmetric_map: MapFile, tmp_path: Path) 
     assert [file.name for file in tmp_path.iterdir()] == ["c.tif"]
 
 
-@pytest.mark.parametrize("layer", ["density", "max", "count", "variance", "height"])
-def test_overviews_are_made_of_what_was_seen(tmp_path: Path, layer: str) -> None:
-    frames = [*drive(7), one_cell(61.05, 40.05, 200), one_cell(-40.35, -30.15, 90)]
-    source = open_map(write_map(tmp_path / "map.gpkg", [frames]))
-    path = tmp_path / "map.tif"
-    export_geotiff(source, path, Selection(layer=layer))
+# A cell seen 100 times outweighs its neighbour.
+OFTEN = [*[one_cell(-40.25, 40.15, 0)] * 100, one_cell(-40.35, 40.05, 200)]
+WIDE = [*drive(7), *OFTEN, one_cell(61.05, 41.05, 200), one_cell(-40.35, -30.15, 90)]
+
+
+@pytest.mark.parametrize("layer", list(LAYERS))
+def test_overviews_follow_the_rule_of_larger_cells(tmp_path: Path, layer: str) -> None:
+    path, bounds = tmp_path / "map.tif", Bounds(-41.2, -30.8, 62.4, 41.6)
+    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+        export_geotiff(source, path, Selection(bounds, layer=layer))
+        expected = source.read(bounds, 0.2, layers=[layer])
     with rasterio.open(path) as dataset:
-        assert dataset.overviews(1) == [2]
-        whole = dataset.read()
+        assert dataset.overviews(1) == [2, 4]
     with rasterio.open(path, overview_level=0) as dataset:
-        halved = dataset.read()
-    assert halved.shape[1:] == (-(-whole.shape[1] // 2), -(-whole.shape[2] // 2))
-    np.testing.assert_allclose(halved, in_fours(whole, layer), rtol=1e-6)
+        np.testing.assert_array_equal(dataset.read(1)[::-1], expected.layer(layer))
+        if dataset.count == 2:
+            np.testing.assert_array_equal(dataset.read(2)[::-1] > 0, expected.observed)
+    assert {2, 90, 200} <= set(expected.density[expected.observed].tolist())
 
 
-def in_fours(pixels: npt.NDArray[Any], layer: str) -> npt.NDArray[Any]:
-    """The overview, cell by cell."""
-    layout = layout_of(layer)
-    shape = (len(pixels), -(-pixels.shape[1] // 2), -(-pixels.shape[2] // 2))
-    halved = np.full(shape, layout.nodata or 0, dtype=pixels.dtype)
-    for j in range(shape[1]):
-        for i in range(shape[2]):
-            four = pixels[:, 2 * j : 2 * j + 2, 2 * i : 2 * i + 2]
-            if layout.alpha:
-                seen = four[0][four[1] > 0]
-            elif layout.dtype.startswith("f"):
-                seen = four[0][~np.isnan(four[0])]
-            else:
-                seen = four[0][four[0] > 0]
-            if seen.size == 0:
-                continue
-            if layout.alpha:
-                halved[1, j, i] = 255
-            mean = seen.astype(np.float64).mean()
-            whole = np.floor(mean + 0.5) if layout.dtype.startswith("u") else mean
-            halved[0, j, i] = seen.max() if layout.highest else whole
-    return halved
+@pytest.mark.parametrize("west_m", [-41.2, -41.1, -40.9])
+@pytest.mark.parametrize("north_m", [41.6, 41.5, 41.3])
+def test_overviews_count_from_the_north_west_corner(
+    tmp_path: Path, west_m: float, north_m: float
+) -> None:
+    path, bounds = tmp_path / "map.tif", Bounds(west_m, -30.8, 62.35, north_m)
+    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+        export_geotiff(source, path, Selection(bounds))
+        with source.overviews(3, bounds) as blocks:
+            found = list(blocks)
+        lattice = Lattice(CELL_M)
+        fold = MeanFold(lattice, lattice.window(bounds))
+        for grid, pose in WIDE:
+            fold.add(grid, pose)
+    sums = fold.sums[:, ::-1]
+    for level in (1, 2, 3):
+        rows, columns = (-(-side // 2) for side in sums.shape[1:])
+        even = np.pad(
+            sums, ((0, 0), (0, 2 * rows - sums.shape[1]), (0, 2 * columns - sums.shape[2]))
+        )
+        sums = even.reshape(2, rows, 2, columns, 2).sum(axis=(2, 4))
+        density, observed = mean_density(*sums)
+        shown, seen = np.zeros_like(density), np.zeros_like(observed)
+        for block in found:
+            if block.level == level:
+                place = np.s_[
+                    block.row : block.row + block.density.shape[0],
+                    block.column : block.column + block.density.shape[1],
+                ]
+                shown[place], seen[place] = block.density, block.observed
+        np.testing.assert_array_equal(shown, density)
+        np.testing.assert_array_equal(seen, observed)
+        if level == 1:
+            with rasterio.open(path, overview_level=0) as dataset:
+                np.testing.assert_array_equal(dataset.read(1), density)
 
 
-@given(
-    arrays(np.uint8, array_shapes(min_dims=2, max_dims=2, max_side=7)),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from(["density", "max", "sessions", "persistence"]),
-)
-@settings(deadline=None)  # the kernel is compiled in the first runs
-def test_halving_is_what_it_says(values: npt.NDArray[np.uint8], seed: int, layer: str) -> None:
-    layout = layout_of(layer)
-    seen = np.random.default_rng(seed).random(values.shape) < 0.4
-    pixels = np.where(seen, values, layout.nodata or 0).astype(layout.dtype)[None]
-    if layout.alpha:
-        pixels = np.concatenate([pixels, seen[None] * np.uint8(255)])
-    halved, expected = halve(pixels, layout), in_fours(pixels, layer)
-    if halved is None:
-        halved = np.full_like(expected, layout.nodata or 0)
-    np.testing.assert_allclose(halved, expected, rtol=1e-6)
+def test_overviews_in_another_plane_are_those_of_the_cells(tmp_path: Path) -> None:
+    path = tmp_path / "map.tif"
+    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+        export_geotiff(source, path, Selection(), epsg=25830)
+        with source.overviews(1) as blocks:
+            own = [block.density[block.observed] for block in blocks]
+    with rasterio.open(path, overview_level=0) as dataset:
+        values, alpha = dataset.read()
+    assert set(np.unique(alpha)) == {0, 255}
+    assert set(values[alpha > 0].tolist()) <= set(np.concatenate(own).tolist())
+    assert (alpha > 0).sum() == pytest.approx(sum(map(len, own)), rel=0.03)
 
 
 @pytest.mark.parametrize("cell", CELLS)

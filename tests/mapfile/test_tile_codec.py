@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fieldgrid.errors import MapError
 from fieldgrid.layers import GROUPS
 from fieldgrid.mapfile.tile_codec import (
+    Expectation,
     box_of,
     decode_tile,
     encode_tile,
@@ -48,8 +49,8 @@ def test_channels_read_back_even_where_no_drive_has_them(
     for k, (channel, _) in enumerate(stored_channels(group, base=base)):
         cells.setdefault(channel, noise(seed + 2 + k, bits, unit, seen))
     box = box_of(cells["weight"])
-    blob = encode_tile(group, cells, box, base=base)
-    read = decode_tile(group, blob, cells, "tile", base=base)
+    blob = encode_tile(group, cells, box, Expectation(cells, base=base), base=base)
+    read = decode_tile(group, blob, Expectation(cells, base=base), "tile", base=base)
     assert set(read) == {channel for channel, _ in stored_channels(group, base=base)}
     for channel, values in read.items():
         assert values.dtype == np.uint64
@@ -68,7 +69,7 @@ def test_cells_seen_once_cost_no_more_than_their_density() -> None:
     }
     box = box_of(sixteen)
     sizes = [
-        len(encode_tile(GROUPS[name], cells, box, base=True))
+        len(encode_tile(GROUPS[name], cells, box, Expectation(cells, base=True), base=True))
         for name in ("density", "variance", "count", "max")
     ]
     assert sizes[0] < 256 * 256 * 1.02
@@ -79,11 +80,18 @@ def test_only_the_box_that_was_observed_is_stored() -> None:
     weight = np.zeros(SHAPE, np.uint64)
     weight[250:252, 3] = 16
     assert box_of(weight) == (250, 3, 251, 3)
-    blob = encode_tile(DENSITY, {"weight": weight, "sum": weight}, box_of(weight), base=True)
+    blob = encode_tile(
+        DENSITY,
+        {"weight": weight, "sum": weight},
+        box_of(weight),
+        Expectation({}, base=True),
+        base=True,
+    )
     assert tuple(blob[:9]) == (2, 250, 3, 251, 3, 4, 1, 4, 1)
     assert zlib.decompress(blob[9:]) == bytes([1, 1, 1, 1])
 
 
+NONE = Expectation({}, base=True)
 GOOD = bytes([2, 0, 0, 0, 1, 0, 1, 0, 1])
 
 
@@ -104,6 +112,9 @@ GOOD = bytes([2, 0, 0, 0, 1, 0, 1, 0, 1])
     ],
 )
 def test_a_blob_that_is_none_is_damage(blob: object) -> None:
-    assert decode_tile(DENSITY, GOOD + zlib.compress(bytes(4)), None, "tile", base=True)
+    assert decode_tile(DENSITY, GOOD + zlib.compress(bytes(4)), NONE, "tile", base=True)
     with pytest.raises(MapError, match="tile is damaged"):
-        decode_tile(DENSITY, blob, None, "tile", base=True)
+        decode_tile(DENSITY, blob, NONE, "tile", base=True)
+    alone = bytes([1, 0, 0, 0, 1, 0, 1]) + zlib.compress(bytes(2))
+    with pytest.raises(MapError, match="no density beside it"):
+        decode_tile(GROUPS["max"], alone, NONE, "tile", base=True)

@@ -21,7 +21,7 @@ from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.mapfile import LAYERS, MapFile, MapView, OverviewBlock
 from fieldgrid.publish import Draft
 
 BLOCK_PX = 512
@@ -38,16 +38,14 @@ class Layout(NamedTuple):
     """How a layer's cells become bands: of this type, with alpha or else a value for nodata.
 
     Where every value means something, band 2 is alpha: 255 where a cell was observed, 0 where not.
-    In an overview the `highest` of four cells stands for them, or else their mean.
     """
 
     dtype: str
     alpha: bool
     nodata: float | None
-    highest: bool = False
 
-    def bands(self, view: MapView, layer: str) -> tuple[AnyArray, ...]:
-        """The bands of a view, row 0 in the south."""
+    def bands(self, view: MapView | OverviewBlock, layer: str) -> tuple[AnyArray, ...]:
+        """The bands of a view, its rows in their order."""
         values = view.layer(layer)
         return (values, view.observed * np.uint8(255)) if self.alpha else (values,)
 
@@ -67,10 +65,12 @@ class Plane(NamedTuple):
 
 
 class Raster(NamedTuple):
-    """A raster on disk, to be made into something that others read."""
+    """A raster on disk, to be made into something that others read; `cells` is its plane before it
+    was brought into another one."""
 
     file: Path
     plane: Plane
+    cells: Plane
     layout: Layout
     rows: tuple[tuple[str, str], ...]
     scratch: Scratch
@@ -100,7 +100,7 @@ def layout_of(layer: str) -> Layout:
     """How a layer is laid out."""
     declared = LAYERS[layer]
     alpha = declared.nodata is None
-    return Layout(declared.dtype, alpha, declared.nodata, highest=layer in ("max", "peak"))
+    return Layout(declared.dtype, alpha, declared.nodata)
 
 
 @contextmanager
@@ -124,7 +124,7 @@ def painted(
         layout = layout_of(selection.layer)
         with selection.blocks(universal) as blocks:
             tags = _tags(universal, selection)
-            plane = plane_of(universal.datum, blocks.lattice, blocks.window)
+            plane = cells = plane_of(universal.datum, blocks.lattice, blocks.window)
             other = None if epsg is None else _reprojected(plane, epsg, universal.datum)
             if check is not None:
                 check(other or plane)
@@ -138,11 +138,11 @@ def painted(
         if other is not None:
             plane, source = other, file
             file = scratch.file("projected")
-            _warp(source, file, plane, layout, tags)
+            warp(source, file, other, layout, tags)
             side = f"{plane.transform.a:.9g} x {-plane.transform.e:.9g}"
             rows += (("pixels", f"{plane.width} x {plane.height} of {side}"),)
         crs = f"EPSG:{epsg}" if epsg is not None else "Transverse Mercator at the datum"
-        yield Raster(file, plane, layout, (*rows, ("plane", crs)), scratch)
+        yield Raster(file, plane, cells, layout, (*rows, ("plane", crs)), scratch)
 
 
 def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:
@@ -353,7 +353,7 @@ def crs_name(crs: Any) -> str:
     return str(crs.to_wkt().split('"')[1])
 
 
-def _warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> None:
+def warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> None:
     """The pixels of another plane: each has the cell that its centre falls in, or nothing."""
     import rasterio
     from rasterio.enums import Resampling

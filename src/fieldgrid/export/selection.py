@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, check_inside
-from fieldgrid.mapfile import LAYERS, Blocks, MapFile, MapView, in_drive_order
+from fieldgrid.mapfile import LAYERS, Blocks, MapFile, MapView, OverviewBlock, in_drive_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,14 @@ class Selection:
             check_inside(self.bounds, universal.bounds)
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         with universal.blocks(self.bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
+            yield blocks
+
+    @contextmanager
+    def overviews(self, universal: MapFile, levels: int) -> Iterator[Iterator[OverviewBlock]]:
+        """The same with cells of 2, 4, ... 2^levels times the side, from the north-west corner."""
+        with universal.overviews(
+            levels, self.bounds, self.cell_m, layers=(self.layer,), at=self.at
+        ) as blocks:
             yield blocks
 
     def sessions(self, universal: MapFile) -> list[str]:

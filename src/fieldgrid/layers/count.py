@@ -8,7 +8,7 @@ from fieldgrid.array_types import UInt32, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
 from fieldgrid.layers.frame import FrameInPlace
-from fieldgrid.transfer import CELL_WEIGHT
+from fieldgrid.transfer import AREA_SHIFT, CELL_WEIGHT
 
 
 class _Frames:
@@ -25,7 +25,7 @@ class _Frames:
 def frames_of_weight(weight: UInt64) -> UInt64:
     """The frames of a cell to which each gave one whole local cell, rounded up."""
     frames = weight + np.uint64(CELL_WEIGHT - 1)
-    frames //= np.uint64(CELL_WEIGHT)
+    frames >>= np.uint64(2 * AREA_SHIFT)
     return frames
 
 

@@ -37,9 +37,18 @@ def raise_to(values, cell, shift, highest):  # type: ignore[no-untyped-def]
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """The mean rounded up, which the highest value is not below."""
-    divisor = np.maximum(weight, np.uint64(1))
-    expected: UInt64 = (total + divisor - np.uint64(1)) // divisor
-    return expected[None]
+    expected = np.empty((1, weight.size), dtype=np.uint64)
+    divide_upwards(weight, total, expected[0])
+    return expected
+
+
+@kernel
+def divide_upwards(weight, total, expected):  # type: ignore[no-untyped-def]
+    """Fill `expected` with total / weight, rounded up; 0 where the total is."""
+    one = np.uint64(1)
+    for k in range(weight.size):
+        divisor = max(weight[k], one)
+        expected[k] = 0 if total[k] == 0 else (total[k] + divisor - one) // divisor
 
 
 GROUP = ChannelGroup(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, UInt64
+from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer
 from fieldgrid.layers.frame import FrameInPlace
@@ -31,10 +32,19 @@ class _Squares:
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """The squares of values that are all alike, cut to whole local cells."""
-    expected = total * total
-    expected //= np.maximum(weight, np.uint64(1))
-    expected &= _WHOLE
-    return expected[None]
+    expected = np.empty((1, weight.size), dtype=np.uint64)
+    square_over(weight, total, expected[0])
+    return expected
+
+
+@kernel
+def square_over(weight, total, expected):  # type: ignore[no-untyped-def]
+    """Fill `expected` with total² / weight, cut to whole local cells; 0 where that is."""
+    for k in range(weight.size):
+        if total[k] == 0:
+            expected[k] = 0
+        else:
+            expected[k] = (total[k] * total[k] // max(weight[k], np.uint64(1))) & _WHOLE
 
 
 def _variance(cells: Cells) -> AnyArray:

@@ -24,6 +24,7 @@ from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.merge import Merged, merge_maps
 from fieldgrid.mapfile.metadata import SessionMetadata
+from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
@@ -45,6 +46,7 @@ __all__ = [
     "MapFile",
     "MapView",
     "Merged",
+    "OverviewBlock",
     "Provenance",
     "Session",
     "SessionInfo",

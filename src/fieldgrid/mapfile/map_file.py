@@ -26,6 +26,7 @@ from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.evidence import Evidence, loader
 from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.metadata import SessionMetadata, find, name_is_taken, session_metadata
+from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
 from fieldgrid.mapfile.provenance import Provenance, trace
 from fieldgrid.mapfile.reading import Request, extent_of, read_change, read_view, sessions_at
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
@@ -349,6 +350,24 @@ class MapFile:
             request = self._request(bounds, cell_m, None)
             request = request._replace(sessions=self._chosen(at, None), layers=names)
             yield read_blocks(self._evidence, self._header, request)
+
+    @contextmanager
+    def overviews(
+        self,
+        levels: int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> Iterator[Iterator[OverviewBlock]]:
+        """What `read` gives, with cells of 2, 4, ... 2^levels times the side, for overviews of a
+        raster: counted from the north-west corner. Errors as in `read`."""
+        names = check_layers(layers)
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            request = request._replace(sessions=self._chosen(at, None), layers=names)
+            yield read_overviews(self._evidence, self._header, request, levels)
 
     def diff(
         self,

@@ -1,4 +1,7 @@
-"""Numbers of a tile as planes of bytes and back: the loops of `tile_codec`."""
+"""Numbers of a tile as planes of bytes and back: the loops of `tile_codec`.
+
+What is expected of the numbers has no cells where nothing is.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,20 @@ from fieldgrid.kernel import kernel
 
 @kernel
 def differences(values, expected, signed, stored):  # type: ignore[no-untyped-def]
-    """Fill `stored` with values less what is expected of them, all flat; `signed` ones become small
-    numbers. Returns the bits that any of them has."""
-    one, bits = np.uint64(1), np.uint64(0)
+    """Fill flat `stored` with a part of a tile, values [rows, columns], less what is expected of
+    it; `signed` ones become small numbers. Returns the bits that any of them has."""
+    one, bits, columns = np.uint64(1), np.uint64(0), values.shape[1]
+    for j in range(values.shape[0]):
+        for i in range(columns):
+            stored[j * columns + i] = values[j, i]
+    if expected.size > 0:
+        for k in range(stored.size):
+            stored[k] -= expected[k]
     for k in range(stored.size):
-        value = values[k] - expected[k]
+        value = stored[k]
         if signed:
             value = (value << one) ^ np.uint64(np.int64(value) >> 63)
-        stored[k] = value
+            stored[k] = value
         bits |= value
     return bits
 
@@ -31,15 +40,19 @@ def split(stored, shift, planes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def join(planes, shift, expected, signed, values):  # type: ignore[no-untyped-def]
-    """Fill `values` from such planes, with what was expected of them; they are 0 before."""
+def join(planes, shift, expected, signed, row, column, values):  # type: ignore[no-untyped-def]
+    """Fill the part of a tile that `planes` [bytes, rows, columns] were made of; it is 0 before."""
     zero, one = np.uint64(0), np.uint64(1)
-    for byte in range(planes.shape[0]):
-        low = np.uint64(shift) + np.uint64(8 * byte)
-        for k in range(values.size):
-            values[k] |= np.uint64(planes[byte, k]) << low
-    for k in range(values.size):
-        value = values[k]
+    for j in range(planes.shape[1]):
+        out = values[row + j, column : column + planes.shape[2]]
+        for byte in range(planes.shape[0]):
+            low = np.uint64(shift) + np.uint64(8 * byte)
+            for i in range(planes.shape[2]):
+                out[i] |= np.uint64(planes[byte, j, i]) << low
         if signed:
-            value = (value >> one) ^ (zero - (value & one))
-        values[k] = value + expected[k]
+            for i in range(planes.shape[2]):
+                out[i] = (out[i] >> one) ^ (zero - (out[i] & one))
+        if expected.size > 0:
+            first = j * planes.shape[2]
+            for i in range(planes.shape[2]):
+                out[i] += expected[first + i]

@@ -17,7 +17,13 @@ from fieldgrid.grids import GridSpec
 from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, FrameCells
 from fieldgrid.layers.window import WindowFold
-from fieldgrid.mapfile.tile_codec import Box, box_of, decode_tile, encode_tile
+from fieldgrid.mapfile.tile_codec import (
+    Box,
+    Expectation,
+    box_of,
+    decode_tile,
+    encode_tile,
+)
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer, footprint
@@ -198,7 +204,10 @@ def encode_groups(
 ) -> dict[str, bytes]:
     """The blobs of a tile that has been observed, by channel group."""
     inside = box or box_of(cells["weight"])
-    return {group.name: encode_tile(group, cells, inside, base=base) for group in groups}
+    expectation = Expectation(cells, base=base)
+    return {
+        group.name: encode_tile(group, cells, inside, expectation, base=base) for group in groups
+    }
 
 
 def session_cells(groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str) -> Cells:
@@ -216,14 +225,8 @@ def decode_groups(
 ) -> Cells:
     """The channels of a tile from its blobs; MapError when one is damaged or missing."""
     arrays: dict[str, UInt64] = {}
+    expectation = Expectation(arrays, base=base)
     for group in groups:
-        arrays.update(
-            decode_tile(
-                group,
-                blobs.get(group.name),
-                arrays if arrays else None,
-                f"{group.name} of {what}",
-                base=base,
-            )
-        )
+        blob, name = blobs.get(group.name), f"{group.name} of {what}"
+        arrays.update(decode_tile(group, blob, expectation, name, base=base))
     return Cells(arrays)

@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, Combine
-from fieldgrid.layers.window import combined, empty_cells, merge_sessions
+from fieldgrid.layers.window import empty_cells, merge_sessions
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.placing import RECENT_TILES, SessionTiles, encode_groups
 from fieldgrid.mapfile.png import encode_png
@@ -129,18 +128,17 @@ class Pyramid:
             channel.sessions is Combine.MAX for g in self._groups for channel in g.channels
         ):
             stay = self.merged(tile, without=session_id)
-        arrays: dict[str, UInt64] = {}
+        # In place: nobody else has these arrays.
         for channel in (channel for group in self._groups for channel in group.channels):
-            value = total[channel.name]
-            if leaving is not None:
-                if channel.sessions is Combine.SUM:
-                    value = value - leaving[channel.name]
-                else:
-                    value = np.zeros_like(value) if stay is None else stay[channel.name]
+            value, by_sum = total[channel.name], channel.sessions is Combine.SUM
+            if leaving is not None and by_sum:
+                value -= leaving[channel.name]
+            elif leaving is not None:
+                value[:] = 0 if stay is None else stay[channel.name]
             if joining is not None:
-                value = combined(channel.sessions, value, joining[channel.name])
-            arrays[channel.name] = value
-        return Cells(arrays)
+                combine = np.add if by_sum else np.maximum
+                combine(value, joining[channel.name], out=value)
+        return total
 
     def _raise_levels(
         self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]

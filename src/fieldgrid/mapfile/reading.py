@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.array_types import AnyArray, Bool
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
-from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, groups_of
+from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
 from fieldgrid.layers.window import coarser
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
 from fieldgrid.mapfile.evidence import Evidence
@@ -67,16 +68,16 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
         _check_cells(request.lattice, frames)
         fold_as_the_paper(view, frames)
         return view
-    times = multiple_of(header.lattice, request.lattice)
-    level = _picture_level(evidence, header, request, times)
+    multiple = multiple_of(header.lattice, request.lattice)
+    level = _picture_level(evidence, header, request, multiple)
     if level is not None:
         _draw_pictures(view, evidence, header, level)
         return view
     groups = tuple(GROUPS[name] for name in groups_of(request.layers))
-    source, factor = _source(evidence, header, request, times, groups)
+    source, factor = cell_source(evidence, header, request, multiple, groups)
 
     def fill(chunk: Window) -> None:
-        cells = source.merged(_times(chunk, factor))
+        cells = source.merged(times(chunk, factor))
         if cells is not None:
             _write(view, chunk, coarser(groups, cells, factor))
 
@@ -106,13 +107,13 @@ def read_change(
     both = request._replace(sessions=(*early, *late))
     change = np.zeros(request.window.shape, dtype=np.uint8)
     groups = (GROUPS["density"],)
-    times = multiple_of(header.lattice, request.lattice)
-    source, factor = _source(evidence, header, both, times, groups)
+    multiple = multiple_of(header.lattice, request.lattice)
+    source, factor = cell_source(evidence, header, both, multiple, groups)
 
     def fill(chunk: Window) -> None:
         found = (
             (name, coarser(groups, cells, factor))
-            for name, cells in source.by_session(_times(chunk, factor))
+            for name, cells in source.by_session(times(chunk, factor))
         )
         states = latest_states(chunk.shape, found, late)
         change[request.window.slices_of(chunk)] = outcome(states)
@@ -123,26 +124,26 @@ def read_change(
     return ChangeView(request.lattice, request.window, change, header.datum, *names)
 
 
-def _source(
+def cell_source(
     evidence: Evidence,
     header: Header,
     request: Request,
-    times: int | None,
+    multiple: int | None,
     groups: tuple[ChannelGroup, ...],
 ) -> tuple[CellSource, int]:
     """Where the cells come from, and how many of them lie along the side of one asked for."""
     tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
     by_own_rule = request.transfer is header.transfer and request.frame_filter is None
     has_tiles = {group.name for group in groups} <= set(header.groups)
-    if times is not None and by_own_rule and has_tiles:
+    if multiple is not None and by_own_rule and has_tiles:
         if request.sessions is not None:
-            return StoredSessions(tables, evidence.session_ids(request.sessions)), times
+            return StoredSessions(tables, evidence.session_ids(request.sessions)), multiple
         level = 0
-        while level < evidence.levels() and times % 2 == 0:
-            level, times = level + 1, times // 2
-        return StoredLevel(tables, level), times
+        while level < evidence.levels() and multiple % 2 == 0:
+            level, multiple = level + 1, multiple // 2
+        return StoredLevel(tables, level), multiple
     # Cells of a whole multiple follow from the map's own, also where these are made anew.
-    lattice, factor = (request.lattice, 1) if times is None else (header.lattice, times)
+    lattice, factor = (request.lattice, 1) if multiple is None else (header.lattice, multiple)
     names = request.sessions or tuple(info.name for info in evidence.active())
     near = request.lattice.bounds(request.window)
     frames = evidence.accepted(near, names, request.frame_filter)
@@ -157,8 +158,12 @@ def _write(view: MapView, chunk: Window, cells: Cells) -> None:
     view.density[place], observed = mean_density(cells["weight"], cells["sum"])
     view.observed[place] = observed
     for name, array in view.layers.items():
-        layer = LAYERS[name]
-        array[place] = np.where(observed, layer.values(cells), layer.nodata or 0)
+        array[place] = layer_values(LAYERS[name], cells, observed)
+
+
+def layer_values(layer: Layer, cells: Cells, observed: Bool) -> AnyArray:
+    """What a layer says of cells, and what stands for those that were not observed."""
+    return np.where(observed, layer.values(cells), layer.nodata or 0)
 
 
 def chunks(window: Window, factor: int) -> Iterator[Window]:
@@ -171,7 +176,8 @@ def chunks(window: Window, factor: int) -> Iterator[Window]:
             yield chunk
 
 
-def _times(chunk: Window, factor: int) -> Window:
+def times(chunk: Window, factor: int) -> Window:
+    """A window of cells as one of cells of which `factor` lie along their side."""
     return Window(*(value * factor for value in chunk))
 
 

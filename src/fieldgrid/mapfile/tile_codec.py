@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from fieldgrid.mapfile.codec import damaged, deflate, inflate
 from fieldgrid.mapfile.packing import differences, join, split
 
 _WORD_BYTES = 8
+_NOTHING = np.empty(0, dtype=np.uint64)
 
 
 class Box(NamedTuple):
@@ -52,16 +53,47 @@ def stored_channels(group: ChannelGroup, *, base: bool) -> tuple[tuple[str, bool
     return own if base else own + tuple((extra.name, False) for extra in group.overview)
 
 
-def encode_tile(group: ChannelGroup, cells: Mapping[str, UInt64], box: Box, *, base: bool) -> bytes:
+class Expectation:
+    """What is expected of the channels of groups, from the density of the same tile.
+
+    Nothing is above the base level, and before the density is known.
+    """
+
+    def __init__(self, density: Mapping[str, UInt64], *, base: bool) -> None:
+        self._density = density
+        self._base = base
+        self._box: Box | None = None
+        self._sums: tuple[UInt64, UInt64] | None = None
+
+    def of(self, group: ChannelGroup, box: Box) -> Sequence[UInt64]:
+        """The channels of a group in a box, flat; empty arrays where nothing is expected.
+
+        Raises KeyError when the density is not known.
+        """
+        if not self._base or group.expected is None:
+            return (_NOTHING,) * len(stored_channels(group, base=self._base))
+        if self._sums is None or self._box != box:
+            weight, total = (self._density[name][box.slices] for name in ("weight", "sum"))
+            self._box = box
+            self._sums = weight.reshape(-1), total.reshape(-1)
+        return tuple(group.expected(*self._sums))
+
+
+def encode_tile(
+    group: ChannelGroup,
+    cells: Mapping[str, UInt64],
+    box: Box,
+    expectation: Expectation,
+    *,
+    base: bool,
+) -> bytes:
     """The blob of a group's channels, uint64 [256, 256] each."""
     names = stored_channels(group, base=base)
     area = box.shape[0] * box.shape[1]
-    expected = _expected(group, cells, box, base=base)
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
-    for guess, (name, signed) in zip(expected, names, strict=True):
-        values = np.ascontiguousarray(cells[name][box.slices]).reshape(-1)
-        bits = int(differences(values, guess, signed, stored))
+    for guess, (name, signed) in zip(expectation.of(group, box), names, strict=True):
+        bits = int(differences(cells[name][box.slices], guess, signed, stored))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
         count = -(-(bits >> shift).bit_length() // 8)
         split(stored, shift, planes[used : used + count])
@@ -71,17 +103,9 @@ def encode_tile(group: ChannelGroup, cells: Mapping[str, UInt64], box: Box, *, b
 
 
 def decode_tile(
-    group: ChannelGroup,
-    blob: object,
-    density: Mapping[str, UInt64] | None,
-    what: str,
-    *,
-    base: bool,
+    group: ChannelGroup, blob: object, expectation: Expectation, what: str, *, base: bool
 ) -> dict[str, UInt64]:
-    """The channels of a group, uint64 [256, 256] each; `what` names the tile when it is damaged.
-
-    `density` has the channels of the density in the same tile, for groups that expect theirs.
-    """
+    """The channels of a group, uint64 [256, 256] each; `what` names the tile when it is damaged."""
     names = stored_channels(group, base=base)
     head = 5 + 2 * len(names)
     if not isinstance(blob, bytes) or len(blob) < head or blob[0] != len(names):
@@ -89,36 +113,17 @@ def decode_tile(
     box, shifts, counts = Box(*blob[1:5]), blob[5:head:2], blob[6:head:2]
     if min(box.shape) < 1 or max(shifts) > 63 or max(counts) > _WORD_BYTES:
         raise damaged(what, f"its header is {tuple(blob[:head])}")
-    if base and group.expected is not None and density is None:
-        raise damaged(what, "it has no density beside it")
-    area = box.shape[0] * box.shape[1]
-    planes = np.frombuffer(inflate(blob[head:], area * sum(counts), what), dtype=np.uint8).reshape(
-        -1, area
-    )
-    expected = _expected(group, density or {}, box, base=base)
+    try:
+        expected = expectation.of(group, box)
+    except KeyError as error:
+        raise damaged(what, "it has no density beside it") from error
+    size = box.shape[0] * box.shape[1] * sum(counts)
+    planes = np.frombuffer(inflate(blob[head:], size, what), dtype=np.uint8)
+    planes = planes.reshape(-1, *box.shape)
     arrays, first = dict[str, UInt64](), 0
     for guess, (name, signed), shift, count in zip(expected, names, shifts, counts, strict=True):
-        values = np.zeros(area, dtype=np.uint64)
-        join(planes[first : first + count], shift, guess, signed, values)
+        arrays[name] = np.zeros((TILE_CELLS, TILE_CELLS), dtype=np.uint64)
+        part = planes[first : first + count]
+        join(part, shift, guess, signed, box.first_row, box.first_column, arrays[name])
         first += count
-        whole = np.zeros((TILE_CELLS, TILE_CELLS), dtype=np.uint64)
-        whole[box.slices] = values.reshape(box.shape)
-        arrays[name] = whole
     return arrays
-
-
-def _expected(
-    group: ChannelGroup, density: Mapping[str, UInt64], box: Box, *, base: bool
-) -> UInt64:
-    """What is expected of a group's stored channels, uint64 [channels, cells of the box]."""
-    if base and group.expected is not None:
-        return group.expected(*_weight_and_sum(density, box))
-    area = box.shape[0] * box.shape[1]
-    count = len(stored_channels(group, base=base))
-    return np.zeros((count, area), dtype=np.uint64)
-
-
-def _weight_and_sum(cells: Mapping[str, UInt64], box: Box) -> tuple[UInt64, UInt64]:
-    return tuple(  # type: ignore[return-value]
-        np.ascontiguousarray(cells[name][box.slices]).reshape(-1) for name in ("weight", "sum")
-    )
