@@ -51,13 +51,14 @@ def test_a_map_as_written_is_sound(sound: Path) -> None:
     assert verdict.tiles > 3
 
 
+LAST_DENSITY_TILE = "rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'density')"
 DERIVED = [
     "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'max' "
     "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'max')",
-    "UPDATE fieldgrid_tile SET data = 'text' WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
-    "DELETE FROM fieldgrid_tile WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
+    f"UPDATE fieldgrid_tile SET data = 'text' WHERE {LAST_DENSITY_TILE}",
+    f"DELETE FROM fieldgrid_tile WHERE {LAST_DENSITY_TILE}",
     "DELETE FROM fieldgrid_tile",
-    "UPDATE fieldgrid_tile SET ty = ty + 90 WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
+    f"UPDATE fieldgrid_tile SET ty = ty + 90 WHERE {LAST_DENSITY_TILE}",
     "DELETE FROM fieldgrid_session_tile WHERE session_id = 1",
     "UPDATE fieldgrid_session_tile SET data = zeroblob(20) WHERE ty = 0 AND channels = 'max'",
     "UPDATE fieldgrid_session_tile SET session_id = 3 WHERE session_id = 1",

@@ -11,13 +11,13 @@ from fieldgrid.kernel import kernel
 
 
 @kernel
-def differences(values, expected, signed, stored):  # type: ignore[no-untyped-def]
-    """Fill flat `stored` with a part of a tile, values [rows, columns], less what is expected of
-    it; `signed` ones become small numbers. Returns the bits that any of them has."""
-    one, bits, columns = np.uint64(1), np.uint64(0), values.shape[1]
-    for j in range(values.shape[0]):
+def differences(values, row, column, columns, expected, signed, stored):  # type: ignore[no-untyped-def]
+    """Fill flat `stored` with a part of a tile, values [256, 256], less what is expected of it;
+    `signed` ones become small numbers. Returns the bits that any of them has."""
+    one, bits = np.uint64(1), np.uint64(0)
+    for j in range(stored.size // columns):
         for i in range(columns):
-            stored[j * columns + i] = values[j, i]
+            stored[j * columns + i] = values[row + j, column + i]
     if expected.size > 0:
         for k in range(stored.size):
             stored[k] -= expected[k]

@@ -75,7 +75,7 @@ class Expectation:
         if self._sums is None or self._box != box:
             weight, total = (self._density[name][box.slices] for name in ("weight", "sum"))
             self._box = box
-            self._sums = weight.reshape(-1), total.reshape(-1)
+            self._sums = np.ravel(weight), np.ravel(total)
         return tuple(group.expected(*self._sums))
 
 
@@ -93,7 +93,9 @@ def encode_tile(
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
     for guess, (name, signed) in zip(expectation.of(group, box), names, strict=True):
-        bits = int(differences(cells[name][box.slices], guess, signed, stored))
+        values = np.ascontiguousarray(cells[name])
+        part = box.first_row, box.first_column, box.shape[1]
+        bits = int(differences(values, *part, guess, signed, stored))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
         count = -(-(bits >> shift).bit_length() // 8)
         split(stored, shift, planes[used : used + count])
