@@ -1,4 +1,10 @@
-"""How the inner loops are compiled: one decorator for all of them."""
+"""How the inner loops are compiled: one decorator for all of them.
+
+Compiling is paid by the first run on a machine, and most of it is not LLVM but the typing of
+Python code, so it grows with the code and not with its speed. A kernel is therefore one function
+of plain loops over arrays that it is given; whole-array expressions, slices and reductions inside
+it cost as much again, each.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +21,15 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     vehicle with a read-only disk and no home there is no such place, and it is compiled anew
     in each run.
     """
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
-        return numba.njit(cache=True, nogil=True)(function)
+        return numba.njit(cache=True, **options)(function)
     except RuntimeError:
-        return numba.njit(nogil=True)(function)
+        return numba.njit(**options)(function)
+
+
+def part_of_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that only kernels call."""
+    return numba.njit(
+        nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True
+    )(function)

@@ -9,7 +9,7 @@ import pytest
 
 from fieldgrid.mounting.passed import Patches, stands
 from fieldgrid.mounting.plane import Plane
-from fieldgrid.odometry import Motion3
+from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
 
 STEP_M = 1.0
@@ -20,7 +20,7 @@ def climb(y: np.ndarray) -> np.ndarray:
     return np.maximum(y - 12.0, 0.0) * math.tan(math.radians(5.0))
 
 
-def drive(mount: Mount, frames: int) -> tuple[list[Patches], list[Motion3 | None]]:
+def drive(mount: Mount, frames: int) -> tuple[list[Patches], list[RigidMotion | None]]:
     """A vehicle that stays level on the level part of the field, with the patches 4-9 m ahead."""
     R = mount.rotation()
     x, y = (a.ravel() for a in np.meshgrid(np.arange(-1.5, 1.6, 0.25), np.arange(4.0, 9.0, 0.25)))
@@ -28,7 +28,7 @@ def drive(mount: Mount, frames: int) -> tuple[list[Patches], list[Motion3 | None
     for k in range(frames):
         level = np.column_stack([x, y, climb(y + k * STEP_M)]) - [0.0, 0.0, mount.height_m]
         seen.append(Patches(level @ R, np.full(len(x), 0.03)))
-    step = Motion3(np.eye(3), R.T @ np.array([0.0, -STEP_M, 0.0]))
+    step = RigidMotion(np.eye(3), R.T @ np.array([0.0, -STEP_M, 0.0]))
     return seen, [step] * (frames - 1)
 
 
@@ -47,8 +47,8 @@ def test_the_ground_under_the_vehicle_is_what_counts(mount: Mount) -> None:
 def test_in_reverse_the_ground_is_seen_afterwards() -> None:
     mount = Mount(2.0, 15.0, 2.0)
     seen, motions = drive(mount, 11)
-    back: list[Motion3 | None] = [
-        Motion3(m.R_stop_start.T, -m.R_stop_start.T @ m.t_stop_start_m) for m in motions if m
+    back: list[RigidMotion | None] = [
+        RigidMotion(m.R_stop_start.T, -m.R_stop_start.T @ m.t_stop_start_m) for m in motions if m
     ]
     found, _ = stands(seen[::-1], back[::-1], Plane(mount.rotation()[2], 2.0))
     assert list(found.frame) == list(range(6))
@@ -88,10 +88,10 @@ def test_a_vehicle_that_sways_and_turns_stands_as_it_does() -> None:
         ahead = math.radians(heading)
         at = at + np.array([math.sin(ahead), math.cos(ahead)])
         heading += 2.0
-    motions: list[Motion3 | None] = []
+    motions: list[RigidMotion | None] = []
     for k in range(11):
         R_start, R_stop = mounts[k].rotation(), mounts[k + 1].rotation()
-        motions.append(Motion3(R_stop.T @ R_start, R_stop.T @ (places[k] - places[k + 1])))
+        motions.append(RigidMotion(R_stop.T @ R_start, R_stop.T @ (places[k] - places[k + 1])))
     found, _ = stands(seen, motions, Plane(Mount(2.0, 15.0, 2.0).rotation()[2], 2.0))
     assert len(found.frame) >= 6
     for k, tilt, roll in zip(found.frame, found.tilt_deg, found.roll_deg, strict=True):

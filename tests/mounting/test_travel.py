@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.travel import Ways, travel, ways
-from fieldgrid.odometry import Motion3
+from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
 
 LEGS = [(10, 1.0, 0.0), (5, 1.0, 0.12), (10, 1.0, 0.0), (4, -1.0, 0.08), (8, 1.0, -0.05)]
@@ -24,11 +24,11 @@ def motions(
     legs: list[tuple[int, float, float]],
     noise_m: float = 0.0,
     seed: int = 0,
-) -> list[Motion3 | None]:
+) -> list[RigidMotion | None]:
     """What a perfect camera `ahead_m` of the axle sees of itself on exact arcs."""
     random = np.random.default_rng(seed)
     R_vc = mount.rotation()
-    found: list[Motion3 | None] = []
+    found: list[RigidMotion | None] = []
     for count, way_m, curvature in legs:
         for _ in range(count):
             turn = way_m * curvature
@@ -39,7 +39,7 @@ def motions(
             place = np.array([0.0, ahead_m, mount.height_m])
             moved = axle + R_start_stop @ place - place + random.normal(0.0, noise_m, 3)
             R = R_vc.T @ R_start_stop.T @ R_vc
-            found.append(Motion3(R, -R @ (R_vc.T @ moved)))
+            found.append(RigidMotion(R, -R @ (R_vc.T @ moved)))
     return found
 
 
@@ -88,7 +88,7 @@ def test_sway_of_a_high_camera_is_no_way() -> None:
     place = np.array([0.0, 0.0, mount.height_m])
     moved = np.array([0.0, 1.0, 0.0]) + rolled @ place - place
     R = R_vc.T @ rolled.T @ R_vc
-    steps = ways([Motion3(R, -R @ (R_vc.T @ moved))], plane_of(mount))
+    steps = ways([RigidMotion(R, -R @ (R_vc.T @ moved))], plane_of(mount))
     np.testing.assert_allclose(steps.direction_deg, 0.0, atol=1e-6)
     np.testing.assert_allclose(steps.forward_m, 1.0, atol=1e-6)
 

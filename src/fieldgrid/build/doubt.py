@@ -76,10 +76,11 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
             f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
         )
     if blind:
+        ((reason, _),) = report.camera_refusal_reasons.most_common(1)
         yield (
             f"Only {report.camera_steps} of {tried} steps of the camera could be told from its "
-            "images; unless they are metres apart or show little, check the calibration, and that "
-            "the pairs are rectified and of one moment."
+            f"images, mostly because: {reason}. Unless they are metres apart or show little, check "
+            "the calibration, and that the pairs are rectified and of one moment."
         )
 
 

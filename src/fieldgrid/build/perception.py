@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
@@ -61,8 +61,8 @@ def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
 class CameraMotion:
     """Visual odometry over a drive: give it the frames in order, and take the steps.
 
-    `refused` counts pairs of neighbouring frames from which no step could be told;
-    `distance_m` is the way so far.
+    `refusals` counts why no step could be told between neighbouring frames; `distance_m` is how
+    far the camera went so far.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -70,6 +70,7 @@ class CameraMotion:
         self._last: Features | None = None
         self._times_ns: list[int] = []
         self._found: list[Step | Refusal] = []
+        self.refusals: Counter[str] = Counter()
         self.distance_m = 0.0
 
     def add(self, time_ns: int, seen: Features) -> None:
@@ -77,15 +78,12 @@ class CameraMotion:
         if self._last is not None:
             found = step(self._last, seen, self._rig)
             self._found.append(found)
-            if isinstance(found, Step):
+            if isinstance(found, Refusal):
+                self.refusals[found.value] += 1
+            else:
                 self.distance_m += math.hypot(found.forward_m, found.right_m)
         self._times_ns.append(time_ns)
         self._last = seen
-
-    @property
-    def refused(self) -> int:
-        """How many pairs gave no step."""
-        return sum(isinstance(one, Refusal) for one in self._found)
 
     @property
     def tried(self) -> int:

@@ -46,6 +46,7 @@ class SessionReport:
     wall_s: float = 0.0
     camera_steps: int = 0
     camera_refusals: int = 0
+    camera_refusal_reasons: Counter[str] = field(default_factory=Counter)
     heading_source: str = ""
     heading_sigma_deg: float | None = None
     position_sigma_m: float | None = None
@@ -63,6 +64,7 @@ class SessionReport:
         return {
             **asdict(self),
             "reasons": dict(self.reasons.most_common()),
+            "camera_refusal_reasons": dict(self.camera_refusal_reasons.most_common()),
             "notes": list(self.notes),
             "frames_per_s": self.frames_per_s,
         }

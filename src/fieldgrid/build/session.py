@@ -147,7 +147,8 @@ class _Perceiving(NamedTuple):
         if motion is None:
             return None
         steps = motion.steps()
-        report.camera_steps, report.camera_refusals = len(steps.start_ns), motion.refused
+        report.camera_steps, report.camera_refusals = len(steps.start_ns), motion.refusals.total()
+        report.camera_refusal_reasons = motion.refusals
         return steps
 
     def _tell(self, session: str, done: int, total: int, motion: CameraMotion | None) -> None:

@@ -22,7 +22,7 @@ from fieldgrid.mounting.passed import Stands, stands
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
-from fieldgrid.odometry import Motion3, Refusal, camera_motion
+from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
 from fieldgrid.recording import Frame, Recording, open_unmounted
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 
@@ -276,7 +276,7 @@ def _middle(planes: Sequence[Plane]) -> Plane:
 
 def _motions(
     looks: Sequence[Look], joined: Sequence[bool], rig: Rig, rough: Plane
-) -> list[Motion3 | None]:
+) -> list[RigidMotion | None]:
     """The motion from each look to the next, of the middle of the baseline; None if not known."""
     camera = rig.sensor
     if not isinstance(camera, StereoCamera):
@@ -284,7 +284,7 @@ def _motions(
     mount = Mount(rough.height_m, rough.tilt_deg, rough.roll_deg)
     roughly = Rig(camera, mount, LeverArm(0.0, 0.0, 0.0))
     middle = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
-    motions: list[Motion3 | None] = []
+    motions: list[RigidMotion | None] = []
     for (start, stop), follows in zip(pairwise(looks), joined[1:], strict=True):
         if not follows or start.features is None or stop.features is None:
             motions.append(None)
@@ -294,7 +294,7 @@ def _motions(
             motions.append(None)
             continue
         R, t = motion
-        motions.append(Motion3(R, R @ middle + t - middle))
+        motions.append(RigidMotion(R, R @ middle + t - middle))
     return motions
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mounting.plane import Plane, robust_plane
-from fieldgrid.odometry import Motion3
+from fieldgrid.odometry import RigidMotion
 
 HALF_WIDTH_M = 1.0
 BACK_M, AHEAD_M = -2.0, 1.0
@@ -54,7 +54,7 @@ class Stands(NamedTuple):
 
 
 def stands(
-    seen: Sequence[Patches], motions: Sequence[Motion3 | None], start: Plane
+    seen: Sequence[Patches], motions: Sequence[RigidMotion | None], start: Plane
 ) -> tuple[Stands, Plane]:
     """The stands of all frames under which enough was seen, and their mean plane.
 
@@ -73,7 +73,7 @@ def stands(
     return Stands(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
 
 
-def _brought(k: int, seen: Sequence[Patches], motions: Sequence[Motion3 | None]) -> Patches:
+def _brought(k: int, seen: Sequence[Patches], motions: Sequence[RigidMotion | None]) -> Patches:
     """The patches of the frames around frame k, in its frame."""
     points, sigmas = [], []
     for direction in (-1, 1):
@@ -94,7 +94,7 @@ def _brought(k: int, seen: Sequence[Patches], motions: Sequence[Motion3 | None])
     return Patches(np.concatenate(points), np.concatenate(sigmas))
 
 
-def _step(j: int, direction: int, motions: Sequence[Motion3 | None]) -> Motion3 | None:
+def _step(j: int, direction: int, motions: Sequence[RigidMotion | None]) -> RigidMotion | None:
     """The motion that takes points of frame j + direction into frame j."""
     if direction < 0:
         return motions[j - 1] if j > 0 else None
@@ -102,7 +102,7 @@ def _step(j: int, direction: int, motions: Sequence[Motion3 | None]) -> Motion3 
     if back is None:
         return None
     R = back.R_stop_start.T
-    return Motion3(R, -R @ back.t_stop_start_m)
+    return RigidMotion(R, -R @ back.t_stop_start_m)
 
 
 def _fit(there: Patches, plane: Plane) -> Plane | None:

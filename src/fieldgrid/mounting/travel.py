@@ -20,7 +20,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mounting.measured import Measured, repeated
 from fieldgrid.mounting.plane import Plane
-from fieldgrid.odometry import Motion3
+from fieldgrid.odometry import RigidMotion
 
 LEAST_STEP_M = 0.1
 """The direction of a shorter step is not known."""
@@ -74,7 +74,7 @@ class Travel(NamedTuple):
     straight_m: float
 
 
-def ways(motions: Sequence[Motion3 | None], plane: Plane) -> Ways:
+def ways(motions: Sequence[RigidMotion | None], plane: Plane) -> Ways:
     """The steps of the ground point, by the motions of the sensor and the plane it stands on.
 
     That point, and not the sensor, which sways by centimetres when the vehicle rolls.

@@ -8,14 +8,13 @@ same bits for the same images, in whatever thread they run.
 from __future__ import annotations
 
 from fieldgrid.odometry.corners import Features, features
-from fieldgrid.odometry.rigid import Motion3
-from fieldgrid.odometry.steps import Guess, Refusal, Step, camera_motion, step, steps_of
+from fieldgrid.odometry.rigid import RigidMotion
+from fieldgrid.odometry.steps import Refusal, Step, camera_motion, step, steps_of
 
 __all__ = [
     "Features",
-    "Guess",
-    "Motion3",
     "Refusal",
+    "RigidMotion",
     "Step",
     "camera_motion",
     "features",

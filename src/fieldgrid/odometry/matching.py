@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.kernel import kernel
+from fieldgrid.kernel import kernel, part_of_kernel
 from fieldgrid.odometry.corners import Features
-from fieldgrid.odometry.rigid import Lens, Motion3, predicted
+from fieldgrid.odometry.rigid import Lens, RigidMotion, predicted
 
 MAX_RATIO = 0.95
 """A match must differ in fewer bits than the next best candidate, times this."""
 
-MAX_BITS = 80
+MAX_BITS, ALL_BITS = 80, 256
 """Patches that differ in more of their 256 bits are not the same thing."""
 
 HEAVE_M, LEAN = 0.3, 0.07
@@ -23,6 +23,9 @@ The second is per metre of range, 4°."""
 
 RANGE_SHARE = 0.25
 """How much of its range forward a far point may gain or lose by the turn and by its error."""
+
+NEAR_DISPARITY_PX = 1.5
+"""How far from its prediction by a motion a disparity may be."""
 
 
 class Matches(NamedTuple):
@@ -36,109 +39,94 @@ def match_anywhere(
     start: Features, stop: Features, R_vehicle_camera: Float64, max_step_m: float
 ) -> Matches:
     """Mutual best matches of all that a step of up to `max_step_m` could bring together."""
-    at_start, at_stop = (f.points_m @ R_vehicle_camera.T for f in (start, stop))
-    return Matches(*mutual_best(start.descriptors, stop.descriptors, at_start, at_stop, max_step_m))
+    at_start, at_stop = (f.points_m @ R_vehicle_camera[[1, 2, 2]].T for f in (start, stop))
+    range_m = at_start[:, 0]
+    height_m = HEAVE_M + LEAN * range_m
+    slack = np.stack([max_step_m + RANGE_SHARE * range_m, height_m, height_m])
+    rows, columns, bits, next_bits = _mutual(start, stop, at_start, at_stop, slack)
+    clear = bits <= MAX_RATIO * next_bits
+    return Matches(rows[clear], columns[clear])
 
 
 def match_near(
-    start: Features,
-    stop: Features,
-    motion: Motion3,
-    lens: Lens,
-    radius_px: Float64,
-    disparity_px: Float64,
+    start: Features, stop: Features, motion: RigidMotion, lens: Lens, radius_px: float
 ) -> Matches:
-    """Mutual best matches within `radius_px` [n] of where a motion puts the points of `start`.
+    """Mutual best matches within `radius_px` of where a motion puts the points of `start`."""
+    expected = predicted(start.points_m, motion, lens)[:, [1, 0, 2]]
+    found = stop.measured_px[:, [1, 0, 2]]
+    slack = np.tile([[radius_px], [radius_px], [NEAR_DISPARITY_PX]], len(expected))
+    rows, columns, bits, _ = _mutual(start, stop, expected, found, slack)
+    alike = bits <= MAX_BITS
+    return Matches(rows[alike], columns[alike])
 
-    Their disparity must be within `disparity_px` [n] of the predicted one.
+
+def _mutual(
+    start: Features, stop: Features, expected: Float64, found: Float64, slack: Float64
+) -> tuple[Int64, Int64, Int64, Int64]:
+    """Rows of both frames that look most alike to each other, of those that can be the same.
+
+    They can where `found` [m, 3] is within `slack` [3, n] of what is `expected` [n, 3], NaN where
+    nothing is. Also in how many bits they differ, and in how many the next best one does.
     """
-    expected = predicted(start.points_m, motion.R_stop_start, motion.t_stop_start_m, *lens)
-    return Matches(
-        *mutual_near(
-            start.descriptors,
-            stop.descriptors,
-            expected,
-            stop.measured_px,
-            radius_px,
-            disparity_px,
-        )
-    )
+    order = np.argsort(found[:, 0])
+    found = found[order].T.astype(np.float32)
+    expected, slack = expected.T.astype(np.float32), slack.astype(np.float32)
+    # Unsigned: an index that might be negative keeps the kernel's loops out of vector registers.
+    first = np.searchsorted(found[0], expected[0] - slack[0]).astype(np.uint64)
+    last = np.searchsorted(found[0], expected[0] + slack[0], side="right").astype(np.uint64)
+    chosen, bits, next_bits = (np.empty(len(first), dtype=np.int64) for _ in range(3))
+    chosen_back = np.empty(len(order), dtype=np.int32)
+    looks = np.ascontiguousarray(stop.descriptors[order].T)
+    _compare(
+        start.descriptors, looks, expected, found, slack, first, last,
+        chosen, bits, next_bits, chosen_back,
+    )  # fmt: skip
+    rows = np.flatnonzero(chosen >= 0)
+    rows = rows[chosen_back[chosen[rows]] == rows]
+    return rows, order[chosen[rows]], bits[rows], next_bits[rows]
 
 
 @kernel
-def bit_count(word):  # type: ignore[no-untyped-def]
+def _compare(  # type: ignore[no-untyped-def]
+    start, stop, expected, found, slack, first, last, chosen, least, second, chosen_back
+):
+    """Fill in the last four arrays: the best of the stop, its differing bits and those of the
+    next best, length n, and the best of the start, length m; -1 where there is none."""
+    m = len(chosen_back)
+    bits, least_back = np.empty(m, dtype=np.int32), np.empty(m, dtype=np.int32)
+    found_y, found_z = found[1], found[2]
+    stop_a, stop_b, stop_c, stop_d = stop[0], stop[1], stop[2], stop[3]
+    for j in range(m):
+        chosen_back[j], least_back[j] = -1, ALL_BITS + 1
+    for i in range(len(chosen)):
+        a, b, c, d = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
+        y, z, slack_y, slack_z = expected[1, i], expected[2, i], slack[1, i], slack[2, i]
+        for j in range(first[i], last[i]):
+            differing = _ones(a ^ stop_a[j]) + _ones(b ^ stop_b[j])
+            differing += _ones(c ^ stop_c[j]) + _ones(d ^ stop_d[j])
+            bits[j] = np.int32(differing)
+        for j in range(first[i], last[i]):
+            possible = (abs(y - found_y[j]) <= slack_y) & (abs(z - found_z[j]) <= slack_z)
+            bits[j] = bits[j] if possible else np.int32(ALL_BITS + 1)
+        for j in range(first[i], last[i]):
+            nearer = bits[j] < least_back[j]
+            least_back[j] = bits[j] if nearer else least_back[j]
+            chosen_back[j] = np.int32(i) if nearer else chosen_back[j]
+        best, best_bits, next_bits = -1, ALL_BITS + 1, ALL_BITS + 1
+        for j in range(first[i], last[i]):
+            if bits[j] < best_bits:
+                best, best_bits, next_bits = np.int64(j), bits[j], best_bits
+            elif bits[j] < next_bits:
+                next_bits = bits[j]
+        chosen[i], least[i], second[i] = best, best_bits, next_bits
+
+
+@part_of_kernel
+def _ones(word):  # type: ignore[no-untyped-def]
     """How many bits of a uint64 are set; LLVM makes one instruction of it."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
     )
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@kernel
-def differing_bits(one, other):  # type: ignore[no-untyped-def]
-    """The Hamming distance of two descriptors."""
-    return (
-        bit_count(one[0] ^ other[0])
-        + bit_count(one[1] ^ other[1])
-        + bit_count(one[2] ^ other[2])
-        + bit_count(one[3] ^ other[3])
-    )
-
-
-@kernel
-def mutual(best_of_start, best_of_stop, good):  # type: ignore[no-untyped-def]
-    """Rows of both sides that chose each other."""
-    n = 0
-    pairs = np.empty((2, len(best_of_start)), dtype=np.int64)
-    for i in range(len(best_of_start)):
-        j = best_of_start[i]
-        if j >= 0 and good[i] and best_of_stop[j] == i:
-            pairs[0, n], pairs[1, n] = i, j
-            n += 1
-    return pairs[0, :n].copy(), pairs[1, :n].copy()
-
-
-@kernel
-def mutual_best(start, stop, at_start, at_stop, max_step_m):  # type: ignore[no-untyped-def]
-    """Matches among the points [n, 3] of the vehicle frame that keep their height roughly."""
-    n, m = len(start), len(stop)
-    best, second, to_start = np.full(n, 257), np.full(n, 257), np.full(m, 257)
-    chosen, chosen_back = np.full(n, -1), np.full(m, -1)
-    for i in range(n):
-        for j in range(m):
-            range_m = max(at_start[i, 1], at_stop[j, 1])
-            if abs(at_start[i, 2] - at_stop[j, 2]) > HEAVE_M + LEAN * range_m:
-                continue
-            if abs(at_start[i, 1] - at_stop[j, 1]) > max_step_m + RANGE_SHARE * range_m:
-                continue
-            bits = differing_bits(start[i], stop[j])
-            if bits < best[i]:
-                second[i], best[i], chosen[i] = best[i], bits, j
-            elif bits < second[i]:
-                second[i] = bits
-            if bits < to_start[j]:
-                to_start[j], chosen_back[j] = bits, i
-    return mutual(chosen, chosen_back, best <= MAX_RATIO * second)
-
-
-@kernel
-def mutual_near(start, stop, expected, measured, radius_px, disparity_px):  # type: ignore[no-untyped-def]
-    """Matches within a radius of the expected column and row, at about the expected disparity."""
-    n, m = len(start), len(stop)
-    best, to_start = np.full(n, MAX_BITS + 1), np.full(m, MAX_BITS + 1)
-    chosen, chosen_back = np.full(n, -1), np.full(m, -1)
-    for i in range(n):
-        for j in range(m):
-            du, dv = expected[i, 0] - measured[j, 0], expected[i, 1] - measured[j, 1]
-            if not du * du + dv * dv <= radius_px[i] * radius_px[i]:  # also when it is NaN
-                continue
-            if abs(expected[i, 2] - measured[j, 2]) > disparity_px[i]:
-                continue
-            bits = differing_bits(start[i], stop[j])
-            if bits < best[i]:
-                best[i], chosen[i] = bits, j
-            if bits < to_start[j]:
-                to_start[j], chosen_back[j] = bits, i
-    return mutual(chosen, chosen_back, best <= MAX_BITS)
+    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)

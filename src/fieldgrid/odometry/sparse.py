@@ -6,106 +6,129 @@ import math
 
 import numpy as np
 
-from fieldgrid.kernel import kernel
+from fieldgrid.array_types import Float64, UInt8
+from fieldgrid.kernel import kernel, part_of_kernel
 
 COARSE_PX, FINE_PX = 3, 5
 """Half the side of the compared window, in the half-size images and in the full ones."""
+
+FINE_SEARCH_PX = 3
+"""How far to both sides of the coarse place the full images are searched."""
 
 MIN_CORRELATION = 0.7
 MIN_LEAD = 0.05
 """The best place must correlate better than any other by this much: vines and wires repeat."""
 
 
-@kernel
-def row_disparities(left, right, left_half, right_half, points_px, least_px, most_px):  # type: ignore[no-untyped-def]
+def row_disparities(
+    left: UInt8,
+    right: UInt8,
+    left_half: UInt8,
+    right_half: UInt8,
+    points_px: Float64,
+    least_px: float,
+    most_px: float,
+) -> Float64:
     """Disparity in pixels of each point [n, 2] of the left image, NaN where there is no match.
 
     The whole range from `least_px` to `most_px` is searched at half size, and a few pixels
     about the place found there at full size. The last fraction is that of a parabola through
-    the correlations.
+    the correlations, which undo a difference of gain or exposure between the cameras.
     """
-    disparities = np.full(len(points_px), np.nan)
     least, most = math.floor(least_px / 2.0), math.ceil(most_px / 2.0)
-    scores = np.empty(max(most - least + 1, 7), dtype=np.float32)
-    for k in range(len(points_px)):
-        x, y = int(points_px[k, 0] / 2.0 + 0.5), int(points_px[k, 1] / 2.0 + 0.5)
-        n = correlations(left_half, right_half, x, y, least, most, COARSE_PX, scores)
-        if n == 0:
-            continue
-        best = np.argmax(scores[:n])
-        if scores[best] < MIN_CORRELATION or not leads(scores[:n], best):
-            continue
-        middle = 2 * (least + best)
-        x, y = int(points_px[k, 0] + 0.5), int(points_px[k, 1] + 0.5)
-        n = correlations(left, right, x, y, middle - 3, middle + 3, FINE_PX, scores)
-        if n < 3:
-            continue
-        best = np.argmax(scores[:n])
-        if scores[best] < MIN_CORRELATION or best == 0 or best == n - 1:
-            continue
-        before, at, after = scores[best - 1], scores[best], scores[best + 1]
-        curvature = before - 2.0 * at + after
-        if curvature < 0.0:
-            disparities[k] = middle - 3 + best + 0.5 * (before - after) / curvature
+    disparities = np.full(len(points_px), np.nan)
+    _search_rows(left_half, right_half, left, right, points_px, least, most, disparities)
     return disparities
 
 
 @kernel
-def leads(scores, best):  # type: ignore[no-untyped-def]
-    """Whether no score away from the best one's own hill comes near it."""
-    for d in range(len(scores)):
-        if abs(d - best) > 2 and scores[d] > scores[best] - MIN_LEAD:
-            return False
-    return True
+def _search_rows(  # type: ignore[no-untyped-def]
+    left_half, right_half, left, right, points_px, least_half, most_half, disparities
+):
+    """Fill in `disparities` [n]."""
+    widest = max(most_half - least_half, 2 * FINE_SEARCH_PX) + 1 + 2 * FINE_PX
+    scores, pixels = np.empty(widest), np.empty(widest, dtype=np.int32)
+    sums, squares = np.empty(widest, dtype=np.int32), np.empty(widest, dtype=np.int32)
+    products = np.empty(widest, dtype=np.int32)
+    for k in range(len(points_px)):
+        least, most = least_half, most_half
+        for fine in range(2):
+            images = (left, right) if fine else (left_half, right_half)
+            reach = FINE_PX if fine else COARSE_PX
+            x, y = points_px[k, 0] / (2 - fine), points_px[k, 1] / (2 - fine)
+            least, n = _correlate(
+                *images, int(x + 0.5), int(y + 0.5), least, most, reach,
+                scores, pixels, sums, squares, products,
+            )  # fmt: skip
+            best = 0
+            for d in range(n):
+                if scores[d] > scores[best]:
+                    best = d
+            if n == 0 or scores[best] < MIN_CORRELATION:
+                break
+            if not fine:
+                rival = -1.0
+                for d in range(n):
+                    if abs(d - best) > 2 and scores[d] > rival:
+                        rival = scores[d]
+                if rival > scores[best] - MIN_LEAD:
+                    break
+                least = 2 * (least + best) - FINE_SEARCH_PX
+                most = least + 2 * FINE_SEARCH_PX
+            elif 0 < best < n - 1:
+                before, at, after = scores[best - 1], scores[best], scores[best + 1]
+                curvature = before - 2.0 * at + after
+                if curvature < 0.0:
+                    disparities[k] = least + best + 0.5 * (before - after) / curvature
 
 
-@kernel
-def correlations(left, right, x, y, least, most, reach, scores):  # type: ignore[no-untyped-def]
-    """Normalised correlation at the disparities from `least` on, and how many there are.
+@part_of_kernel
+def _correlate(  # type: ignore[no-untyped-def]
+    left, right, x, y, least, most, reach, scores, pixels, sums, squares, products
+):
+    """Fill in the correlations of the window about (x, y) at disparities `least` to `most`.
 
-    None when the window leaves the left image; fewer than asked where it leaves the right one
-    on its left, and -1 for those that leave it on its right. The normalisation undoes a
-    difference of gain or exposure between the cameras.
+    Returns the first disparity at which the window is inside the right image, and how many
+    there are; none where it leaves the left one. All sums but the last are of integers.
     """
     height, width = left.shape
-    if y < reach or y >= height - reach or x < reach or x >= width - reach:
-        return 0
+    least = max(least, x + reach + 1 - width)
     n = min(most, x - reach) - least + 1
-    if n <= 0:
-        return 0
+    if x < reach or y < reach or x >= width - reach or y >= height - reach or n <= 0:
+        return least, 0
     side = 2 * reach + 1
-    total, squares = 0.0, 0.0
-    for row in range(y - reach, y + reach + 1):
-        for column in range(x - reach, x + reach + 1):
-            value = float(left[row, column])
-            total += value
-            squares += value * value
     count = side * side
-    spread = count * squares - total * total
-    mean = np.float32(total / count)
-    # By column of the right image, from the left end of the last window to the right of the
-    # first; the disparities run against the columns.
-    first = x - least - n + 1
-    products = np.zeros(n, dtype=np.float32)
-    sums, square_sums = np.zeros(n + side - 1), np.zeros(n + side - 1)
-    stop = min(n + side - 1, width - first + reach)
+    # By column of the right image, from the left end of the window farthest left. Unsigned: an
+    # index that might be negative keeps loops out of vector registers.
+    left_first, right_first = np.uint64(x - reach), np.uint64(x - reach - least - n + 1)
+    for i in range(n + side - 1):
+        sums[i], squares[i], products[i] = 0, 0, 0
+    total, square = 0, 0
     for row in range(y - reach, y + reach + 1):
-        for i in range(stop):
-            value = float(right[row, first - reach + i])
+        for i in range(np.uint64(n + side - 1)):
+            value = np.int32(right[row, right_first + i])
+            pixels[i] = value
             sums[i] += value
-            square_sums[i] += value * value
-        for j in range(side):
-            weight = np.float32(left[row, x - reach + j]) - mean
-            for i in range(min(n, stop - j)):
-                products[i] += weight * np.float32(right[row, first - reach + i + j])
-    total_right, squares_right = sums[: side - 1].sum(), square_sums[: side - 1].sum()
-    for i in range(n):
-        total_right += sums[i + side - 1]
-        squares_right += square_sums[i + side - 1]
-        spread_right = count * squares_right - total_right * total_right
-        inside = i + side <= stop and spread > 0.0 and spread_right > 0.0
-        norm = math.sqrt(spread * spread_right) if inside else 1.0
-        scores[n - 1 - i] = count * products[i] / norm if inside else -1.0
-        total_right -= sums[i]
-        squares_right -= square_sums[i]
-    return n
+            squares[i] += value * value
+        for j in range(np.uint64(side)):
+            weight = np.int32(left[row, left_first + j])
+            total += weight
+            square += weight * weight
+            for i in range(np.uint64(n)):
+                products[i] += weight * pixels[i + j]
+    spread = count * square - total * total
+    right_total, right_square = 0, 0
+    for i in range(n + side - 1):
+        right_total += sums[i]
+        right_square += squares[i]
+        if i >= side - 1:
+            at = i - side + 1
+            right_spread = count * right_square - right_total * right_total
+            score = -1.0
+            if spread > 0 and right_spread > 0:
+                both = count * products[at] - total * right_total
+                score = both / math.sqrt(float(spread) * float(right_spread))
+            scores[n - 1 - at] = score
+            right_total -= sums[at]
+            right_square -= squares[at]
+    return least, n

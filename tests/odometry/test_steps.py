@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import CalibrationError
-from fieldgrid.odometry import Features, Guess, Refusal, Step, features, step, steps_of
+from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig, StereoCamera
 from tests.conftest import TWO_LANES
@@ -308,9 +308,7 @@ def test_blank_images_are_refused() -> None:
     blank = np.full((camera.height_px, camera.width_px), 90, dtype=np.uint8)
     nothing = features(camera, blank, blank)
     assert len(nothing.blur_px) == 0
-    result = step(nothing, nothing, LOOKING_DOWN)
-    assert isinstance(result, Refusal)
-    assert "only 0 points with depth" in result.reason
+    assert step(nothing, nothing, LOOKING_DOWN) is Refusal.FEW_POINTS
 
 
 def test_unrelated_images_are_refused() -> None:
@@ -318,25 +316,21 @@ def test_unrelated_images_are_refused() -> None:
     here = features(rig.camera, *photo(rig, vehicle_pose()))
     elsewhere = features(rig.camera, *photo(rig, vehicle_pose(), seed=1))
     for pair in ((here, elsewhere), (elsewhere, here)):
-        result = step(*pair, rig)
-        assert isinstance(result, Refusal)
-        assert "points" in result.reason
+        assert step(*pair, rig) in (Refusal.FEW_AGREE, Refusal.NOT_IN_VIEW)
 
 
 def test_too_few_points_are_refused() -> None:
     start, stop = made_pair(LOOKING_DOWN, vehicle_pose(1.0), count=60)
-    result = step(start, Features(*(array[:29] for array in stop)), LOOKING_DOWN)
-    assert isinstance(result, Refusal)
-    assert "30 are needed" in result.reason
+    few = Features(*(array[:29] for array in stop))
+    assert step(start, few, LOOKING_DOWN) is Refusal.FEW_POINTS
+    assert step(few, start, LOOKING_DOWN) is Refusal.FEW_POINTS
 
 
 def test_points_that_agree_by_chance_only_are_refused() -> None:
     """The looks of all points mixed: whatever few of them fit is no step."""
     for seed in range(10):
         pair = made_pair(LOOKING_DOWN, vehicle_pose(1.0), wrong=1.0, noise=1.0, seed=seed)
-        result = step(*pair, LOOKING_DOWN)
-        assert isinstance(result, Refusal)
-        assert result.inliers < 30
+        assert isinstance(step(*pair, LOOKING_DOWN), Refusal)
 
 
 def test_two_motions_that_explain_the_images_alike_are_refused() -> None:
@@ -350,42 +344,19 @@ def test_two_motions_that_explain_the_images_alike_are_refused() -> None:
         Features(*(np.concatenate(arrays) for arrays in zip(first, second, strict=True)))
         for first, second in ((start, start_too), (stop, stop_too))
     ]
-    result = step(both[0], both[1], rig)
-    assert isinstance(result, Refusal)
-    assert f"but {min(one.inliers, other.inliers)} on another one" in result.reason
+    assert step(both[0], both[1], rig) is Refusal.RIVAL
 
 
-def test_a_vehicle_that_tips_over_is_not_believed() -> None:
-    pair = made_pair(LOOKING_DOWN, vehicle_pose(0.0, roll_deg=14.0))
-    result = step(*pair, LOOKING_DOWN, Guess(0.0, 0.0, 0.0, 0.3, 5.0))
-    assert isinstance(result, Refusal)
-    assert "tips the vehicle by 14°" in result.reason
-
-
-def test_a_step_that_lifts_off_is_not_believed() -> None:
-    R, origin = vehicle_pose(0.5)
-    origin[2] = 0.8
-    result = step(*made_pair(LOOKING_DOWN, (R, origin)), LOOKING_DOWN, Guess(0.5, 0.0, 0.0, 0.5, 5))
-    assert isinstance(result, Refusal)
-    assert "lifts the vehicle by 0.8 m" in result.reason
-
-
-def test_a_guess_finds_what_is_lost_among_wrong_matches() -> None:
-    rig, pose = paper_rig(), vehicle_pose(1.6, 0.9, 21.0)
-    pair = made_pair(rig, pose, noise=1.0, wrong=0.8, count=3000)
-    found = solved(step(*pair, rig, Guess(1.4, 1.1, 19.0, 0.2, 1.5)))
-    assert abs(found.forward_m - 1.6) < 4.0 * found.sigma_m
-    assert abs(found.right_m - 0.9) < 4.0 * found.sigma_m
-    assert abs(found.turn_deg - 21.0) < 4.0 * found.sigma_deg
-
-
-def test_a_guess_only_narrows_the_search() -> None:
-    rig = paper_rig(yaw_deg=5.0, roll_deg=-3.0)
-    pair = made_pair(rig, vehicle_pose(-1.1, 0.2, 6.0), noise=1.0)
-    free = solved(step(*pair, rig))
-    guided = solved(step(*pair, rig, Guess(-1.0, 0.1, 5.0, 0.3, 2.0)))
-    assert guided.forward_m == pytest.approx(free.forward_m, abs=free.sigma_m / 4.0)
-    assert guided.turn_deg == pytest.approx(free.turn_deg, abs=free.sigma_deg / 4.0)
+@pytest.mark.parametrize(
+    ("rise_m", "roll_deg", "refusal"),
+    [(0.0, 14.0, Refusal.TIPPED), (0.8, 0.0, Refusal.LIFTED)],
+)
+def test_what_no_vehicle_does_is_not_believed(
+    rise_m: float, roll_deg: float, refusal: Refusal
+) -> None:
+    R, origin = vehicle_pose(0.5, roll_deg=roll_deg)
+    origin[2] = rise_m
+    assert step(*made_pair(LOOKING_DOWN, (R, origin)), LOOKING_DOWN) is refusal
 
 
 def test_images_of_another_size_are_refused() -> None:
@@ -397,7 +368,7 @@ def test_images_of_another_size_are_refused() -> None:
 
 def test_steps_of_a_drive_leave_the_refused_ones_out() -> None:
     first, last = Step(1.0, 0.1, 2.0, 0.01, 0.1, 50), Step(-0.5, 0.0, -3.0, 0.02, 0.2, 40)
-    steps = steps_of([10, 20, 30, 40], [first, Refusal("blank"), last])
+    steps = steps_of([10, 20, 30, 40], [first, Refusal.FEW_AGREE, last])
     assert steps.start_ns.tolist() == [10, 30]
     assert steps.stop_ns.tolist() == [20, 40]
     assert steps.start_ns.dtype == np.int64
