@@ -17,7 +17,7 @@ PACKAGE = "fieldgrid"
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
     ("array_types",),
-    ("documents", "errors", "quality", "geodesy", "angles", "kernel", "publish"),
+    ("documents", "errors", "quality", "geodesy", "angles", "kernel", "plane_fit", "publish"),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion"),
     ("settings",),
     ("cloud", "depth"),

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.binning import bin_pixels, bin_pixels_reference, bin_points, bin_points_reference
+from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.depth import depth_table, rays
 from fieldgrid.grids import GridSpec
 from fieldgrid.rig import Mount
 from fieldgrid.stereo import SUBPIXELS
+from tests.counting import bin_pixels_reference, bin_points_reference
 from tests.scenes import paper_rig
 
 RIG = paper_rig()
@@ -66,7 +67,7 @@ def test_the_kernel_is_the_reference(
     counts = bin_pixels(*arguments)
     with np.errstate(invalid="ignore"):  # infinite depths
         reference = bin_pixels_reference(*arguments)
-    assert counts.shape == reference.shape == (n_y, n_x, 2)
+    assert counts.shape == reference.shape == (2, n_y, n_x)
     assert np.array_equal(counts, reference)
 
 
@@ -95,7 +96,7 @@ def one_point(x_m: float, y_m: float, z_m: float, ground_m: float = 0.0) -> npt.
 def test_a_point_is_counted_in_its_cell(point: tuple[float, float], cell: tuple[int, int]) -> None:
     counts = one_point(*point, 1.0)
     assert counts.sum() == 1
-    assert counts[cell].tolist() == [0, 1]
+    assert counts[:, *cell].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("point", [(-2.1, 3.0), (2.1, 3.0), (0.0, -0.1), (0.0, 6.1)])
@@ -112,7 +113,7 @@ def test_the_slice_is_taken_above_the_cell_s_ground(
     above_m: float, expected: list[int], ground_m: float
 ) -> None:
     counts = one_point(0.1, 3.1, ground_m + above_m, ground_m)
-    assert counts[12, 8].tolist() == expected
+    assert counts[:, 12, 8].tolist() == expected
     assert counts.sum() == sum(expected)
 
 
@@ -143,19 +144,22 @@ def test_the_kernel_of_points_is_the_reference(
     seed: int, count: int, cell_m: float, bottom_m: float, slice_m: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    points = rng.normal((0.0, 4.0, 0.5), (3.0, 4.0, 1.0), (count, 3)).astype(np.float32)
+    mount = Mount(1.7, rng.uniform(-10.0, 30.0), rng.uniform(-8.0, 8.0), rng.uniform(-40.0, 40.0))
+    level = rng.normal((0.0, 4.0, 0.5 - 1.7), (3.0, 4.0, 1.0), (count, 3))
+    points = (level @ mount.rotation()).astype(np.float32)
     points[rng.random(points.shape) < 0.02] = np.nan
     n_x, n_y = round(6.0 / cell_m), round(9.0 / cell_m)
     ground = rng.normal(0.0, 0.15, (n_y, n_x)).astype(np.float32)
     ground[rng.random(ground.shape) < 0.1] = np.nan
-    top_m = np.float32(bottom_m + slice_m)
-    counts = bin_points(points, ground, cell_m, np.float32(bottom_m), top_m)
-    reference = bin_points_reference(points, ground, cell_m, np.float32(bottom_m), top_m)
-    assert counts.shape == reference.shape == (n_y, n_x, 2)
+    pose = mount.rotation().astype(np.float32), 1.7
+    above = ground, cell_m, np.float32(bottom_m), np.float32(bottom_m + slice_m)
+    counts = bin_points(points, *pose, *above)
+    with np.errstate(invalid="ignore"):
+        reference = bin_points_reference(points, *pose, *above)
+    assert counts.shape == reference.shape == (2, n_y, n_x)
     assert np.array_equal(counts, reference)
     shuffled = points[rng.permutation(count)]
-    again = bin_points(shuffled, ground, cell_m, np.float32(bottom_m), top_m)
-    assert np.array_equal(counts, again)
+    assert np.array_equal(counts, bin_points(shuffled, *pose, *above))
 
 
 @pytest.mark.parametrize(
@@ -168,7 +172,10 @@ def test_a_point_of_a_cloud_is_counted_above_its_cell_s_ground(
 ) -> None:
     ground = np.full(COARSE.shape, ground_m, np.float32)
     outside = [[-2.1, 3.0, 0.5], [2.1, 3.0, 0.5], [0.0, -0.1, 0.5], [0.0, 6.1, 0.5]]
-    points = np.array([[0.1, 3.1, ground_m + above_m], *outside], np.float32)
-    counts = bin_points(points, ground, 0.25, np.float32(0.2), np.float32(2.2))
-    assert counts[12, 8].tolist() == expected
+    # The sensor looks along y, 1 m up: x right, y down, z forward.
+    R = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
+    level = np.array([[0.1, 3.1, ground_m + above_m], *outside], np.float32)
+    points = np.ascontiguousarray((level - np.float32([0.0, 0.0, 1.0])) @ R)
+    counts = bin_points(points, R, 1.0, ground, 0.25, np.float32(0.2), np.float32(2.2))
+    assert counts[:, 12, 8].tolist() == expected
     assert counts.sum() == sum(expected)

@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldgrid.array_types import Float32
 from fieldgrid.depth import (
+    FLYING_SHARE,
+    CodedDepth,
     encode_depth,
-    encode_depth_reference,
     metric_table,
     points_per_rad,
     rays,
@@ -17,6 +19,20 @@ from fieldgrid.depth import (
 from fieldgrid.errors import CalibrationError
 from fieldgrid.rig import DepthCamera, LeverArm, Mount, Rig
 from tests.scenes import depth_rig, lidar_rig, paper_rig
+
+
+def encode_depth_reference(depth_m: Float32, table_m: Float32) -> CodedDepth:
+    """The same as `encode_depth`, in NumPy."""
+    per_code = np.float32((len(table_m) - 1) / float(table_m[-1]))
+    near, far = depth_m - FLYING_SHARE * depth_m, depth_m + FLYING_SHARE * depth_m
+    padded = np.pad(depth_m, 1, mode="edge")
+    around = (padded[1:-1, :-2], padded[1:-1, 2:]), (padded[:-2, 1:-1], padded[2:, 1:-1])
+    flying = np.zeros(depth_m.shape, dtype=np.bool_)
+    for one, other in around:
+        flying |= (one < near) & (other > far) | (one > far) & (other < near)
+    code = depth_m * per_code + np.float32(0.5)
+    known = (code >= 1.0) & (code < len(table_m) - 1) & ~flying
+    return CodedDepth(np.where(known, code, 0.0).astype(np.int16), 0, table_m)
 
 
 @settings(deadline=None, max_examples=60)

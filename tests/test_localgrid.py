@@ -35,11 +35,10 @@ def scaled(
     shape: tuple[int, int] = (5, 5),
 ) -> LocalGrid:
     """Cells given as (ground, slice) counts; at least 4 in the slice, 2 on the ground."""
-    array = np.zeros((*shape, 2), np.int32)
+    array = np.zeros((2, *shape), np.int32)
     for cell, value in counts.items():
-        array[cell] = value
-    needed = np.empty((*shape, 2), np.int32)
-    needed[...] = (2, 4)
+        array[:, *cell] = value
+    needed = np.stack([np.full(shape, 2, np.int32), np.full(shape, 4, np.int32)])
     density, observed = scale_density(array, np.full(shape, gain, np.float32), needed)
     spec = GridSpec(shape[1] * 0.5, shape[0] * 0.5, 0.5)
     return LocalGrid(spec, density, observed)
@@ -176,7 +175,7 @@ def test_the_ground_of_cells_lies_between_that_of_patches() -> None:
     # A tilted plane, given at the centres of patches of 0.5 m, is met at every inner cell.
     j, i = np.mgrid[0:30, 0:20]
     patches = 0.02 * ((i + 0.5) * 0.5 - 5.0) - 0.03 * (j + 0.5) * 0.5
-    ground = local_ground(patches, SPEC.n_x, SPEC.n_y, SPEC.cell_m, 0.0, 30.0)
+    ground = local_ground(patches, SPEC, np.ones(SPEC.shape, np.bool_))
     x, y = SPEC.centres_m()
     expected = 0.02 * x[None, :] - 0.03 * y[:, None]
     assert ground.shape == SPEC.shape
@@ -186,9 +185,9 @@ def test_the_ground_of_cells_lies_between_that_of_patches() -> None:
 
 
 def test_beyond_the_range_there_is_no_ground() -> None:
-    ground = local_ground(np.zeros((30, 20)), SPEC.n_x, SPEC.n_y, SPEC.cell_m, 0.0, 9.0)
     x, y = SPEC.centres_m()
     within = np.hypot(x[None, :], y[:, None]) <= 9.0
+    ground = local_ground(np.zeros((30, 20)), SPEC, within)
     assert np.array_equal(~np.isnan(ground), within)
 
 

@@ -1,4 +1,4 @@
-"""Point clouds: float32 [n, 3], metres; how dense they are, and their points in the level frame."""
+"""Point clouds: float32 [n, 3], metres, and how dense they are."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import Float32
 from fieldgrid.errors import CalibrationError
-from fieldgrid.kernel import kernel
 
 Cloud = Float32
 """Points [n, 3], metres."""
@@ -46,18 +45,3 @@ def points_per_sr(points: npt.ArrayLike) -> float:
     in_order = np.sort(counts)
     median = in_order[np.searchsorted(np.cumsum(in_order), len(xyz) / 2.0)]
     return float(median) * AZIMUTHS * BANDS / (4.0 * math.pi)
-
-
-@kernel
-def level_points(points, R_level_sensor, height_m):  # type: ignore[no-untyped-def]
-    """Points of the sensor's frame, float32 [n, 3], in the level frame below it: x right,
-    y forward, z up, metres above the ground's plane."""
-    out = np.empty_like(points)
-    R = R_level_sensor.astype(np.float32)
-    up = np.float32(height_m)
-    for k in range(points.shape[0]):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        out[k, 0] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
-        out[k, 1] = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
-        out[k, 2] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + up
-    return out

@@ -126,20 +126,6 @@ def _coded(depth_m, per_code):  # type: ignore[no-untyped-def]
     return codes
 
 
-def encode_depth_reference(depth_m: Float32, table_m: Float32) -> CodedDepth:
-    """The same as `encode_depth`, in NumPy."""
-    per_code = np.float32((len(table_m) - 1) / float(table_m[-1]))
-    near, far = depth_m - FLYING_SHARE * depth_m, depth_m + FLYING_SHARE * depth_m
-    padded = np.pad(depth_m, 1, mode="edge")
-    around = (padded[1:-1, :-2], padded[1:-1, 2:]), (padded[:-2, 1:-1], padded[2:, 1:-1])
-    flying = np.zeros(depth_m.shape, dtype=np.bool_)
-    for one, other in around:
-        flying |= (one < near) & (other > far) | (one > far) & (other < near)
-    code = depth_m * per_code + np.float32(0.5)
-    known = (code >= 1.0) & (code < _CODES - 1) & ~flying
-    return CodedDepth(np.where(known, code, 0.0).astype(np.int16), 0, table_m)
-
-
 def points_per_rad(rig: Rig) -> float:
     """How many points the rig's sensor takes along a radian near its axis: of an image its
     focal length in pixels, of a lidar the root of its points per steradian."""

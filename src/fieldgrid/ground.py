@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int32
-from fieldgrid.cloud import Cloud, level_points
+from fieldgrid.cloud import Cloud
 from fieldgrid.depth import CodedDepth, rays
 from fieldgrid.kernel import kernel
+from fieldgrid.plane_fit import narrowing, robust_plane
 from fieldgrid.rig import Rig
 
 PATCH_M = 0.5
@@ -68,22 +69,35 @@ def estimate_ground(
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
-    def heights(R_level_sensor: Float64, height_m: float) -> Int32:
-        found: Int32
+    def low_above(R_level_sensor: Float64, height_m: float) -> Float64:
+        counts: Int32
         if isinstance(seen, CodedDepth):
-            found = collect_heights(
-                *seen, *rays(rig, R_level_sensor, height_m), half_width_m, nx, ny
-            )
+            geometry = rays(rig, R_level_sensor, height_m)
+            counts = collect_heights(*seen, *geometry, half_width_m, nx, ny)
         else:
-            level_m = level_points(seen, R_level_sensor, height_m)
-            found = collect_point_heights(level_m, half_width_m, nx, ny)
-        return found
+            R_level = R_level_sensor.astype(np.float32)
+            counts = collect_point_heights(seen, R_level, height_m, half_width_m, nx, ny)
+        return low_heights(counts)
 
     R_mount, mounted_m = rig.mount.rotation(), rig.mount.height_m
-    low = low_heights(heights(R_mount, mounted_m))
-    c, patches = fit_plane(low, half_width_m, np.array(MOUNT_SIGMA))
+    low = low_above(R_mount, mounted_m)
+    c, patches = _plane_of_patches(low, half_width_m)
     plane = _levelled(R_mount, mounted_m, c, patches >= MIN_PATCHES)
-    return plane, follow_ground(low_heights(heights(plane.R_level_camera, plane.height_m)))
+    return plane, follow_ground(low_above(plane.R_level_camera, plane.height_m))
+
+
+def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
+    """(c0, c1, c2) of the plane z = c0 + c1·x + c2·y through the low heights of patches [ny, nx],
+    NaN where there is none, and how many of them agree; the mount is a prior measurement."""
+    j, i = np.nonzero(~np.isnan(low))
+    x: Float64 = (i.astype(np.float64) + 0.5) * PATCH_M - half_width_m
+    y: Float64 = (j.astype(np.float64) + 0.5) * PATCH_M
+    sigma: Float64 = 0.03 + 0.0004 * y * y
+
+    def cutoff(round_: int, _: Float64) -> Float64 | float:
+        return narrowing(round_, sigma, first=0.15 + 0.06 * y)
+
+    return robust_plane(x, y, low[j, i], sigma, cutoff, prior_sigma=MOUNT_SIGMA)
 
 
 def _levelled(R_mount: Float64, height_m: float, c: Float64, trusted: bool) -> GroundPlane:
@@ -127,70 +141,37 @@ def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_w
 
 
 @kernel
-def collect_point_heights(level_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
-    """The same of points of the level frame, float32 [n, 3]."""
+def collect_point_heights(points, R_level_sensor, height_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
+    """The same of points float32 [n, 3] of the sensor's frame, all of them."""
     counts = np.zeros((ny, nx, BINS), dtype=np.int32)
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
-    x0, middle = np.float32(half_width_m), np.float32(BINS / 2)
-    for k in range(level_m.shape[0]):
-        x, y = (level_m[k, 0] + x0) * per_patch, level_m[k, 1] * per_patch
-        z = level_m[k, 2] * per_bin + middle
+    x0, middle, up = np.float32(half_width_m), np.float32(BINS / 2), np.float32(height_m)
+    R = R_level_sensor
+    for k in range(points.shape[0]):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        x = (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + x0) * per_patch
+        y = (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz) * per_patch
+        z = (R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + up) * per_bin + middle
         if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
             counts[int(y), int(x), int(z)] += 1
     return counts
 
 
-@kernel
-def low_heights(counts):  # type: ignore[no-untyped-def]
-    """Height in metres below which `LOW_SHARE` of each patch's points lie, NaN for too few."""
-    ny, nx = counts.shape[0], counts.shape[1]
-    low = np.full((ny, nx), np.nan)
-    for j in range(ny):
-        for i in range(nx):
-            total = counts[j, i].sum()
-            if total < MIN_SAMPLES:
-                continue
-            target, below, k = LOW_SHARE * total, 0, 0
-            while below + counts[j, i, k] < target:
-                below += counts[j, i, k]
-                k += 1
-            low[j, i] = (k + (target - below) / counts[j, i, k] - BINS / 2) * BIN_M
-    return low
+def low_heights(counts: Int32) -> Float64:
+    """Height in metres below which `LOW_SHARE` of each patch's points lie, NaN for too few.
 
-
-@kernel
-def fit_plane(low, half_width_m, mount_sigma):  # type: ignore[no-untyped-def]
-    """Robust plane z = c0 + c1·x + c2·y through the low heights, and how many patches agree.
-
-    Tukey's weights, narrowing over eight rounds; the mount is a prior observation.
+    `counts` [ny, nx, BINS] are histograms of heights; within a bin points are spread evenly.
     """
-    ny, nx = low.shape
-    c = np.zeros(3)
-    agreeing = 0
-    for round_ in range(8):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        for k in range(3):
-            normal[k, k] = 1.0 / mount_sigma[k] ** 2
-        agreeing = 0
-        for j in range(ny):
-            for i in range(nx):
-                if np.isnan(low[j, i]):
-                    continue
-                x, y = (i + 0.5) * PATCH_M - half_width_m, (j + 0.5) * PATCH_M
-                sigma = 0.03 + 0.0004 * y * y
-                cutoff = (0.15 + 0.06 * y) if round_ == 0 else max(6.0 - round_, 2.5) * sigma
-                share = (low[j, i] - (c[0] + c[1] * x + c[2] * y)) / cutoff
-                if abs(share) >= 1.0:
-                    continue
-                agreeing += 1
-                weight = (1.0 - share * share) ** 2 / (sigma * sigma)
-                row = (1.0, x, y)
-                for a in range(3):
-                    right[a] += weight * row[a] * low[j, i]
-                    for b in range(3):
-                        normal[a, b] += weight * row[a] * row[b]
-        c = np.linalg.solve(normal, right).astype(np.float64)
-    return c, agreeing
+    total = counts.sum(axis=2)
+    known = total >= MIN_SAMPLES
+    counts, target = counts[known], LOW_SHARE * total[known]
+    up_to = np.cumsum(counts, axis=1)
+    patch, in_bin = np.arange(len(counts)), (up_to >= target[:, None]).argmax(axis=1)
+    points = counts[patch, in_bin]
+    share = (target - (up_to[patch, in_bin] - points)) / points
+    low: Float64 = np.full(total.shape, np.nan)
+    low[known] = (in_bin + share - BINS / 2) * BIN_M
+    return low
 
 
 @kernel

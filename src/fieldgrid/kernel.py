@@ -13,6 +13,10 @@ from typing import Any
 
 import numba
 
+# The decorator's types do not know all of its options.
+_njit: Any = numba.njit
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function of arrays with Numba, without the interpreter's lock.
@@ -21,15 +25,15 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     vehicle with a read-only disk and no home there is no such place, and it is compiled anew
     in each run.
     """
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    compiled: Callable[..., Any]
     try:
-        return numba.njit(cache=True, **options)(function)
+        compiled = _njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:
-        return numba.njit(**options)(function)
+        compiled = _njit(**_OPTIONS)(function)
+    return compiled
 
 
 def part_of_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function that only kernels call."""
-    return numba.njit(
-        nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True
-    )(function)
+    """Compile a function that only kernels of the same module call, as part of them."""
+    compiled: Callable[..., Any] = _njit(no_cpython_wrapper=True, **_OPTIONS)(function)
+    return compiled

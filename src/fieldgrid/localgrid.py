@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from fieldgrid.array_types import Float32, Float64, Int32, UInt8
+from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
-from fieldgrid.cloud import Cloud, level_points
+from fieldgrid.cloud import Cloud
 from fieldgrid.depth import (
     CodedDepth,
     depth_table,
@@ -26,7 +27,6 @@ from fieldgrid.depth import (
 from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
-from fieldgrid.kernel import kernel
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.settings import DensitySettings, StereoSettings
 from fieldgrid.stereo import (
@@ -41,6 +41,9 @@ SPARSE_SHARE, SPARSE_POINTS = 0.1, 2
 """A cell of a lidar needs no more points than a tenth of those that a wall through it, or bare
 ground in it, would give, and no more than two: a lidar makes no false matches, and two points in
 one cell are no rain drop."""
+
+
+_NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
 class FrameGround(NamedTuple):
@@ -76,12 +79,14 @@ class LocalGridder:
             region = search_region(rig, self.stereo, self.settings.slice_top_m, self.max_range_m)
             self._matcher = StereoMatcher(rig.sensor, self.stereo, region)
             self._depth_m = depth_table(rig, region.num_disparities, SUBPIXELS)
-            self._nearest_m = 0.0
+            nearest_m = 0.0
         else:
             # The camera may look down: its depths reach beyond the range on the ground.
             highest_m = max(rig.mount.height_m, self.settings.slice_top_m)
             self._depth_m = metric_table(math.hypot(self.max_range_m, 2.0 * highest_m))
-            self._nearest_m = self.settings.min_range_m
+            nearest_m = self.settings.min_range_m
+        range_m = _ranges_m(self.spec)
+        self._within = (range_m >= nearest_m) & (range_m <= self.max_range_m)
         self._gain = density_gain(rig, self.spec, self.settings)
         self._needed = points_needed(rig, self.spec, self.settings)
 
@@ -140,15 +145,13 @@ class LocalGridder:
             # Heights above a ground that was not found are not known, so nothing is claimed.
             unseen = np.zeros(spec.shape, dtype=np.uint8)
             return LocalGrid(spec, unseen, unseen.astype(np.bool_)), _summary(plane)
-        ground_m = local_ground(
-            patches, spec.n_x, spec.n_y, spec.cell_m, self._nearest_m, self.max_range_m
-        )
+        ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
         return LocalGrid(spec, density, observed), _summary(plane)
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
-        """Points on the ground and in the slice of each cell, [n_y, n_x, 2]."""
+        """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""
         bottom_m = np.float32(self.settings.slice_bottom_m)
         top_m = np.float32(self.settings.slice_top_m)
         above = (ground_m, self.spec.cell_m, bottom_m, top_m)
@@ -158,7 +161,8 @@ class LocalGridder:
                 *seen, *rays(self.rig, plane.R_level_camera, plane.height_m), *above
             )
         else:
-            counts = bin_points(level_points(seen, plane.R_level_camera, plane.height_m), *above)
+            R_level = plane.R_level_camera.astype(np.float32)
+            counts = bin_points(seen, R_level, plane.height_m, *above)
         return counts
 
 
@@ -212,20 +216,20 @@ def density_gain(rig: Rig, spec: GridSpec, settings: DensitySettings) -> Float32
 
 
 def points_needed(rig: Rig, spec: GridSpec, settings: DensitySettings) -> Int32:
-    """How many points make a claim in a cell, int32 [n_y, n_x, 2]: of free ground, of an obstacle.
+    """How many points make a claim in a cell, int32 [2, n_y, n_x]: of free ground, of an obstacle.
 
     `min_ground_points` and `min_points`; of a lidar no more than two, and one where a wall through
     the cell as high as the slice, or the bare ground of the cell, would give up to ten. It sees
     ΔZ·cell/R² sr of the one and cell²·(h/R)/R² of the other.
     """
-    needed = np.empty((*spec.shape, 2), dtype=np.int32)
-    needed[...] = (settings.min_ground_points, settings.min_points)
+    needed = np.empty((2, *spec.shape), dtype=np.int32)
+    needed[0], needed[1] = settings.min_ground_points, settings.min_points
     if isinstance(rig.sensor, Lidar):
         range_m = _ranges_m(spec)
         points_per_m2 = rig.sensor.points_per_sr / range_m**2
         wall = spec.cell_m * settings.slice_m * points_per_m2
         bare = spec.cell_m**2 * rig.mount.height_m / range_m * points_per_m2
-        enough = np.ceil(SPARSE_SHARE * np.stack([bare, wall], axis=-1))
+        enough = np.ceil(SPARSE_SHARE * np.stack([bare, wall]))
         needed = np.minimum(needed, np.clip(enough, 1, SPARSE_POINTS)).astype(np.int32)
     return needed
 
@@ -237,71 +241,36 @@ def _ranges_m(spec: GridSpec) -> Float64:
     return ranges_m
 
 
-@kernel
-def local_ground(patches, n_x, n_y, cell_m, min_range_m, max_range_m):  # type: ignore[no-untyped-def]
+def local_ground(patches_m: Float64, spec: GridSpec, within: Bool) -> Float32:
     """Ground heights of patches [ny, nx], metres, bilinear to cells, float32 [n_y, n_x].
 
-    NaN nearer than `min_range_m` and beyond `max_range_m`: no height compares with NaN, so no
-    point enters there.
+    NaN where not `within` [n_y, n_x]: no height compares with NaN, so no point enters there.
     """
-    ny, nx = patches.shape
-    out = np.full((n_y, n_x), np.float32(np.nan), dtype=np.float32)
-    # Where each column lies between the patches, once for all rows.
-    left, share = np.empty(n_x, dtype=np.int32), np.empty(n_x, dtype=np.float32)
-    for c in range(n_x):
-        u = min(max((c + 0.5) * cell_m / PATCH_M - 0.5, 0.0), nx - 1.0)
-        left[c] = min(int(u), max(nx - 2, 0))
-        share[c] = u - left[c] if nx > 1 else 0.0
-    line = np.zeros(nx + 1, dtype=np.float32)
-    for r in range(n_y):
-        y = (r + 0.5) * cell_m
-        if y > max_range_m:
-            break
-        v = min(max(y / PATCH_M - 0.5, 0.0), ny - 1.0)
-        j = int(v)
-        j1, fv = min(j + 1, ny - 1), v - j
-        for i in range(nx):
-            line[i] = patches[j, i] * (1.0 - fv) + patches[j1, i] * fv
-        half_chord = math.sqrt(max_range_m * max_range_m - y * y) / cell_m
-        middle = 0.5 * (n_x - 1)
-        first = max(math.ceil(middle - half_chord), 0)
-        last = min(math.floor(middle + half_chord), n_x - 1)
-        for c in range(first, last + 1):
-            out[r, c] = line[left[c]] + share[c] * (line[left[c] + 1] - line[left[c]])
-        if y < min_range_m:
-            half_chord = math.sqrt(min_range_m * min_range_m - y * y) / cell_m
-            first = max(math.ceil(middle - half_chord), 0)
-            out[r, first : math.floor(middle + half_chord) + 1] = np.float32(np.nan)
-    return out
+    ny, nx = patches_m.shape
+    u = np.clip((np.arange(spec.n_x) + 0.5) * spec.cell_m / PATCH_M - 0.5, 0.0, nx - 1.0)
+    v = np.clip((np.arange(spec.n_y) + 0.5) * spec.cell_m / PATCH_M - 0.5, 0.0, ny - 1.0)
+    left, below = u.astype(np.intp), v.astype(np.intp)
+    right, above = np.minimum(left + 1, nx - 1), np.minimum(below + 1, ny - 1)
+    share_u, share_v = (u - left).astype(np.float32), (v - below)[:, None]
+    rows = (patches_m[below] * (1.0 - share_v) + patches_m[above] * share_v).astype(np.float32)
+    start, stop = rows.take(left, axis=1), rows.take(right, axis=1)
+    ground_m: Float32 = start + share_u * (stop - start)
+    np.copyto(ground_m, np.nan, where=~within)
+    return ground_m
 
 
-@kernel
-def scale_density(counts, gain, needed):  # type: ignore[no-untyped-def]
+def scale_density(counts: Int32, gain: Float32, needed: Int32) -> tuple[UInt8, Bool]:
     """Counts to 3D density, uint8, and the observed mask, both [n_y, n_x].
 
-    `needed` [n_y, n_x, 2] says how many points of the ground and of the slice make a claim. A
+    `needed` [2, n_y, n_x] says how many points of the ground and of the slice make a claim. A
     cell with enough points in the slice has a density. Without one a cell is seen, and empty,
     only where the ground shows, nothing of the slice does, and no neighbour is an obstacle: the
     edge of an obstacle is in doubt, and doubt is not free.
     """
-    n_y, n_x = counts.shape[0], counts.shape[1]
-    density = np.zeros((n_y, n_x), dtype=np.uint8)
-    observed = np.zeros((n_y, n_x), dtype=np.bool_)
-    obstacle = np.zeros((n_y, n_x), dtype=np.bool_)
-    for r in range(n_y):
-        for c in range(n_x):
-            in_slice = counts[r, c, 1]
-            if in_slice >= needed[r, c, 1]:
-                obstacle[r, c] = True
-                value = np.float32(in_slice) * gain[r, c] + np.float32(0.5)
-                density[r, c] = np.uint8(min(value, np.float32(255.0)))
-                observed[r, c] = True
-            elif in_slice == 0 and counts[r, c, 0] >= needed[r, c, 0]:
-                observed[r, c] = True
-    for r in range(n_y):
-        for c in range(n_x):
-            if obstacle[r, c]:
-                for rr in range(max(r - 1, 0), min(r + 2, n_y)):
-                    for cc in range(max(c - 1, 0), min(c + 2, n_x)):
-                        observed[rr, cc] &= obstacle[rr, cc]
-    return density, observed
+    on_ground, in_slice = counts
+    obstacle = in_slice >= needed[1]
+    value = np.minimum(in_slice.astype(np.float32) * gain + np.float32(0.5), np.float32(255.0))
+    density = (value * obstacle).astype(np.uint8)
+    beside = cv2.dilate(obstacle.view(np.uint8), _NEIGHBOURS).view(np.bool_)
+    free = (on_ground >= needed[0]) & (in_slice == 0) & ~beside
+    return density, obstacle | free

@@ -11,6 +11,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.inspection.findings import Finding, error, stop, warning
 from fieldgrid.inspection.looking import Unread
 from fieldgrid.inspection.measures import Look
+from fieldgrid.plane_fit import robust_plane
 
 DARK_SHARE, DARK_MEAN = 0.5, 30.0
 """An image is dark when half of it is noise, or its mean is so low."""
@@ -38,6 +39,10 @@ SCATTER_PX = 1.0
 
 FEWEST_SHIFTS = 40
 
+SHIFT_SIGMA_PX = (1e6, 30.0, 30.0)
+"""Nothing is known of the shift itself, and little of how it grows across the image: enough to
+leave it level where all matches lie on a line."""
+
 
 class Misalignment(NamedTuple):
     """How many rows lower the right images lie, in pixels: `median_px` of all matches,
@@ -63,35 +68,32 @@ def misalignment(looks: Sequence[Look], size_px: tuple[int, int]) -> Misalignmen
         return None
     width, height = size_px
     x, y = shifts[:, 0] / width - 0.5, shifts[:, 1] / height - 0.5
-    design = np.column_stack([np.ones(len(x)), x, y])
-    plane = _robust_plane(design, shifts[:, 2])
+    median_px = float(np.median(shifts[:, 2]))
+
+    def cutoff(_: int, residuals: Float64) -> float:
+        return 4.0 * max(1.4826 * float(np.median(np.abs(residuals))), 0.05)
+
+    plane, _ = robust_plane(
+        x,
+        y,
+        shifts[:, 2],
+        np.ones(len(x)),
+        cutoff,
+        prior_sigma=SHIFT_SIGMA_PX,
+        start=(median_px, 0.0, 0.0),
+    )
     # What matching meets of it, without the scatter of the matches themselves.
-    residual_px = float(np.median(np.abs(design @ plane)))
+    residual_px = float(np.median(np.abs(plane[0] + plane[1] * x + plane[2] * y)))
     each = [look.shift_px for look in looks]
     known = np.array([shift for shift in each if shift is not None])
     off = np.abs(known - np.median(known)) if known.size else np.zeros(1)
     return Misalignment(
-        median_px=float(np.median(shifts[:, 2])),
+        median_px=median_px,
         residual_px=residual_px,
         roll_deg=float(np.degrees(np.arctan(plane[1] / width))),
         scatter_px=1.4826 * float(np.median(off)),
         matches=len(shifts),
     )
-
-
-def _robust_plane(design: Float64, values: Float64) -> Float64:
-    """Coefficients of the plane through most of the values: weights of Tukey's, narrowing."""
-    found: Float64 = np.array([np.median(values), 0.0, 0.0])
-    for _ in range(10):
-        rest = values - design @ found
-        scale = max(1.4826 * float(np.median(np.abs(rest))), 0.05)
-        weight = np.clip(1.0 - (rest / (4.0 * scale)) ** 2, 0.0, None)
-        weighted = design * weight[:, None]
-        # A little pulls the slopes to zero where all points lie on a line.
-        normal = weighted.T @ weighted + np.diag([0.0, 1e-3, 1e-3])
-        right = weighted.T @ (weight * values)
-        found = np.asarray(np.linalg.solve(normal + 1e-12 * np.eye(3), right), dtype=np.float64)
-    return found
 
 
 def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:

@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.mounting.plane import Plane, robust_plane
+from fieldgrid.mounting.plane import Plane
 from fieldgrid.odometry import RigidMotion
+from fieldgrid.plane_fit import robust_plane
 
 HALF_WIDTH_M = 1.0
 BACK_M, AHEAD_M = -2.0, 1.0

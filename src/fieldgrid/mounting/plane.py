@@ -14,6 +14,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.ground import LOW_SHARE, MIN_SAMPLES
+from fieldgrid.plane_fit import robust_plane
 from fieldgrid.rig import Mount
 
 HEIGHTS_M = (0.1, 10.0)
@@ -34,7 +35,6 @@ PATCH_M, SPARSE_PATCH_M = 0.25, 1.0
 """Side of the square patches: finer than a local grid's, since a vehicle is only so wide; and of
 points that are too few for that."""
 
-ROUNDS = 8
 FEWEST_PATCHES = 24
 
 NEAR_M, NEAR_SHARE = 0.3, 0.03
@@ -160,16 +160,3 @@ def low_patches(
     kept = (counts >= MIN_SAMPLES) & (np.abs(low) < NEAR_M + NEAR_SHARE * ahead_m)
     found: Float64 = patches[kept]
     return found
-
-
-def robust_plane(x: Float64, y: Float64, z: Float64, sigma: Float64) -> tuple[Float64, int]:
-    """(c0, c1, c2) of z = c0 + c1·x + c2·y, by Tukey's weights, and how many points agree."""
-    columns = np.column_stack([np.ones_like(x), x, y])
-    c, weights = np.zeros(3), 1.0 / sigma**2
-    for round_ in range(ROUNDS):
-        root = np.sqrt(weights)
-        c = np.linalg.lstsq(columns * root[:, None], z * root, rcond=None)[0]
-        cutoff = max(6.0 - round_, 3.0) * sigma
-        share = np.minimum(np.abs(z - columns @ c) / cutoff, 1.0)
-        weights = ((1.0 - share * share) / sigma) ** 2
-    return c, int(np.count_nonzero(weights))

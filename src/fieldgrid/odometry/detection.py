@@ -21,17 +21,17 @@ def find_corners(image: UInt8, cell_px: int, least: float) -> Float64:
     """The strongest corner above `least` of each cell of an image, [n, 2] column and row."""
     height, width = image.shape
     corners = np.empty((-(-height // cell_px) * -(-width // cell_px), 2))
-    found: Float64 = corners[: _find_corners(image, cell_px, np.float32(least), corners)]
+    strength = np.zeros((height, width), dtype=np.float32)
+    found: Float64 = corners[: _find_corners(image, cell_px, np.float32(least), strength, corners)]
     return found
 
 
 @kernel
-def _find_corners(image, cell_px, least, corners):  # type: ignore[no-untyped-def]
-    """Fill in corners and return how many there are."""
+def _find_corners(image, cell_px, least, strength, corners):  # type: ignore[no-untyped-def]
+    """Fill in strengths, which are zeros, and corners; return how many there are."""
     height, width = image.shape
-    strength = np.zeros((height, width), dtype=np.float32)
     _fill_strength(image, strength)
-    best, best_row = np.zeros(width, dtype=np.float32), np.zeros(width, dtype=np.int32)
+    best, best_row = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.int32)
     n = 0
     for top in range(0, height, cell_px):
         for x in range(width):
@@ -68,9 +68,8 @@ def _fill_strength(image, strength):  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     across, down = np.zeros(width, dtype=np.int32), np.zeros(width, dtype=np.int32)
-    last_xx = np.zeros((5, width), dtype=np.int32)
-    last_xy = np.zeros((5, width), dtype=np.int32)
-    last_yy = np.zeros((5, width), dtype=np.int32)
+    last_xx, last_xy = np.zeros(5 * width, dtype=np.int32), np.zeros(5 * width, dtype=np.int32)
+    last_yy = np.zeros(5 * width, dtype=np.int32)
     sum_xx, sum_xy = np.zeros(width, dtype=np.int32), np.zeros(width, dtype=np.int32)
     sum_yy = np.zeros(width, dtype=np.int32)
     for row in range(1, height - 1):
@@ -81,13 +80,13 @@ def _fill_strength(image, strength):  # type: ignore[no-untyped-def]
             g, h = np.int32(image[row + 1, x]), np.int32(image[row + 1, x + 1])
             across[x] = c + 2 * e + h - a - 2 * d - f
             down[x] = f + 2 * g + h - a - 2 * b - c
-        slot = row % 5
-        for x in range(1, width - 1):
+        last = np.uint64(row % 5 * width)
+        for x in range(np.uint64(1), np.uint64(width - 1)):
             xx, xy, yy = across[x] * across[x], across[x] * down[x], down[x] * down[x]
-            sum_xx[x] += xx - last_xx[slot, x]
-            sum_xy[x] += xy - last_xy[slot, x]
-            sum_yy[x] += yy - last_yy[slot, x]
-            last_xx[slot, x], last_xy[slot, x], last_yy[slot, x] = xx, xy, yy
+            sum_xx[x] += xx - last_xx[last + x]
+            sum_xy[x] += xy - last_xy[last + x]
+            sum_yy[x] += yy - last_yy[last + x]
+            last_xx[last + x], last_xy[last + x], last_yy[last + x] = xx, xy, yy
         if row >= 5:
             for x in range(3, width - 3):
                 xx = sum_xx[x - 2] + sum_xx[x - 1] + sum_xx[x] + sum_xx[x + 1] + sum_xx[x + 2]

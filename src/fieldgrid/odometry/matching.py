@@ -69,16 +69,18 @@ def _mutual(
     nothing is. Also in how many bits they differ, and in how many the next best one does.
     """
     order = np.argsort(found[:, 0])
-    found = found[order].T.astype(np.float32)
-    expected, slack = expected.T.astype(np.float32), slack.astype(np.float32)
+    near, where, reach = (
+        np.ascontiguousarray(array, dtype=np.float32)
+        for array in (found[order].T, expected.T, slack)
+    )
     # Unsigned: an index that might be negative keeps the kernel's loops out of vector registers.
-    first = np.searchsorted(found[0], expected[0] - slack[0]).astype(np.uint64)
-    last = np.searchsorted(found[0], expected[0] + slack[0], side="right").astype(np.uint64)
+    first = np.searchsorted(near[0], where[0] - reach[0]).astype(np.uint64)
+    last = np.searchsorted(near[0], where[0] + reach[0], side="right").astype(np.uint64)
     chosen, bits, next_bits = (np.empty(len(first), dtype=np.int64) for _ in range(3))
     chosen_back = np.empty(len(order), dtype=np.int32)
     looks = np.ascontiguousarray(stop.descriptors[order].T)
     _compare(
-        start.descriptors, looks, expected, found, slack, first, last,
+        start.descriptors, looks, where, near, reach, first, last,
         chosen, bits, next_bits, chosen_back,
     )  # fmt: skip
     rows = np.flatnonzero(chosen >= 0)
@@ -112,7 +114,7 @@ def _compare(  # type: ignore[no-untyped-def]
             nearer = bits[j] < least_back[j]
             least_back[j] = bits[j] if nearer else least_back[j]
             chosen_back[j] = np.int32(i) if nearer else chosen_back[j]
-        best, best_bits, next_bits = -1, ALL_BITS + 1, ALL_BITS + 1
+        best, best_bits, next_bits = np.int64(-1), ALL_BITS + 1, ALL_BITS + 1
         for j in range(first[i], last[i]):
             if bits[j] < best_bits:
                 best, best_bits, next_bits = np.int64(j), bits[j], best_bits

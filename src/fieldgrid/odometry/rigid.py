@@ -117,7 +117,8 @@ def refine(
         return None
     # 2.37 is the median of the squared distance (chi squared, 3 degrees) were the sigmas true.
     scale = float(np.median(squared[inliers])) / 2.37
-    return Refined(RigidMotion(R, t), np.linalg.inv(H) * max(scale, 1.0), inliers)
+    covariance = np.asarray(np.linalg.inv(H) * max(scale, 1.0), dtype=np.float64)
+    return Refined(RigidMotion(R, t), covariance, inliers)
 
 
 @kernel
@@ -127,7 +128,7 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
     R, t, r, J = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((3, 6))
     H, g = np.empty((6, 6)), np.empty(6)
     axes = np.empty((6, 3))
-    state, drawn = np.uint64(1), np.empty(3, dtype=np.int64)
+    state, drawn = np.uint64(1), np.zeros(3, dtype=np.int64)
     least_cost, enough = SEARCH_CUTOFF * n, float(MOST_TRIES)
     found, tries, draws = False, 0, 0
     while tries < enough and draws < MOST_TRIES * DRAWS_A_TRY:
@@ -143,8 +144,8 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
         solved = True
         for _ in range(2):  # by the pixels, whose errors are alike in all directions
             _clear(H, g)
-            for k in drawn:
-                if _linearise(start, pixels, k, R, t, lens, r, J):
+            for one in drawn:
+                if _linearise(start, pixels, one, R, t, lens, r, J):
                     for row in range(3):
                         r[row] /= sigma[row]
                         for column in range(6):

@@ -111,7 +111,7 @@ def _correlate(  # type: ignore[no-untyped-def]
             sums[i] += value
             squares[i] += value * value
         for j in range(np.uint64(side)):
-            weight = np.int32(left[row, left_first + j])
+            weight = int(left[row, left_first + j])
             total += weight
             square += weight * weight
             for i in range(np.uint64(n)):
