@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.ros import open_bag, types
+from fieldgrid.ros import decode, open_bag, types
 from fuzz.target import Target
 
 _TYPE = "std_msgs/msg/Header"
@@ -37,7 +37,7 @@ def check_bag(data: bytes) -> None:
                 counts[message.topic] += 1
                 assert bag.start_ns <= message.receive_ns <= bag.end_ns
                 try:
-                    bag.decode(message)
+                    decode(message)
                 except RecordingError as error:
                     check_sentence(str(error))
             assert counts == {name: topic.count for name, topic in bag.topics.items()}

@@ -6,7 +6,8 @@ what to do next::
     FieldgridError
     ├── ConfigError        (ValueError)   a setting that cannot be
     ├── RecordingError     (ValueError)   a recording that is missing something or unreadable
-    │   └── CalibrationError              a rig that cannot be, or does not fit the images
+    │   ├── CalibrationError              a rig that cannot be, or does not fit the images
+    │   └── LimitError                    an input that unfolds to more than it may
     ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
     ├── DatumError         (ValueError)   a position that does not belong to this datum
     ├── MapError           (ValueError)   a map file that is foreign, damaged or too new
@@ -34,6 +35,10 @@ class CalibrationError(RecordingError):
     """A calibration or mounting that cannot be, or does not fit the images."""
 
 
+class LimitError(RecordingError):
+    """An input that unfolds to more than it may; see :mod:`fieldgrid.limits`."""
+
+
 class GnssError(FieldgridError, ValueError):
     """No usable fix, or none at the time of the images."""
 
@@ -56,3 +61,10 @@ class MapWriteError(MapError, OSError):
 
 class TruthError(FieldgridError, ValueError):
     """A truth folder that a map cannot be evaluated against."""
+
+
+def quoted(value: object, most: int = 60) -> str:
+    """A value of an input as messages quote it: short, and with escapes for what is not to be
+    printed, like control characters and bytes that are no text."""
+    text = str(value)
+    return repr(text if len(text) <= most else f"{text[:most]}...")

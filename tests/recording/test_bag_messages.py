@@ -39,7 +39,7 @@ def read(tmp_path: Path) -> Make:
         path = bags.write_bag(tmp_path / container / "m", container, maker, said)
         with open_bag(path) as bag:
             (message,) = bag.messages()
-            return kind(bag, message, UTC, *more).read()  # type: ignore[attr-defined]
+            return kind(message, UTC, *more).read()  # type: ignore[attr-defined]
 
     return do
 
@@ -122,7 +122,7 @@ def test_bytes_that_are_no_message_are_told(tmp_path: Path) -> None:
     path = bags.write_bag(tmp_path / "m", "mcap", maker, said)
     with open_bag(path) as bag:
         (message,) = bag.messages()
-        source = RawImage(bag, message._replace(data=message.data[:30]), UTC)
+        source = RawImage(message._replace(data=message.data[:30]), UTC)
         with pytest.raises(RecordingError, match="does not fit its type"):
             source.read()
 
@@ -155,7 +155,7 @@ def test_an_image_that_is_defined_as_something_else_is_told(
     with open_bag(tmp_path / "m.mcap") as bag:
         (message,) = bag.messages()
         with pytest.raises(RecordingError, match=r"do not have the fields|does not fit"):
-            RawImage(bag, message, UTC).read()
+            RawImage(message, UTC).read()
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

@@ -51,6 +51,18 @@ class Sample(NamedTuple):
         return header.stamp.sec * 10**9 + header.stamp.nanosec if header else 0
 
 
+class Plain(NamedTuple):
+    """A message without what says how to decode it."""
+
+    topic: str
+    receive_ns: int
+    data: bytes
+
+
+def plain(message: Message) -> Plain:
+    return Plain(message.topic, message.receive_ns, message.data)
+
+
 def samples(store: Typestore, count: int = 60, side: int = 24) -> list[Sample]:
     """Fixes, noisy images of `side` x `side` pixels and, now and then, a text."""
     rng = np.random.default_rng(7)
@@ -106,8 +118,8 @@ def serialised(sample: Sample, store: Typestore) -> bytes:
     return bytes(store.serialize_cdr(sample.message, name))
 
 
-def expected(made: list[Sample], store: Typestore) -> list[Message]:
-    return [Message(one.topic, one.time_ns, serialised(one, store)) for one in made]
+def expected(made: list[Sample], store: Typestore) -> list[Plain]:
+    return [Plain(one.topic, one.time_ns, serialised(one, store)) for one in made]
 
 
 def write_rosbag1(
@@ -209,15 +221,15 @@ def add_rows(database: sqlite3.Connection, made: list[Sample]) -> None:
     database.execute("COMMIT")
 
 
-def read(path: Path) -> tuple[list[Message], str]:
+def read(path: Path) -> tuple[list[Plain], str]:
     """All messages of a bag, and its damage."""
     with open_bag(path) as bag:
         return list(messages_of(bag)), bag.damage
 
 
-def messages_of(bag: Bag) -> list[Message]:
+def messages_of(bag: Bag) -> list[Plain]:
     """The messages of a bag, which are as many as its topics count."""
-    found = list(bag.messages())
+    found = [plain(message) for message in bag.messages()]
     for name, topic in bag.topics.items():
         assert topic.count == sum(message.topic == name for message in found)
     return found

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from mcap.writer import Writer as McapLibraryWriter
 from rosbags.highlevel import AnyReader
+from rosbags.typesys.store import Typestore
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.ros import Message, Topic, is_bag, open_bag
+from fieldgrid.ros import Message, Take, Topic, decode, is_bag, open_bag
 from tests.ros.samples import (
     DELAY_NS,
     FIX,
@@ -26,8 +29,10 @@ from tests.ros.samples import (
     STEP_NS,
     TEXT,
     TYPES,
+    Plain,
     expected,
     messages_of,
+    plain,
     read,
     samples,
     write_folder,
@@ -37,13 +42,13 @@ from tests.ros.samples import (
 )
 
 
-def by_time(messages: list[Message]) -> list[Message]:
+def by_time(messages: list[Plain]) -> list[Plain]:
     return sorted(messages, key=lambda message: (message.receive_ns, message.topic))
 
 
-def rosbags_messages(path: Path) -> list[Message]:
+def rosbags_messages(path: Path) -> list[Plain]:
     with AnyReader([path], default_typestore=ROS2) as reader:
-        return [Message(c.topic, time_ns, bytes(data)) for c, time_ns, data in reader.messages()]
+        return [Plain(c.topic, time_ns, bytes(data)) for c, time_ns, data in reader.messages()]
 
 
 def check_whole(path: Path, store: object = ROS2) -> None:
@@ -64,7 +69,7 @@ def check_whole(path: Path, store: object = ROS2) -> None:
             assert stamped.tolist() == [one.stamp_ns for one in made if one.topic == topic]
             assert received.tolist() == [one.time_ns for one in made if one.topic == topic]
         for message, one in zip(bag.messages(), made, strict=True):
-            decoded = bag.decode(message)
+            decoded = decode(message)
             assert type(decoded).__name__ == type(one.message).__name__
             if one.topic == FIX:
                 assert decoded.latitude == one.message.latitude
@@ -215,9 +220,68 @@ def test_topics_are_chosen(topics: list[str], tmp_path: Path) -> None:
     write_old_db3(tmp_path / "drive.db3", samples(ROS2)).close()
     for suffix, store in (("bag", ROS1), ("mcap", ROS2), ("db3", ROS2)):
         with open_bag(tmp_path / f"drive.{suffix}") as bag:
-            assert list(bag.messages(topics)) == [
+            assert [plain(message) for message in bag.messages(topics)] == [
                 message for message in expected(samples(store), store) if message.topic in topics
             ]
+
+
+def written_bags(folder: Path) -> Iterator[tuple[Path, Typestore]]:
+    """The samples in every container, in one file and in several."""
+    write_rosbag1(folder / "drive.bag", samples(ROS1), "lz4")
+    yield folder / "drive.bag", ROS1
+    for name, chunked in (("chunks", True), ("bare", False)):
+        write_mcap(folder / f"{name}.mcap", samples(ROS2), use_chunking=chunked)
+        yield folder / f"{name}.mcap", ROS2
+    write_old_db3(folder / "drive.db3", samples(ROS2)).close()
+    yield folder / "drive.db3", ROS2
+    split_folder(folder / "split", [0, 1, 2])
+    yield folder / "split", ROS2
+
+
+def test_reading_starts_where_a_message_is(tmp_path: Path) -> None:
+    for path, store in written_bags(tmp_path):
+        with open_bag(path) as bag:
+            wanted = [one for one in expected(samples(store), store) if one.topic == IMAGE]
+            places = bag.places(IMAGE)
+            assert np.all(np.diff(places) >= 0)
+            for k in (0, 1, len(places) // 2, len(places) - 1):
+                first = int(np.searchsorted(places, places[k]))  # of those that lie together
+                found = [plain(m) for m in bag.messages([IMAGE], int(places[k]))]
+                assert found == wanted[first:], path
+                assert k - first < 8
+
+
+def test_a_copy_in_another_process_reads_the_same(tmp_path: Path) -> None:
+    for path, store in written_bags(tmp_path):
+        with open_bag(path) as bag:
+            copy = pickle.loads(pickle.dumps(bag))
+            wanted = [one for one in expected(samples(store), store) if one.topic == FIX]
+            messages = list(copy.messages([FIX]))
+            copy.close()
+            assert [plain(message) for message in messages] == wanted
+            assert [plain(message) for message in bag.messages([FIX])] == wanted
+            assert decode(pickle.loads(pickle.dumps(messages[0]))).longitude == -1.2
+
+
+def test_what_listens_hears_the_messages_of_its_topics(tmp_path: Path) -> None:
+    for path, store in written_bags(tmp_path):
+        heard = Heard([], [])
+        with open_bag(path, heard.listen):
+            wanted = [one for one in expected(samples(store), store) if one.topic == FIX]
+            assert heard.messages == [(one, k) for k, one in enumerate(wanted)]
+            assert sorted(heard.asked) == sorted(TYPES.items())
+
+
+class Heard(NamedTuple):
+    messages: list[tuple[Plain, int]]
+    asked: list[tuple[str, str]]
+
+    def listen(self, name: str, type_: str) -> Take | None:
+        self.asked.append((name, type_))
+        return self.take if name == FIX else None
+
+    def take(self, message: Message, place: int) -> None:
+        self.messages.append((plain(message), place))
 
 
 def test_a_topic_without_messages_is_listed(tmp_path: Path) -> None:
@@ -229,7 +293,7 @@ def test_a_topic_without_messages_is_listed(tmp_path: Path) -> None:
         assert bag.damage == ""
 
 
-def split_folder(folder: Path, order: list[int]) -> list[Message]:
+def split_folder(folder: Path, order: list[int]) -> list[Plain]:
     """Files of 20 messages each, `order` in the description. Returns what is expected."""
     made = samples(ROS2)
     folder.mkdir()
@@ -326,9 +390,9 @@ def test_foreign_encodings_are_listed_and_not_decoded(tmp_path: Path) -> None:
         }
         assert bag.stamps("/fix")[0].tolist() == [0]
         first, _ = bag.messages()
-        assert first == Message("/fix", 5, b"0123456789abcdef")
+        assert plain(first) == Plain("/fix", 5, b"0123456789abcdef")
         with pytest.raises(RecordingError, match="/fix are encoded as 'protobuf'"):
-            bag.decode(first)
+            decode(first)
 
 
 def test_a_topic_of_two_types_is_that_of_the_first(tmp_path: Path) -> None:
@@ -362,7 +426,7 @@ def test_big_endian_stamps(tmp_path: Path) -> None:
     with open_bag(path) as bag:
         assert bag.stamps(FIX)[0].tolist() == [one.time_ns - DELAY_NS]
         (message,) = bag.messages()
-        assert bag.decode(message).latitude == one.message.latitude
+        assert decode(message).latitude == one.message.latitude
 
 
 def test_real_ros1_bags(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
@@ -375,7 +439,7 @@ def test_real_ros1_bags(shared_data: Callable[[str], Path], tmp_path: Path) -> N
         stamped, received = bag.stamps("/fix")
         assert stamped.size == 989
         assert (received > stamped).all()
-        fix = bag.decode(next(bag.messages(["/fix"])))
+        fix = decode(next(bag.messages(["/fix"])))
         assert (fix.latitude, fix.longitude) == pytest.approx((42.376, -71.147), abs=1e-3)
     copy = tmp_path / "copy"
     shutil.copyfile(path, copy)

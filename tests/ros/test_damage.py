@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.ros import Message, open_bag
+from fieldgrid.ros import decode, open_bag
 from tests.ros.samples import (
     MCAP_COMPRESSIONS,
     ROS1,
     ROS1_COMPRESSIONS,
     ROS2,
+    Plain,
     add_rows,
     expected,
     read,
@@ -35,7 +36,7 @@ def is_sentence(text: str) -> bool:
     return re.fullmatch(r"[^\n]+\.", text) is not None
 
 
-def read_or_refuse(path: Path) -> tuple[list[Message], str]:
+def read_or_refuse(path: Path) -> tuple[list[Plain], str]:
     """What is readable of a damaged bag, none if it is refused with a sentence."""
     try:
         messages, damage = read(path)
@@ -46,14 +47,14 @@ def read_or_refuse(path: Path) -> tuple[list[Message], str]:
     return messages, damage
 
 
-def ends(blob: bytes, messages: list[Message]) -> list[int]:
+def ends(blob: bytes, messages: list[Plain]) -> list[int]:
     """Where in the file each message ends; they must not be compressed."""
     found = [blob.find(message.data) + len(message.data) for message in messages]
     assert found == sorted(set(found))
     return found
 
 
-def check_cuts(path: Path, wanted: list[Message], step: int) -> None:
+def check_cuts(path: Path, wanted: list[Plain], step: int) -> None:
     """However the uncompressed file is cut off, all messages before the cut are read."""
     blob = path.read_bytes()
     message_ends = ends(blob, wanted)
@@ -80,7 +81,7 @@ def test_cut_mcap(use_chunking: bool, tmp_path: Path) -> None:
     check_cuts(path, expected(made, ROS2), 97)
 
 
-def check_compressed_cuts(path: Path, wanted: list[Message], chunk_starts: list[int]) -> None:
+def check_compressed_cuts(path: Path, wanted: list[Plain], chunk_starts: list[int]) -> None:
     """However the file is cut off, a prefix is read, which holds all whole chunks."""
     blob = path.read_bytes()
     cut = path.with_name(f"cut{path.suffix}")
@@ -266,9 +267,7 @@ def test_wrong_bytes_within_a_database(tmp_path: Path) -> None:
     check_flips(path, expected(made, ROS2), random.Random(3), exact=False)
 
 
-def check_flips(
-    path: Path, wanted: list[Message], rng: random.Random, *, exact: bool = True
-) -> None:
+def check_flips(path: Path, wanted: list[Plain], rng: random.Random, *, exact: bool = True) -> None:
     """Wrong bytes anywhere cost some messages, which is said, but not all and no crash."""
     blob = path.read_bytes()
     kept = 0
@@ -294,7 +293,7 @@ def check_flips(
         with open_bag(path) if messages else open_bag(_whole(path, blob)) as bag:
             for message in bag.messages():
                 try:
-                    bag.decode(message)
+                    decode(message)
                 except RecordingError as error:
                     assert is_sentence(str(error))  # noqa: PT017
     assert kept > 60

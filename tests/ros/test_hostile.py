@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import os
 import sqlite3
 import struct
 import tracemalloc
@@ -15,15 +16,18 @@ import pytest
 import zstandard
 from mcap.writer import Writer
 
-from fieldgrid.errors import RecordingError
-from fieldgrid.ros import Message, open_bag, source
+from fieldgrid.errors import LimitError, RecordingError
+from fieldgrid.limits import Limits, limited
+from fieldgrid.ros import decode, open_bag
 from fieldgrid.ros.source import inflate
 from fieldgrid.ros.sqlite_file import connect
 from tests.ros.samples import (
     ROS1,
     ROS2,
     START_NS,
+    Plain,
     expected,
+    plain,
     read,
     samples,
     write_mcap,
@@ -94,16 +98,73 @@ def test_absurd_lengths_of_an_mcap(length: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", PACK)
-def test_bombs_grow_no_further_than_allowed(
-    compression: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bombs_grow_no_further_than_allowed(compression: str) -> None:
     bomb = PACK[compression](bytes(100 * MB))
     assert len(bomb) < MB
     with at_most(20 * MB):
         assert inflate(bomb, compression, 5 * MB) == bytes(5 * MB)
-    monkeypatch.setattr(source, "MAX_RECORD_BYTES", 3 * MB)
-    with at_most(20 * MB):
-        assert inflate(bomb, compression) == bytes(3 * MB)
+
+
+MESSAGE = fields(op=b"\x02", conn=bytes(4), time=bytes(8)) + bytes(4)
+CONNECTION = fields(op=b"\x07", conn=bytes(4), topic=b"/a") + fields(
+    type=b"std_msgs/Empty", md5sum=b"", message_definition=b""
+)
+
+
+@pytest.mark.parametrize("compression", ["lz4", "bz2"])
+def test_a_file_unfolds_to_so_many_times_its_size_and_no_more(
+    compression: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "drive.bag"
+    data = CONNECTION + MESSAGE[:-4] + struct.pack("<I", 3 * MB) + bytes(3 * MB)
+    packed = chunk(PACK[compression](data), compression.encode(), len(data))
+    path.write_bytes(rosbag1(*5 * [packed]))
+    refused = pytest.raises(LimitError, match=r"unfolds to more than 10 MiB.*LIMIT_FACTOR=4 and")
+    with limited(factor=1, free_mib=10), at_most(20 * MB), refused:
+        open_bag(path)
+    with limited(factor=1, free_mib=16), open_bag(path) as bag:
+        assert bag.topics["/a"].count == 5
+        with limited(free_mib=10), pytest.raises(LimitError):
+            list(bag.messages())
+
+
+def test_messages_and_files_that_are_packed_count_too(tmp_path: Path) -> None:
+    path = tmp_path / "drive.db3"
+    database = write_old_db3(path, samples(ROS2))
+    bomb = zstandard.compress(bytes(3 * MB))
+    database.execute("UPDATE messages SET data = ?", (bomb,))
+    database.close()
+    packed = tmp_path / "drive.mcap.zstd"
+    packed.write_bytes(zstandard.compress(bytes(20 * MB)))
+    with limited(factor=1, free_mib=10):
+        for bag in (path, packed):
+            with at_most(20 * MB), pytest.raises(LimitError, match="unfolds to more than 10 MiB"):
+                open_bag(bag)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "ALTER TABLE messages ADD COLUMN rowid INTEGER",
+        "ALTER TABLE messages ADD COLUMN more BLOB AS (zeroblob(1000000000))",
+    ],
+)
+def test_columns_that_are_none_of_a_bag_are_refused(statement: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.db3"
+    database = write_old_db3(path, samples(ROS2))
+    database.execute(statement)
+    database.close()
+    with pytest.raises(RecordingError, match="columns that are computed, or take the place"):
+        open_bag(path)
+
+
+def test_a_pipe_beside_a_database_is_let_be(tmp_path: Path) -> None:
+    path = tmp_path / "drive.db3"
+    write_old_db3(path, samples(ROS2)).close()
+    for end in ("-wal", "-journal"):
+        os.mkfifo(f"{path}{end}")
+    with open_bag(path) as bag:
+        assert bag.damage == ""
 
 
 @pytest.mark.parametrize("compression", PACK)
@@ -120,10 +181,7 @@ def test_more_messages_than_a_file_can_hold(
 ) -> None:
     monkeypatch.setattr("fieldgrid.ros.bag._MOST_MESSAGES", 10)
     path = tmp_path / "drive.bag"
-    connection = fields(op=b"\x07", conn=bytes(4), topic=b"/a")
-    definition = fields(type=b"std_msgs/Empty", md5sum=b"", message_definition=b"")
-    message = fields(op=b"\x02", conn=bytes(4), time=bytes(8)) + bytes(4)
-    data = connection + definition + 100_000 * message
+    data = CONNECTION + 100_000 * MESSAGE
     path.write_bytes(rosbag1(chunk(bz2.compress(data), b"bz2", len(data))))
     with pytest.raises(RecordingError, match="more messages than a bag of its size can"):
         open_bag(path)
@@ -136,8 +194,7 @@ def test_a_million_connections_are_not_kept(tmp_path: Path) -> None:
         fields(op=b"\x07", conn=struct.pack("<I", k), topic=b"/topic%d" % k) + definition
         for k in range(12_000)
     )
-    message = fields(op=b"\x02", conn=bytes(4), time=bytes(8)) + bytes(4)
-    path.write_bytes(rosbag1(chunk(records + message)))
+    path.write_bytes(rosbag1(chunk(records + MESSAGE)))
     with open_bag(path) as bag:
         assert len(bag.topics) == 10_000
 
@@ -224,7 +281,7 @@ def check_definition(path: Path, text: str, type_name: bytes) -> None:
         good = 0
         for message in bag.messages():
             try:
-                decoded = bag.decode(message)
+                decoded = decode(message)
             except RecordingError:
                 assert message.topic == "/wild" or len(message.data) != 1
                 continue
@@ -244,7 +301,7 @@ def test_shifts_of_definitions_are_not_made(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/b", "cdr", schema), 5, b"\0\1\0\0\7", 5)
         writer.finish()
     with open_bag(path) as bag, pytest.raises(RecordingError, match="no definition that can be"):
-        bag.decode(next(bag.messages()))
+        decode(next(bag.messages()))
 
 
 def test_times_beyond_all_measure(tmp_path: Path) -> None:
@@ -257,7 +314,7 @@ def test_times_beyond_all_measure(tmp_path: Path) -> None:
             writer.add_message(channel, time_ns, b"", 0)
         writer.finish()
     messages, damage = read(path)
-    assert messages == [Message("/b", (1 << 63) - 1, b""), Message("/b", START_NS, b"")]
+    assert messages == [Plain("/b", (1 << 63) - 1, b""), Plain("/b", START_NS, b"")]
     assert damage.startswith("drive.mcap holds 1 unreadable message; 2 messages up to 2262-04-11")
 
 
@@ -280,7 +337,7 @@ def test_a_bag_whose_file_changes_under_it(tmp_path: Path) -> None:
     write_rosbag1(path, made)
     with open_bag(path) as bag:
         path.write_bytes(path.read_bytes()[:9000])
-        messages = list(bag.messages())
+        messages = [plain(message) for message in bag.messages()]
         assert 0 < len(messages) < 60
         assert messages == expected(made, ROS1)[: len(messages)]
 
@@ -296,8 +353,7 @@ def test_a_chunk_beyond_the_limit_is_passed_over(
         write_rosbag1(path, made)
     else:
         write_mcap(path, made, "none")
-    for name in ("source", "rosbag1", "mcap_file"):
-        monkeypatch.setattr(f"fieldgrid.ros.{name}.MAX_RECORD_BYTES", 50_000)
+    monkeypatch.setattr(Limits, "piece_bytes", 50_000)
     messages, damage = read(path)
     wanted = expected(made, store)
     assert messages[0] == wanted[0]
@@ -313,7 +369,7 @@ def test_a_message_beyond_the_limit_ends_the_reading(
     path = tmp_path / "drive.mcap"
     made = [*samples(ROS2, 20), *samples(ROS2, 1, side=300)]
     write_mcap(path, made, "none", use_chunking=False)
-    monkeypatch.setattr("fieldgrid.ros.source.MAX_RECORD_BYTES", 50_000)
+    monkeypatch.setattr(Limits, "piece_bytes", 50_000)
     messages, damage = read(path)
     assert messages == expected(made[:20], ROS2)
     assert "drive.mcap ends in the middle of a record" in damage

@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from fieldgrid.errors import MapExistsError, MapWriteError
-from fieldgrid.ros import BagFolderWriter, McapWriter, open_bag, types
+from fieldgrid.ros import BagFolderWriter, McapWriter, decode, open_bag, types
 from tests.ros.samples import FIX, ROS2, TYPES, Sample, expected, read, samples
 
 
@@ -63,7 +63,7 @@ def check_own_reading(path: Path) -> None:
         assert bag.topics["/grid"].type == "grid_map_msgs/msg/GridMap"
         assert bag.stamps("/grid")[0].tolist() == [5_000_000_006]
         (message,) = bag.messages(["/grid"])
-        grid = bag.decode(message)
+        grid = decode(message)
         assert grid.info.pose.position.y == 2.0
         np.testing.assert_array_equal(grid.data[0].data, np.array([1, np.nan, 3], np.float32))
 
@@ -138,7 +138,7 @@ def test_raw_messages(tmp_path: Path) -> None:
         ("std_msgs/msg/UInt8", "ros2msg", text.encode(), "cdr", b"\0\1\0\0\x05"),
     ]
     with open_bag(path) as bag:
-        assert bag.decode(next(bag.messages(["/b"]))).data == 5
+        assert decode(next(bag.messages(["/b"]))).data == 5
 
 
 @pytest.mark.parametrize("kind", [McapWriter, BagFolderWriter])

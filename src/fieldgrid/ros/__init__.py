@@ -6,17 +6,21 @@ its end is in. `McapWriter` and `BagFolderWriter` write. What the messages mean 
 
 from __future__ import annotations
 
-from fieldgrid.ros.bag import Bag, is_bag, open_bag
-from fieldgrid.ros.definitions import types
-from fieldgrid.ros.model import Message, Topic
+from fieldgrid.ros.bag import Bag, Listen, Take, is_bag, open_bag
+from fieldgrid.ros.definitions import decode, types
+from fieldgrid.ros.model import Connection, Message, Topic
 from fieldgrid.ros.writers import BagFolderWriter, McapWriter
 
 __all__ = [
     "Bag",
     "BagFolderWriter",
+    "Connection",
+    "Listen",
     "McapWriter",
     "Message",
+    "Take",
     "Topic",
+    "decode",
     "is_bag",
     "open_bag",
     "types",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import Int64
-from fieldgrid.errors import RecordingError
+from fieldgrid.closing import Closing
+from fieldgrid.errors import LimitError, RecordingError
+from fieldgrid.limits import Budget, limits
 from fieldgrid.ros.db3 import Db3File, is_db3
-from fieldgrid.ros.definitions import decode, has_header
+from fieldgrid.ros.definitions import has_header
 from fieldgrid.ros.folder import Files, find_files, is_bag_folder, unpacked
 from fieldgrid.ros.mcap_file import MAGIC as MCAP_MAGIC
 from fieldgrid.ros.mcap_file import McapFile
@@ -36,7 +38,14 @@ _SUFFIXES = (".bag", ".mcap", ".db3")
 _PACKED = (".mcap.zstd", ".db3.zstd")
 _SHOWN_CLAUSES = 3
 _MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
+_SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+Take = Callable[[Message, int], None]
+"""Takes a message and its place among those of its topic."""
+
+Listen = Callable[[str, str], Take | None]
+"""Asked at the first message of a topic, by name and type: what takes its messages, if anything."""
 
 
 def is_bag(path: Path) -> bool:
@@ -56,20 +65,24 @@ def is_bag(path: Path) -> bool:
     return start.startswith(tuple(_PARTS))
 
 
-def open_bag(path: Path) -> Bag:
-    """Open a bag and scan it once; it is to be closed. Raises RecordingError, in one sentence,
-    for what cannot be used at all; what is damaged is used as far as it can be."""
-    return Bag(path)
+def open_bag(path: Path, listen: Listen = lambda _name, _type: None) -> Bag:
+    """Open a bag and read it once; it is to be closed. Raises RecordingError, in one sentence,
+    for what cannot be used at all; what is damaged is used as far as it can be.
+
+    What `listen` gives for a topic takes its messages in this one run.
+    """
+    return Bag(path, listen)
 
 
-class Bag:
+class Bag(Closing):
     """An open bag: its topics, its messages as a stream, and what of it could not be read.
 
     `topics` counts the readable messages; `start_ns` and `end_ns` are the times at which the
-    first and the last of them were received. `damage` is empty, or one sentence.
+    first and the last of them were received. `damage` is empty, or one sentence. A bag can be
+    pickled; the copy reads as long as the original is open.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, listen: Listen) -> None:
         self.path = path
         self._topics: dict[str, _Topic] = {}
         self._others: dict[str, int] = {}
@@ -77,7 +90,8 @@ class Bag:
         self._stack = ExitStack()
         try:
             self._parts = self._open_parts()
-            self._scan()
+            self._bytes = sum(part.path.stat().st_size for part in self._parts)
+            self._scan(listen)
         except BaseException as error:
             self._stack.close()
             if isinstance(error, OSError):
@@ -86,19 +100,20 @@ class Bag:
                     "space for temporary files."
                 ) from error
             raise
-        self.topics: Mapping[str, Topic] = MappingProxyType(
-            {name: topic.summary() for name, topic in sorted(self._topics.items())}
-        )
         times = [topic.received for topic in self._topics.values() if topic.received]
         self.start_ns = min(min(received) for received in times)
         self.end_ns = max(max(received) for received in times)
         self.damage = self._damage()
 
-    def __enter__(self) -> Bag:
-        return self
+    def __getstate__(self) -> dict[str, Any]:
+        # What was unpacked for this bag is removed when it is closed, and not when a copy is.
+        return {**self.__dict__, "_stack": ExitStack()}
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """The topics by their names, in the order of these."""
+        found = {name: topic.summary() for name, topic in sorted(self._topics.items())}
+        return MappingProxyType(found)
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -115,29 +130,21 @@ class Bag:
         found = self._topic(topic)
         return np.array(found.stamped, dtype=np.int64), np.array(found.received, dtype=np.int64)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages of these topics, or of all, in the order of recording."""
+    def places(self, topic: str) -> Int64:
+        """Where in the bag each message of a topic is; never decreasing. Messages that lie
+        together, as in a chunk, have one place."""
+        return np.array(self._topic(topic).places, dtype=np.int64)
+
+    def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Message]:
+        """The messages of these topics, or of all, in the order of recording, from a place on."""
         wanted = None if topics is None else frozenset(topics)
-        for part in self._parts:
-            for connection, receive_ns, data in _whole(part.records(wanted)):
+        first, at = divmod(start, _SPAN)
+        for part in self._parts[first:]:
+            for connection, receive_ns, data, _ in self._whole(part.records(wanted, at)):
                 topic = self._topics.get(connection.topic)
                 if topic is not None and topic.takes(connection):
-                    yield Message(connection.topic, receive_ns, bytes(data))
-
-    def decode(self, message: Message) -> Any:
-        """The message as a dataclass with the fields of its type.
-
-        Raises RecordingError for bytes that do not fit the type's definition, for a type without
-        one and for messages that are not of ROS.
-        """
-        first: RecordingError | None = None
-        for connection in self._topic(message.topic).connections:
-            try:
-                return decode(connection, message.data)
-            except RecordingError as error:
-                first = first or error
-        assert first is not None
-        raise first
+                    yield Message(connection, receive_ns, bytes(data))
+            at = 0
 
     def _topic(self, name: str) -> _Topic:
         if name not in self._topics:
@@ -155,6 +162,8 @@ class Bag:
         for path in files.paths:
             try:
                 parts.append(self._part(path))
+            except LimitError:
+                raise
             except RecordingError:
                 self._notes.append(f"{path.name} is empty or does not begin like any bag")
         return parts
@@ -178,26 +187,32 @@ class Bag:
             "or copy it again."
         )
 
-    def _scan(self) -> None:
-        """Read everything once: topics, counts and times."""
-        room = _MOST_MESSAGES + sum(part.path.stat().st_size for part in self._parts) // 8
-        for part in list(self._parts):
+    def _scan(self, listen: Listen) -> None:
+        """Read everything once: topics, counts, times, places, and what is listened to."""
+        room = _MOST_MESSAGES + self._bytes // 8
+        opened, self._parts = self._parts, []
+        for part in opened:
+            place = len(self._parts) * _SPAN
+            self._parts.append(part)
             try:
-                for record in _whole(part.records()):
-                    self._count(*record)
+                for record in self._whole(part.records()):
+                    self._count(record, place, listen)
                     room -= 1
                     if room < 0:
-                        raise RecordingError(
+                        raise LimitError(
                             f"{self.path} holds more messages than a bag of its size can; it was "
                             "damaged or made to do harm, record again."
                         )
+            except LimitError:
+                raise
             except RecordingError:
-                if len(self._parts) == 1 or room < 0:
+                if len(opened) == 1:
                     raise
-                self._parts.remove(part)
+                self._parts.pop()
                 self._notes.append(f"{part.path.name} cannot be read")
-            for connection in part.connections:
-                self._topics.setdefault(connection.topic, _Topic(connection))
+            for _, connection in part.connections.items():
+                if connection.topic not in self._topics:
+                    self._topics[connection.topic] = _Topic(connection)
         if not any(topic.received for topic in self._topics.values()):
             found = self._clauses()
             raise RecordingError(
@@ -205,17 +220,38 @@ class Bag:
                 + (f" ({found[0]})" if found else "")
                 + "; record again."
             )
+        for topic in self._topics.values():
+            topic.take = None
 
-    def _count(self, connection: Connection, receive_ns: int, data: bytes | memoryview) -> None:
+    def _count(self, record: Record, place: int, listen: Listen) -> None:
+        connection, receive_ns, data, at = record
         name = connection.topic
         topic = self._topics.get(name)
         if topic is None:
             topic = self._topics[name] = _Topic(connection)
-        if topic.adds(connection):
-            topic.received.append(receive_ns)
-            topic.stamped.append(stamp_ns(connection.encoding, data) if topic.has_header else 0)
-        else:
+        if not topic.takes(connection):
             self._others[name] = self._others.get(name, 0) + 1
+            return
+        number = len(topic.received)
+        if number == 0:
+            topic.take = listen(name, connection.type)
+        topic.received.append(receive_ns)
+        topic.stamped.append(stamp_ns(connection.encoding, data) if topic.has_header else 0)
+        topic.places.append(place + min(at, _SPAN - 1))
+        if topic.take is not None:
+            topic.take(Message(connection, receive_ns, bytes(data)), number)
+
+    def _whole(self, records: Iterator[Record]) -> Iterator[Record]:
+        """The records, those that are compressed one by one decompressed."""
+        budget = Budget(self.path, self._bytes)
+        for record in records:
+            if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
+                # No CDR begins like this.
+                data = inflate(bytes(record.data), "zstd", limits().piece_bytes)
+                budget.spend(len(data))
+                yield record._replace(data=data)
+            else:
+                yield record
 
     def _clauses(self) -> list[str]:
         found = list(self._notes)
@@ -224,7 +260,7 @@ class Bag:
         for topic, number in self._others.items():
             found.append(
                 f"{counted(number, 'message')} of {topic} that are not of type "
-                f"{self._topics[topic].connections[0].type} are left out"
+                f"{self._topics[topic].connection.type} are left out"
             )
         return found
 
@@ -241,44 +277,24 @@ class Bag:
 
 
 class _Topic:
-    """What the scan finds of a topic. Its first connection says what its messages are."""
+    """What is known of a topic. Its first connection says what its messages are."""
 
     def __init__(self, connection: Connection) -> None:
-        self.connections: list[Connection] = [connection]  # no two alike
-        self._seen = {id(connection): connection}
+        self.connection = connection
         self.has_header = has_header(connection)
-        self.stamped = array("q")
-        self.received = array("q")
+        self.stamped, self.received, self.places = array("q"), array("q"), array("q")
+        self.take: Take | None = None
 
     def summary(self) -> Topic:
-        connection = self.connections[0]
-        return Topic(connection.topic, connection.type, len(self.received))
+        return Topic(self.connection.topic, self.connection.type, len(self.received))
 
     def takes(self, connection: Connection) -> bool:
-        """Whether messages of this connection are what those of the topic are."""
-        first = self.connections[0]
-        return connection.type == first.type and connection.encoding == first.encoding
-
-    def adds(self, connection: Connection) -> bool:
-        """Whether it takes the connection, whose definition may be another."""
-        if id(connection) in self._seen:
-            return True
-        if not self.takes(connection):
-            return False
-        self._seen[id(connection)] = connection  # kept, so that no other gets its id
-        if connection not in self.connections:
-            self.connections.append(connection)
-        return True
-
-
-def _whole(records: Iterator[Record]) -> Iterator[Record]:
-    """The records, those that are compressed one by one decompressed."""
-    for record in records:
-        if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
-            # No CDR begins like this.
-            yield record._replace(data=inflate(bytes(record.data), "zstd"))
-        else:
-            yield record
+        """Whether messages of this connection are what those of the topic are, though the
+        definition may be another."""
+        first = self.connection
+        return connection is first or (
+            connection.type == first.type and connection.encoding == first.encoding
+        )
 
 
 def _start(path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""What the bytes of a message mean: its definition, from the bag or from ROS 2 Humble."""
+"""What the bytes of a message mean: its definition, from the bag or from a ROS distribution."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ from rosbags.typesys import (
 )
 from rosbags.typesys.store import Typestore
 
-from fieldgrid.errors import RecordingError
-from fieldgrid.ros.model import Connection, Definition
+from fieldgrid.errors import RecordingError, quoted
+from fieldgrid.ros.model import Connection, Definition, Message
 
 _HEADER = "std_msgs/msg/Header"
-_HEADER_FIELDS = {"cdr": ["stamp", "frame_id"], "ros1": ["seq", "stamp", "frame_id"]}
+_HEADER_FIRST = re.compile(
+    r"(?:[ \t]*+(?:#[^\n]*|[^\s#][^\n#=]*+=[^\n]*)?+\r?\n)*+"  # remarks and constants
+    r"[ \t]*+(?:std_msgs/(?:msg/)?)?Header[ \t]"
+)
+_ENCODINGS = ("cdr", "ros1")
 
 _NMEA = "std_msgs/Header header\nstring sentence\n"
 _GRID_MAP = """std_msgs/Header header
@@ -37,6 +41,12 @@ float64 length_x
 float64 length_y
 geometry_msgs/Pose pose
 """
+
+_FIRST_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+"""What ROS 1 called a type at first."""
+
+_MATRICES = {"sensor_msgs/msg/CameraInfo": frozenset("DKRP"), "stereo_msgs/msg/DisparityImage": "T"}
+"""Fields that ROS 1 writes large, and ROS 2 small."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){2,}", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
@@ -61,7 +71,11 @@ _BAD_DEFINITION = (
 )
 _BAD_MESSAGE = (*_BAD_DEFINITION, SerdeError, MemoryError)
 
-Fields = dict[str, Any]  # as rosbags parses them: type -> (constants, [(name, description)])
+_Fields = dict[str, Any]  # as rosbags parses them: type -> (constants, [(name, description)])
+
+
+class _NotStandardError(Exception):
+    """A type of a ROS distribution with other fields than it has there."""
 
 
 @cache
@@ -79,31 +93,43 @@ def types() -> Typestore:
 
 def has_header(connection: Connection) -> bool:
     """Whether the messages begin with a standard header; False where that is unknown."""
-    if connection.encoding not in _HEADER_FIELDS:
+    name, definition, encoding = connection.type, connection.definition, connection.encoding
+    if encoding not in _ENCODINGS:
         return False
+    if definition is not None and definition.syntax == "msg":  # parsing takes long
+        return _HEADER_FIRST.match(definition.text) is not None
     try:
-        fields = _fields_of(connection)
-        first = fields[connection.type][1][0][1]
-        names = [name for name, _ in fields[_HEADER][1]]
+        fields = _parsed(name, definition, encoding)
+        return bool(fields[name][1][0][1] == (Nodetype.NAME, _HEADER))
     except _BAD_DEFINITION:
         return False
-    return bool(first == (Nodetype.NAME, _HEADER) and names == _HEADER_FIELDS[connection.encoding])
 
 
-def decode(connection: Connection, data: bytes) -> Any:
-    """The message as a dataclass. Raises RecordingError for what does not fit its definition."""
+def decode(message: Message) -> Any:
+    """The message as a dataclass whose fields are named as in ROS 2, that of ROS 1 too.
+
+    A bag brings the definitions of its types along. A type that ROS has is sure to have the fields
+    that it has there. Raises RecordingError for bytes that do not fit the definition, for a type
+    without one, and for messages that are not of ROS.
+    """
+    connection, data = message.connection, message.data
     name = connection.type
-    if connection.encoding not in _HEADER_FIELDS:
+    if connection.encoding not in _ENCODINGS:
         raise RecordingError(
-            f"Messages of {connection.topic} are encoded as {connection.encoding!r}, which is not "
-            "read; record them as ROS messages."
+            f"Messages of {connection.topic} are encoded as {quoted(connection.encoding)}, which "
+            "is not read; record them as ROS messages."
         )
     try:
-        store = _store_of(connection)
+        store = _store(name, connection.definition, connection.encoding)
+    except _NotStandardError as error:
+        raise RecordingError(
+            f"The messages of {connection.topic} do not have the fields of {name} ({error}); "
+            "record them with the definition of a ROS distribution."
+        ) from error
     except _BAD_DEFINITION as error:
         raise RecordingError(
-            f"The type {name} of {connection.topic} has no definition that can be read; convert "
-            "the bag with a ROS that knows the type."
+            f"The type {quoted(name)} of {connection.topic} has no definition that can be read; "
+            "convert the bag with a ROS that knows the type."
         ) from error
     try:
         if connection.encoding == "ros1":
@@ -111,24 +137,9 @@ def decode(connection: Connection, data: bytes) -> Any:
         return store.deserialize_cdr(data, name)
     except _BAD_MESSAGE as error:
         raise RecordingError(
-            f"A message of {connection.topic} ({len(data)} bytes) does not fit its type {name}; "
-            "leave it out."
+            f"A message of {connection.topic} ({len(data)} bytes) does not fit its type "
+            f"{quoted(name)}; leave it out."
         ) from error
-
-
-def _fields_of(connection: Connection) -> Fields:
-    if connection.definition is None:
-        return dict(_standard(connection.encoding).fielddefs)
-    return _parsed(connection.type, connection.definition, connection.encoding)
-
-
-def _store_of(connection: Connection) -> Typestore:
-    if connection.definition is not None:
-        return _own_store(connection.type, connection.definition, connection.encoding)
-    store = _standard(connection.encoding)
-    if connection.type not in store.fielddefs:
-        raise TypesysError(connection.type)
-    return store
 
 
 @cache
@@ -137,26 +148,48 @@ def _standard(encoding: str) -> Typestore:
 
 
 @lru_cache(maxsize=256)
-def _own_store(name: str, definition: Definition, encoding: str) -> Typestore:
+def _store(name: str, definition: Definition | None, encoding: str) -> Typestore:
     """A store of one definition alone, so that none is in conflict with another."""
     store = get_typestore(Stores.EMPTY)
-    store.register(_parsed(name, definition, encoding))
+    parsed = _parsed(name, definition, encoding)
+    store.register(parsed)
     store.get_msgdef(name)
+    usual = types()
+    for own in parsed:
+        standard = _FIRST_NAMES.get(own, own)
+        if standard in usual.types:
+            _check_fields(own, store.types[own], usual.types[standard])
     return store
 
 
+def _check_fields(name: str, kind: Any, usual: Any) -> None:
+    """Raise for a message class that lacks a field of another, or has another kind of it."""
+    fields, wanted = (
+        {
+            one.name: one.type
+            for one in cls.__dataclass_fields__.values()
+            if not one.type.startswith("ClassVar")
+        }
+        for cls in (kind, usual)
+    )
+    for key, annotation in wanted.items():
+        if fields.get(key) != annotation:
+            raise _NotStandardError(f"{name.rpartition('/')[2]} without a {key}")
+
+
 @lru_cache(maxsize=256)
-def _parsed(name: str, definition: Definition, encoding: str) -> Fields:
+def _parsed(name: str, definition: Definition | None, encoding: str) -> _Fields:
     """The types that a definition needs, those that it leaves out taken from the standard ones.
 
     The constants are left out. rosbags makes code of these types and runs it, so the names, the
     sizes and the nesting are checked to be what they should.
     """
-    found: Fields = {}
-    for part in _parse(name, definition):
-        found.update({key: ([], fields) for key, (_, fields) in part.items()})
-    needed: Fields = {}
-    _collect(name, {**_standard(encoding).fielddefs, **found}, needed, set(), _MAX_DEPTH)
+    known: _Fields = dict(_standard(encoding).fielddefs)
+    if definition is not None:
+        for part in _parse(name, definition):
+            known.update(part)
+    needed: _Fields = {}
+    _collect(name, known, needed, set(), _MAX_DEPTH)
     return needed
 
 
@@ -170,7 +203,9 @@ def _parse(name: str, definition: Definition) -> list[Any]:
     return [get_types_from_idl(idl) for idl in idls if idl.strip()]
 
 
-def _collect(name: str, known: Fields, needed: Fields, without_bytes: set[str], depth: int) -> None:
+def _collect(
+    name: str, known: _Fields, needed: _Fields, without_bytes: set[str], depth: int
+) -> None:
     """Gather the type and the types of its fields in `needed`."""
     if name in needed:
         return
@@ -199,4 +234,8 @@ def _collect(name: str, known: Fields, needed: Fields, without_bytes: set[str], 
         has_bytes = has_bytes or element != Nodetype.NAME or named not in without_bytes
     if not has_bytes:
         without_bytes.add(name)
-    needed[name] = ([], fields)
+    large = _MATRICES.get(name, ())
+    renamed = [(field.lower() if field in large else field, kind) for field, kind in fields]
+    if len({field for field, _ in renamed}) != len(renamed):
+        raise TypesysError(f"{name} has two fields of one name")
+    needed[name] = ([], renamed)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+import textwrap
 from contextlib import ExitStack
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -14,14 +15,16 @@ from typing import NamedTuple
 import yaml
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.ros.source import ZSTD_MAGIC
+from fieldgrid.limits import Budget
+from fieldgrid.ros.source import ZSTD_MAGIC, unpacked_pieces
 
 METADATA = "metadata.yaml"
 _KEY = "rosbag2_bagfile_information"
 _MAX_METADATA_BYTES = 1 << 24
+_MAX_LIST_CHARS = 1 << 18
+_LIST = re.compile(r"^( *)relative_file_paths:.*\n(?:\1[ -].*\n|[ \t]*\n)*", re.MULTILINE)
 _ROS2, _ROS1 = (".db3", ".mcap"), (".bag", ".bag.active")
 _PACKED = ".zstd"
-_STEP_BYTES = 1 << 20
 
 
 class Files(NamedTuple):
@@ -71,20 +74,17 @@ def unpacked(path: Path, stack: ExitStack) -> tuple[Path, bool]:
 
 
 def _unpack(path: Path, inner: Path) -> bool:
-    import zstandard
-
-    with path.open("rb") as packed, inner.open("wb") as file:
-        stream = zstandard.ZstdDecompressor().stream_reader(packed)
-        try:
-            while piece := stream.read(_STEP_BYTES):
+    try:
+        with path.open("rb") as packed, inner.open("wb") as file:
+            for piece in unpacked_pieces(packed, Budget(path, path.stat().st_size)):
                 file.write(piece)
-        except zstandard.ZstdError:
-            return False
-        except OSError as error:
-            raise RecordingError(
-                f"{path} cannot be decompressed ({error.strerror}); free some space for temporary "
-                "files, or unpack it with `zstd -d`."
-            ) from error
+    except EOFError:
+        return False
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be decompressed ({error.strerror}); free some space for temporary "
+            "files, or unpack it with `zstd -d`."
+        ) from error
     return True
 
 
@@ -115,9 +115,11 @@ def _metadata(folder: Path) -> bytes:
 
 def _listed(folder: Path) -> list[str]:
     """The names that the description lists; none where it is missing or unreadable."""
+    found = _LIST.search(_metadata(folder).decode("utf-8", "replace") + "\n")
+    if found is None or len(found[0]) > _MAX_LIST_CHARS:
+        return []
     try:
-        content = yaml.safe_load(_metadata(folder))
-        names = content[_KEY]["relative_file_paths"]
+        names = yaml.safe_load(textwrap.dedent(found[0]))["relative_file_paths"]
     except (yaml.YAMLError, RecursionError, ValueError, LookupError, TypeError):
         return []
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []

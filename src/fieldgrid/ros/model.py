@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -14,14 +14,6 @@ class Topic(NamedTuple):
     name: str
     type: str
     count: int  # type: ignore[assignment]  # in the place of tuple.count, which nobody needs
-
-
-class Message(NamedTuple):
-    """One message as it was recorded: `data` is serialised in the encoding of its bag."""
-
-    topic: str
-    receive_ns: int
-    data: bytes
 
 
 class Definition(NamedTuple):
@@ -40,26 +32,47 @@ class Connection(NamedTuple):
     definition: Definition | None
 
 
+class Message(NamedTuple):
+    """One message as it was recorded, and what it is; it can be pickled and decoded anywhere."""
+
+    connection: Connection
+    receive_ns: int
+    data: bytes
+
+    @property
+    def topic(self) -> str:
+        """The topic that it was sent to."""
+        return self.connection.topic
+
+
 class Record(NamedTuple):
-    """A message within the reader's buffer, which is good until the next one is asked for."""
+    """A message within the reader's buffer, which is good until the next one is asked for.
+
+    `at` is a place in the file from which reading can start to meet it again.
+    """
 
     connection: Connection
     receive_ns: int
     data: bytes | memoryview
+    at: int
 
 
 class Part(Protocol):
     """One file of a bag, known to begin as its kind does: `path` names it, `file` is read."""
 
     path: Path
-    # Both are of the latest run of `records`, and complete when that has ended.
+    file: Path
     damage: Damage
+    """Of the latest run of `records`, and complete when that has ended."""
     connections: Connections
+    """All that a run has met so far."""
 
     def __init__(self, path: Path, file: Path) -> None: ...
 
-    def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """What can be read, in the order of the file."""
+    def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
+        """What can be read, in the order of the file; of these topics, or of all. `start` is
+        where, an `at` of a record of an earlier run. Raises LimitError for a file that unfolds
+        to more than it may."""
 
 
 MAX_GAPS = 1000
@@ -129,8 +142,12 @@ def size(count: int) -> str:
 
 
 MAX_CONNECTIONS = 10_000
-MAX_DEFINITION_CHARS = 1 << 20
-_MAX_ALL_CHARS = 1 << 26
+MAX_DEFINITION_CHARS = 1 << 16
+"""Ten times what the largest types have. A definition takes 10 microseconds a character to parse,
+and one that is beyond this is taken to be missing."""
+
+_MAX_CHARS = 1 << 20  # of all definitions that differ
+_MAX_NAME_CHARS = 1 << 22
 
 
 class Connections:
@@ -138,21 +155,32 @@ class Connections:
 
     def __init__(self) -> None:
         self._known: dict[int, Connection] = {}
-        self._chars = 0
+        self._definitions: dict[Definition, Definition] = {}
+        self._chars = self._name_chars = 0
 
     def add(self, number: int, connection: Connection) -> None:
         """Take a connection. One beyond all measure is left out, and its messages with it."""
-        if number in self._known:
+        if number in self._known or len(self._known) == MAX_CONNECTIONS:
             return
-        text = connection.definition.text if connection.definition else ""
-        if len(text) > MAX_DEFINITION_CHARS:
-            connection, text = connection._replace(definition=None), ""
-        self._chars += len(text) + len(connection.topic) + len(connection.type)
-        if len(self._known) < MAX_CONNECTIONS and self._chars < _MAX_ALL_CHARS:
-            self._known[number] = connection
+        self._name_chars += len(connection.topic) + len(connection.type)
+        if self._name_chars < _MAX_NAME_CHARS:
+            definition = self._taken(connection.definition)
+            self._known[number] = connection._replace(definition=definition)
 
-    def __iter__(self) -> Iterator[Connection]:
-        return iter(self._known.values())
+    def _taken(self, definition: Definition | None) -> Definition | None:
+        """The same definition for all connections that have it."""
+        if definition is None or len(definition.text) > MAX_DEFINITION_CHARS:
+            return None
+        if definition not in self._definitions:
+            self._chars += len(definition.text)
+            if self._chars > _MAX_CHARS:
+                return None
+            self._definitions[definition] = definition
+        return self._definitions[definition]
+
+    def items(self) -> Iterable[tuple[int, Connection]]:
+        """The connections with their numbers."""
+        return self._known.items()
 
     def get(self, number: int) -> Connection | None:
         """The connection of that number, if there is one."""

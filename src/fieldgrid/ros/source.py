@@ -5,19 +5,20 @@ from __future__ import annotations
 import bz2
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
+from fieldgrid.closing import Closing
 from fieldgrid.errors import RecordingError
-
-MAX_RECORD_BYTES = 1 << 30
-"""No record, chunk or message beyond this is read: images and clouds are far smaller."""
+from fieldgrid.limits import Budget, limits
 
 _STEP_BYTES = 1 << 22
 _SEARCH_BYTES = 1 << 20
+_MAX_SEARCHED_BYTES = 1 << 30
 _MAX_WRONG = 10_000
+_MAX_WINDOW_BYTES = 1 << 27
 
 
 class Torn(Exception):  # noqa: N818 - a way of ending, not an error of the caller
@@ -28,7 +29,7 @@ class BadChunkError(Exception):
     """The records within a chunk make no sense."""
 
 
-class Source:
+class Source(Closing):
     """A file open for reading, which gives no byte beyond its end and none unasked."""
 
     def __init__(self, path: Path) -> None:
@@ -41,10 +42,8 @@ class Source:
         self.size = os.fstat(self._file.fileno()).st_size
         self.offset = 0
 
-    def __enter__(self) -> Source:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the file."""
         self._file.close()
 
     @property
@@ -54,13 +53,13 @@ class Source:
 
     def take(self, count: int) -> bytes:
         """The next `count` bytes; raises Torn where the file has not so many, or that is absurd."""
-        if count > self.left or count > MAX_RECORD_BYTES:
+        if count > self.left or count > limits().piece_bytes:
             raise Torn
         return self.rest(count)
 
     def rest(self, count: int) -> bytes:
         """The next `count` bytes, or fewer where the file ends."""
-        wanted = min(count, self.left, MAX_RECORD_BYTES)
+        wanted = min(count, self.left, limits().piece_bytes)
         try:
             data = self._file.read(wanted)
         except OSError as error:  # a bad block of the disk
@@ -86,10 +85,10 @@ class Source:
     ) -> bool:
         """Go to the next match of `pattern` (at most `width` bytes wide) that is right.
 
-        Gives up after many that are not: they are there to cost time.
+        Gives up after many that are not, and after a gigabyte: they are there to cost time.
         """
-        wrong = 0
-        while start < self.size and wrong < _MAX_WRONG:
+        wrong, stop = 0, min(self.size, start + _MAX_SEARCHED_BYTES)
+        while start < stop and wrong < _MAX_WRONG:
             self.go(start)
             block = self.rest(_SEARCH_BYTES + width)
             for match in pattern.finditer(block):
@@ -105,45 +104,50 @@ class _Stream(Protocol):
     def read(self, size: int, /) -> bytes: ...
 
 
-class _Bz2:
-    def __init__(self, data: bytes) -> None:
-        self._inner = bz2.BZ2Decompressor()
-        self._data = data
+class _Unpacker(Protocol):
+    @property
+    def eof(self) -> bool: ...
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
+
+
+class _Unpacked:
+    """A stream from an object that unpacks bit by bit."""
+
+    def __init__(self, unpacker: _Unpacker, data: bytes) -> None:
+        self._unpacker, self._data = unpacker, data
 
     def read(self, size: int) -> bytes:
-        if self._inner.eof:
+        if self._unpacker.eof:
             return b""
         data, self._data = self._data, b""
-        return self._inner.decompress(data, size)
+        return bytes(self._unpacker.decompress(data, size))
 
 
-class _Lz4:
-    def __init__(self, data: bytes) -> None:
-        import lz4.frame
+def _lz4(data: bytes) -> _Stream:
+    import lz4.frame
 
-        self._inner = lz4.frame.LZ4FrameDecompressor()
-        self._data = data
-
-    def read(self, size: int) -> bytes:
-        if self._inner.eof:
-            return b""
-        data, self._data = self._data, b""
-        return bytes(self._inner.decompress(data, size))
+    return _Unpacked(lz4.frame.LZ4FrameDecompressor(), data)
 
 
-def _zstd(data: bytes) -> _Stream:
+def _zstd(source: bytes | BinaryIO) -> _Stream:
     import zstandard
 
-    return zstandard.ZstdDecompressor().stream_reader(BytesIO(data))
+    reader = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+    return reader.stream_reader(BytesIO(source) if isinstance(source, bytes) else source)
 
 
-_CODECS: dict[str, Callable[[bytes], _Stream]] = {"bz2": _Bz2, "lz4": _Lz4, "zstd": _zstd}
+_CODECS: dict[str, Callable[[bytes], _Stream]] = {
+    "bz2": lambda data: _Unpacked(bz2.BZ2Decompressor(), data),
+    "lz4": _lz4,
+    "zstd": _zstd,
+}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 UNCOMPRESSED = {"", "none"}
 COMPRESSIONS = UNCOMPRESSED | set(_CODECS)
 
 
-def inflate(data: bytes, compression: str, most: int = MAX_RECORD_BYTES) -> bytes:
+def inflate(data: bytes, compression: str, most: int) -> bytes:
     """What compressed data hold, up to `most` bytes and as far as they are whole.
 
     Memory grows with what really comes out, whatever the data claim. `compression` is one of
@@ -154,16 +158,30 @@ def inflate(data: bytes, compression: str, most: int = MAX_RECORD_BYTES) -> byte
     import zstandard
 
     stream = _CODECS[compression](data)
-    pieces = []
-    missing = min(most, MAX_RECORD_BYTES)
-    # The first errors are of bz2 and of lz4.
-    while missing > 0:
+    found = bytearray()
+    while len(found) < most:
         try:
-            piece = stream.read(min(missing, _STEP_BYTES))
-        except (OSError, EOFError, RuntimeError, ValueError, zstandard.ZstdError):
+            piece = stream.read(min(most - len(found), _STEP_BYTES))
+        # The first errors are of bz2 and of lz4.
+        except (OSError, EOFError, RuntimeError, ValueError, MemoryError, zstandard.ZstdError):
             break
         if not piece:
             break
-        pieces.append(piece)
-        missing -= len(piece)
-    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+        if not found and len(piece) == most:
+            return piece
+        found += piece
+    return bytes(found)
+
+
+def unpacked_pieces(packed: BinaryIO, budget: Budget) -> Iterator[bytes]:
+    """What a file compressed by zstd holds, piece by piece. Raises EOFError where it is damaged,
+    and LimitError beyond the budget."""
+    import zstandard
+
+    stream = _zstd(packed)
+    try:
+        while piece := stream.read(_STEP_BYTES):
+            budget.spend(len(piece))
+            yield piece
+    except zstandard.ZstdError as error:
+        raise EOFError(str(error)) from error

@@ -6,6 +6,7 @@ write-ahead log, or be in the middle of a transaction, or end within a page; a c
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sqlite3
@@ -14,7 +15,7 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.ros.source import MAX_RECORD_BYTES
+from fieldgrid.limits import limits
 
 MAGIC = b"SQLite format 3\0"
 _ROLLBACK_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
@@ -35,14 +36,14 @@ def connect(file: Path, *, mend: bool = False) -> sqlite3.Connection:
     except sqlite3.Error:
         database.close()
         raise
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits().piece_bytes)
     database.text_factory = lambda text: text.decode("utf-8", "replace")
     return database
 
 
 def tables(database: sqlite3.Connection) -> set[str]:
-    """The names of the tables; views are none."""
-    rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+    """The names of the tables; views and virtual tables, which have no page, are none."""
+    rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0")
     return {str(name) for (name,) in rows}
 
 
@@ -58,6 +59,8 @@ def mended(path: Path, stack: ExitStack) -> tuple[Path, str]:
         return path, ""
     try:
         copy = Path(stack.enter_context(tempfile.TemporaryDirectory()), path.name)
+        if shutil.disk_usage(copy.parent).free < 2 * path.stat().st_size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         for end in ("", *_LOGS):
             with suppress(FileNotFoundError):
                 shutil.copyfile(_beside(path, end), _beside(copy, end))
@@ -103,6 +106,8 @@ def _beside(path: Path, end: str) -> Path:
 def _is_pending(log: Path) -> bool:
     """Whether the log beside a database holds anything to play back."""
     try:
+        if not log.is_file():
+            return False
         if log.name.endswith("-wal"):
             return log.stat().st_size > 0
         with log.open("rb") as file:

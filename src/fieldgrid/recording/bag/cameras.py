@@ -12,7 +12,6 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.images import baseline_m
-from fieldgrid.recording.bag.messages import field
 from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.topics import INFO, is_rectified, listing
 from fieldgrid.rectify import (
@@ -162,7 +161,7 @@ def _info(
 
 
 def _matrix(message: Any, name: str, shape: tuple[int, ...], source: str) -> Float64:
-    matrix = np.asarray(field(message, name), dtype=np.float64)
+    matrix = np.asarray(getattr(message, name), dtype=np.float64)
     fits = matrix.size <= _MOST_COEFFICIENTS if -1 in shape else matrix.size == math.prod(shape)
     if not (fits and np.isfinite(matrix).all()):
         raise CalibrationError(

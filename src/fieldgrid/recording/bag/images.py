@@ -10,11 +10,10 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float32
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.bag.messages import decoded, field
 from fieldgrid.recording.images import MAX_PIXELS, decode_image
 from fieldgrid.recording.pixels import Pixels, layout, to_grey
 from fieldgrid.recording.protocol import Image
-from fieldgrid.ros import Bag, Message
+from fieldgrid.ros import Message, decode
 
 MILLIMETRES, METRES = ("16UC1", "mono16"), "32FC1"
 """Encodings of depths."""
@@ -27,7 +26,6 @@ class MessageSource:
     It holds the bytes as recorded, and nothing decoded.
     """
 
-    bag: Bag
     message: Message
     time_ns: int
 
@@ -38,7 +36,7 @@ class MessageSource:
 
     def decoded(self) -> Any:
         """The message; RecordingError when its bytes are no message of its type."""
-        return decoded(self.bag, self.message)
+        return decode(self.message)
 
     def sha256(self) -> str:
         """The hash of the image's or cloud's own bytes, without header and layout."""
@@ -145,7 +143,7 @@ def _known(depth_m: Float32) -> Float32:
 
 def baseline_m(message: Any) -> float:
     """T of a disparity image."""
-    return float(field(message, "t"))
+    return float(message.t)
 
 
 def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> AnyArray:

@@ -17,11 +17,10 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import Fix, quality_by_sigma
 from fieldgrid.gnss import NmeaLog, NmeaStream
 from fieldgrid.quality import Quality
-from fieldgrid.recording.bag.messages import decoded
 from fieldgrid.recording.bag.order import clock
 from fieldgrid.recording.bag.topics import FIXES, static_transforms
 from fieldgrid.recording.bag.transforms import Transforms
-from fieldgrid.ros import Bag, Message
+from fieldgrid.ros import Bag, Message, decode
 
 _CALIBRATIONS = ("left_info", "right_info", "depth_info")
 _UNLIMITED = 1 << 60
@@ -90,7 +89,7 @@ def read_readings(bag: Bag, roles: Mapping[str, str]) -> Readings:
         if not wanted:
             continue  # a camera says the same with every image
         try:
-            found = decoded(bag, message)
+            found = decode(message)
         except RecordingError:
             one_pass.damaged[message.topic] += 1
             continue

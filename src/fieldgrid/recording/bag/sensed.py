@@ -16,7 +16,6 @@ from fieldgrid.recording.bag.cameras import depth_camera, disparity_camera, ster
 from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.frames import Plan, Taken, plan_pairs, plan_single, read_frames
 from fieldgrid.recording.bag.images import CompressedImage, DepthImage, DisparityImage, RawImage
-from fieldgrid.recording.bag.messages import decoded
 from fieldgrid.recording.bag.mounts import SensorFrame, optical
 from fieldgrid.recording.bag.opened import Opened
 from fieldgrid.recording.bag.readings import Readings
@@ -25,7 +24,7 @@ from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.pixels import BITS, significant_bits
 from fieldgrid.recording.protocol import CloudFrame, DepthFrame, Frame, PairRectifier, StereoFrame
 from fieldgrid.rig import DepthCamera, Lidar, Sensor, StereoCamera
-from fieldgrid.ros import Bag
+from fieldgrid.ros import Bag, decode
 
 _CALIBRATION = "calibration"
 _SAMPLES = 5
@@ -111,7 +110,7 @@ def _cloud(opened: Opened) -> Sensed:
 
 def _first(bag: Bag, plan: Plan) -> Any:
     (taken,) = next(read_frames(bag, plan))
-    return decoded(bag, taken.message)
+    return decode(taken.message)
 
 
 def find_lidar(opened: Opened, plan: Plan, R: Float64) -> Lidar:
@@ -121,7 +120,7 @@ def find_lidar(opened: Opened, plan: Plan, R: Float64) -> Lidar:
     bag = opened.bag
     problem: CalibrationError | None = None
     for (taken,) in islice(read_frames(bag, plan), _SAMPLES):
-        points = MessageCloud(bag, *taken, tuple(R.ravel().tolist())).read()
+        points = MessageCloud(*taken, tuple(R.ravel().tolist())).read()
         try:
             return Lidar(points_per_sr(points))
         except CalibrationError as error:
@@ -139,7 +138,7 @@ def _bits(opened: Opened, plan: Plan) -> tuple[int, tuple[str, ...]]:
     samples = []
     for taken in islice(read_frames(bag, plan), _SAMPLES):
         for one in taken:
-            pixels = RawImage(bag, *one).deep_pixels()
+            pixels = RawImage(*one).deep_pixels()
             if pixels is None:
                 return BITS[-1], ()
             samples.append(pixels)
@@ -161,21 +160,18 @@ def frame_maker(
     if isinstance(sensor, StereoCamera):
         size_px = sensor.width_px, sensor.height_px
         compressed = [bag.topics[topic].type == COMPRESSED for topic in sensed.plan.topics]
-        return partial(_stereo_frame, bag, size_px, sensed.rectifier, compressed, sensed.bits)
+        return partial(_stereo_frame, size_px, sensed.rectifier, compressed, sensed.bits)
     if isinstance(sensor, DepthCamera):
         size_px = sensor.width_px, sensor.height_px
         of = DisparityImage if kind == "disparity" else DepthImage
-        return lambda k, time_ns, taken: DepthFrame(
-            _frame_id(k), time_ns, of(bag, *taken[0]), size_px
-        )
+        return lambda k, time_ns, taken: DepthFrame(_frame_id(k), time_ns, of(*taken[0]), size_px)
     turn = tuple(R.ravel().tolist())
     return lambda k, time_ns, taken: CloudFrame(
-        _frame_id(k), time_ns, MessageCloud(bag, *taken[0], turn)
+        _frame_id(k), time_ns, MessageCloud(*taken[0], turn)
     )
 
 
 def _stereo_frame(
-    bag: Bag,
     size_px: tuple[int, int],
     rectifier: PairRectifier | None,
     compressed: Sequence[bool],
@@ -185,7 +181,7 @@ def _stereo_frame(
     taken: tuple[Taken, ...],
 ) -> StereoFrame:
     left, right = (
-        CompressedImage(bag, *one) if packed else RawImage(bag, *one, bits)
+        CompressedImage(*one) if packed else RawImage(*one, bits)
         for one, packed in zip(taken, compressed, strict=True)
     )
     return StereoFrame(_frame_id(k), time_ns, left, right, size_px, rectifier)
