@@ -34,7 +34,7 @@ from fieldgrid.localgrid import (
     LocalGridder,
     local_ground,
 )
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import DriveOptions, open_recording
 from fieldgrid.settings import StereoSettings, resolve
 from fieldgrid.stereo import make_matcher
 from fieldgrid.trajectory import Pose
@@ -271,7 +271,9 @@ def measure_memory() -> Iterator[Line]:
 def _build(*, visual_odometry: bool = True) -> SessionReport:
     settings = resolve(None, {"pose": {"visual_odometry": visual_odometry}})
     with tempfile.TemporaryDirectory() as folder:
-        reports = build_map([EXAMPLE], Path(folder) / "map.gpkg", settings, gnss="gnss_rtk.nmea")
+        reports = build_map(
+            [EXAMPLE], Path(folder) / "map.gpkg", settings, DriveOptions("gnss_rtk.nmea")
+        )
     return reports[0]
 
 

@@ -16,7 +16,7 @@ from fieldgrid.build import build_map, perceive, session_config
 from fieldgrid.evaluation import Evaluation, Group, evaluate, read_truth
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import DriveOptions, open_recording
 from fieldgrid.settings import BuildSettings, resolve
 from fieldgrid.trajectory import Pose
 
@@ -108,7 +108,7 @@ def without_slow_error(gnss: str) -> Evaluation:
     true_m = {pose.time_ns: (pose.east_m, pose.north_m) for pose in truth.poses}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "map.gpkg"
-        (report,) = build_map([EXAMPLE], out, BuildSettings(), gnss=gnss)
+        (report,) = build_map([EXAMPLE], out, BuildSettings(), DriveOptions(gnss))
         with open_map(out, writable=True) as universal:
             poses = {f.frame_id: f.pose for f in universal.frames(report.session)}
             time_s = np.array([pose.time_ns for pose in poses.values()]) / 1e9
@@ -133,7 +133,7 @@ def without_slow_error(gnss: str) -> Evaluation:
 def _measure(variant: Variant) -> Evaluation:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "map.gpkg"
-        build_map([EXAMPLE], out, variant.settings, gnss=variant.gnss)
+        build_map([EXAMPLE], out, variant.settings, DriveOptions(variant.gnss))
         with open_map(out) as universal:
             return evaluate(universal, read_truth(EXAMPLE / "truth"))
 

@@ -30,7 +30,7 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.geodesy import Datum
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.quality import Quality
-from fieldgrid.recording import open_log
+from fieldgrid.recording.logs import read_fix_log
 
 FOLDER = DATA / "gnss" / "isoxml_harvester"
 
@@ -235,7 +235,7 @@ def report() -> Iterator[str]:
     for log in logs():
         raw = FOLDER / "raw" / "ValidTimeLogs" / f"{log.name}.bin"
         if raw.exists():
-            found_raw = estimate_poses(open_log(raw).fixes)
+            found_raw = estimate_poses(read_fix_log(raw).fixes)
             yield _line(f"{log.name}, as the terminal wrote it", measure(log, found_raw), False)
 
 

@@ -22,6 +22,7 @@ from benchmarks import EXAMPLE
 from benchmarks.synthetic import DATUM, real_grids, rows
 from fieldgrid.build import build_map
 from fieldgrid.mapfile import MapFile, create_map, open_map
+from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 
 SIDE_M = 150.0
@@ -65,7 +66,7 @@ def add(universal: MapFile, name: str, west_m: float, south_m: float) -> tuple[f
 def measure_size(folder: Path) -> Iterator[Line]:
     """Bytes in the file for each cell that a session observed."""
     path = folder / "example.gpkg"
-    build_map([EXAMPLE], path, BuildSettings(), gnss="gnss_rtk.nmea")
+    build_map([EXAMPLE], path, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
     yield Line("the example, all evidence included", _bytes_a_cell(path), "asked <= 8")
     path = folder / "four.gpkg"
     with create_map(path, DATUM) as universal:

@@ -27,7 +27,6 @@ from benchmarks.rectified import VINEYARD, raw_drive
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.recording.files import parse_time_ns
-from fieldgrid.recording.protocol import pair_of
 from tests.recording import bags
 from tests.recording.test_euroc import table, write_euroc
 
@@ -96,7 +95,7 @@ def _once(path: Path) -> Cost:
         spent = np.zeros(3)
         for _ in range(drive.frame_count):
             started = time.perf_counter()
-            frame = pair_of(next(frames))
+            frame = next(frames)
             streamed = time.perf_counter()
             left, right = frame.images()
             for source in frame.sources:
@@ -165,7 +164,7 @@ def peak_of_reading_mb(path: Path) -> float:
     """The peak memory of this process after reading a recording."""
     with _opened(path) as drive:
         for frame in drive.frames():
-            pair_of(frame).images()
+            frame.images()
     # Not ru_maxrss: that of a new process begins with the peak of the one that started it.
     status = Path("/proc/self/status").read_text()
     (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))

@@ -20,7 +20,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
 from fieldgrid.gnss.fields import checksum
 from fieldgrid.pose import estimate_poses
-from fieldgrid.recording.bare import open_bare
+from fieldgrid.recording import open_drive
 from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.motion_files import read_motion
 from fieldgrid.settings import PoseSettings
@@ -67,9 +67,9 @@ def _stages(folder: Path) -> tuple[Stage, ...]:
     log = folder / "gnss" / "rtk.nmea"
     _, parse_s = _timed(lambda: read_fix_log(log))
     _, imu_s = _timed(lambda: read_motion(folder))
-    drive, read_s = _timed(lambda: open_bare(folder))
-    _, condition_s = _timed(lambda: condition(drive.fixes, PoseSettings().gnss))
-    estimate, estimate_s = _timed(lambda: estimate_poses(drive.fixes, motion=drive.motion))
+    drive, read_s = _timed(lambda: open_drive(folder))
+    _, condition_s = _timed(lambda: condition(drive.fixes(), PoseSettings().gnss))
+    estimate, estimate_s = _timed(lambda: estimate_poses(drive.fixes(), motion=drive.motion()))
     _, write_s = _timed(lambda: write_track(estimate, folder / "track.csv"))
     _, sum_s = _timed(lambda: summarise_track(estimate))
     return (

@@ -5,12 +5,13 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.array_types import Float32
 from fieldgrid.errors import FieldgridError
-from fieldgrid.recording import CloudFrame, DepthFrame, Frame, Mounting, Options
-from fieldgrid.recording.bag import BagRecording, open_drive
+from fieldgrid.recording import DriveOptions, Frame, Image, Mounting, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount
 from fuzz.target import Target
 from fuzz.targets_ros import check_sentence, mend_mcap
@@ -21,44 +22,55 @@ _UTC = 1_700_000_000_000_000_000
 _STEP = 100_000_000
 _P = np.array([[20.0, 0, 8, 0], [0, 20, 8, 0], [0, 0, 1, 0]])
 _P_RIGHT = _P + np.array([[0, 0, 0, -4.0], [0, 0, 0, 0], [0, 0, 0, 0]])
-_OPTIONS = Options(mounting=Mounting(Mount(2.0, 15.0), LeverArm(0.0, 0.0, 3.0)))
+_OPTIONS = DriveOptions(mounting=Mounting(Mount(2.0, 15.0), LeverArm(0.0, 0.0, 3.0)))
 
 
 def check_drive(data: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "drive")
+        path = Path(folder, "drive.bag")
         path.write_bytes(data)
         try:
-            drive = open_drive(path, _OPTIONS)
+            with open_drive(path, _OPTIONS) as drive:
+                if drive.refusal is None:
+                    _check_frames(drive.recording())
+                else:
+                    check_sentence(str(drive.refusal))
         except FieldgridError as error:
             check_sentence(str(error))
-            return
-        if isinstance(drive, BagRecording):
-            with drive:
-                _check_frames(drive)
 
 
-def _check_frames(drive: BagRecording) -> None:
+def _check_frames(drive: Recording) -> None:
     times_ns = drive.frame_times_ns()
     assert np.all(np.diff(times_ns) > 0)
     assert [frame.time_ns for frame in drive.frames()] == times_ns.tolist()
+    last = drive.frame_count - 1
+    assert [frame.time_ns for frame in drive.frames(last)] == times_ns[last:].tolist()
     for frame in drive.frames():
         try:
-            _read(frame)
+            frame.read(_Checks(frame))
         except FieldgridError as error:
             check_sentence(str(error))
-    assert len(drive.streams()) == len(drive.bag.topics)
 
 
-def _read(frame: Frame) -> None:
-    if isinstance(frame, CloudFrame):
-        assert np.isfinite(frame.cloud.read()).all()
-    elif isinstance(frame, DepthFrame):
-        assert not np.any(frame.depth.read() <= 0.0)
-    else:
-        left, right = frame.images()
-        assert left.shape == right.shape == frame.size_px[::-1]
-    assert all(len(source.sha256()) == 64 for source in frame.sources)
+class _Checks(NamedTuple):
+    """What must hold of a frame that was read."""
+
+    frame: Frame
+
+    def pair(self, left: Image, right: Image) -> None:
+        assert left.shape == right.shape == (16, 16)
+        self._check_hashes()
+
+    def depth(self, depth_m: Float32) -> None:
+        assert not np.any(depth_m <= 0.0)
+        self._check_hashes()
+
+    def cloud(self, points_m: Float32) -> None:
+        assert np.isfinite(points_m).all()
+        self._check_hashes()
+
+    def _check_hashes(self) -> None:
+        assert all(len(source.sha256()) == 64 for source in self.frame.sources)
 
 
 def _small(maker: Maker, time_ns: int) -> Iterator[Said]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
-from fieldgrid.recording import open_log
+from fieldgrid.recording.logs import read_fix_log
 from fuzz.target import Target, real_starts
 
 _UBX_KINDS = ((1, 4, 18), (1, 7, 92), (1, 0x14, 36), (1, 0x3C, 64), (1, 0x61, 4))
@@ -68,7 +68,7 @@ def _open(data: bytes, name: str, header: bytes = b"") -> None:
         if header:
             path.with_suffix(".xml").write_bytes(header)
         try:
-            log = open_log(path)
+            log = read_fix_log(path)
         except FieldgridError:
             return
     for fix in log.fixes:

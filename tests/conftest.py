@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from fieldgrid.recording import DriveOptions
+
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
 
@@ -51,7 +53,7 @@ def built_two_lanes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ses
     from fieldgrid.settings import BuildSettings
 
     out = tmp_path_factory.mktemp("two_lanes") / "vineyard.gpkg"
-    (report,) = build_map([TWO_LANES], out, BuildSettings(), gnss="gnss_rtk.nmea")
+    (report,) = build_map([TWO_LANES], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
     return out, report
 
 

@@ -30,7 +30,7 @@ from fieldgrid.evaluation.scores import _view_points
 from fieldgrid.grids import OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DepthFrame, Recording, open_recording
+from fieldgrid.recording import DepthFrame, DriveOptions, Recording, open_recording
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings, resolve
 from tests.conftest import TWO_LANES
@@ -76,7 +76,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def built(path: Path, out: Path, tables: dict[str, dict[str, object]]) -> SessionReport:
-    (report,) = build_map([path], out, resolve(None, tables), gnss=RTK)
+    (report,) = build_map([path], out, resolve(None, tables), DriveOptions(RTK))
     return report
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fieldgrid.lattice import Bounds
     from fieldgrid.mapfile import merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
-    from fieldgrid.recording import open_recording
+    from fieldgrid.recording import DriveOptions, open_drive, open_recording
     from fieldgrid.settings import BuildSettings
     from fieldgrid.trajectory import Pose, Trajectory
     from fieldgrid.transfer import Averaging, Transfer
@@ -43,6 +43,7 @@ _HOMES = {
     "CostCurve": "cost",
     "Costmap": "costmap",
     "Datum": "geodesy",
+    "DriveOptions": "recording",
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
@@ -62,6 +63,7 @@ _HOMES = {
     "inspect_recording": "inspection",
     "local_grid": "build",
     "merge_maps": "mapfile",
+    "open_drive": "recording",
     "open_map": "mapfile",
     "open_recording": "recording",
     "read_truth": "evaluation",
@@ -75,6 +77,7 @@ __all__ = [
     "CostCurve",
     "Costmap",
     "Datum",
+    "DriveOptions",
     "FieldgridError",
     "GridSpec",
     "LocalGrid",
@@ -94,6 +97,7 @@ __all__ = [
     "inspect_recording",
     "local_grid",
     "merge_maps",
+    "open_drive",
     "open_map",
     "open_recording",
     "read_truth",

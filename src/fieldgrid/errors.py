@@ -7,6 +7,7 @@ what to do next::
     ├── ConfigError        (ValueError)   a setting that cannot be
     ├── RecordingError     (ValueError)   a recording that is missing something or unreadable
     │   ├── CalibrationError              a rig that cannot be, or does not fit the images
+    │   ├── NoFramesError                 a drive without frames where they are needed
     │   └── LimitError                    an input that unfolds to more than it may
     ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
     ├── DatumError         (ValueError)   a position that does not belong to this datum
@@ -33,6 +34,10 @@ class RecordingError(FieldgridError, ValueError):
 
 class CalibrationError(RecordingError):
     """A calibration or mounting that cannot be, or does not fit the images."""
+
+
+class NoFramesError(RecordingError):
+    """A drive that has no frames, where they are needed."""
 
 
 class LimitError(RecordingError):

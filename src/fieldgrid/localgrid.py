@@ -8,7 +8,7 @@ enter after the matching, and clouds with their points.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -89,6 +89,10 @@ class LocalGridder:
         self._within = (range_m >= nearest_m) & (range_m <= self.max_range_m)
         self._gain = density_gain(rig, self.spec, self.settings)
         self._needed = points_needed(rig, self.spec, self.settings)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Another process makes its own matchers and tables.
+        return LocalGridder, (self.rig, self.spec, self.stereo, self.settings)
 
     @property
     def matcher(self) -> StereoMatcher:

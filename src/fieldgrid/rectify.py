@@ -10,7 +10,7 @@ import math
 import threading
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -219,6 +219,10 @@ class Rectifier:
         self._views = left, right
         self._maps: tuple[_Maps, _Maps] | None = None
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The maps are large, and another process makes them as fast as it would read them.
+        return Rectifier, self._views
 
     @property
     def raw_size_px(self) -> tuple[int, int]:

@@ -9,8 +9,9 @@ points. Sensor frame (optical, of a lidar too): x right, y down, z forward.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -285,6 +286,14 @@ def check_offset(offset_deg: float | None) -> None:
         )
 
 
+# Maps of stereo drives have always had "camera".
+_SENSOR_KEYS: dict[str, type[StereoCamera] | type[DepthCamera] | type[Lidar]] = {
+    "camera": StereoCamera,
+    "depth_camera": DepthCamera,
+    "lidar": Lidar,
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """Everything about the vehicle that does not change during a drive.
@@ -309,13 +318,50 @@ class Rig:
 
     def __post_init__(self) -> None:
         check_offset(self.heading_offset_deg)
+        axle_m = self.rear_axle_forward_m
+        if axle_m is not None and not abs(axle_m) <= 30.0:
+            raise CalibrationError(
+                f"An axle {axle_m} m ahead of the camera is beyond 30 m; give metres."
+            )
+        if self.heading_convention not in get_args(HeadingConvention):
+            raise CalibrationError(
+                f"The heading convention {self.heading_convention!r} is not known; give one of "
+                f"{', '.join(get_args(HeadingConvention))}."
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values; the sensor stands under a key that says which kind it is."""
+        values = asdict(self)
+        (kind,) = (key for key, sensor in _SENSOR_KEYS.items() if type(self.sensor) is sensor)
+        return {kind: values.pop("sensor"), **values}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Rig:
+        """The rig of such values; CalibrationError for what describes none."""
+        try:
+            rest = dict(values)
+            (kind,) = rest.keys() & _SENSOR_KEYS.keys()
+            sensor: Sensor = _SENSOR_KEYS[kind](**rest.pop(kind))
+            return cls(sensor, Mount(**rest.pop("mount")), LeverArm(**rest.pop("antenna")), **rest)
+        except (LookupError, TypeError, ValueError) as error:
+            raise CalibrationError(f"This is no rig: {error}; give that of the drive.") from error
 
     @property
     def camera(self) -> StereoCamera:
         """The stereo camera; CalibrationError for a rig that has another sensor."""
-        if not isinstance(self.sensor, StereoCamera):
-            raise CalibrationError(
-                f"This needs a stereo pair, and the rig has a {type(self.sensor).__name__}; "
-                "leave it out for this drive."
-            )
-        return self.sensor
+        if isinstance(self.sensor, StereoCamera):
+            return self.sensor
+        raise self._other_sensor("a stereo pair")
+
+    @property
+    def depth_camera(self) -> DepthCamera:
+        """The depth camera; CalibrationError for a rig that has another sensor."""
+        if isinstance(self.sensor, DepthCamera):
+            return self.sensor
+        raise self._other_sensor("images of depths")
+
+    def _other_sensor(self, wanted: str) -> CalibrationError:
+        return CalibrationError(
+            f"This needs {wanted}, and the rig has a {type(self.sensor).__name__}; leave it out "
+            "for this drive."
+        )

@@ -21,7 +21,7 @@ def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> No
     # RTK, plain, with a satellite's corrections, PPS.
     assert [fix.status.status for fix in fixes] == [2, 0, 1, 0]
     # The sigma of row 3 is not known, so its covariance is not.
-    assert [fix.position_covariance_type for fix in fixes] == [1, 0, 1, 1]
+    assert [fix.position_covariance_type for fix in fixes] == [2, 0, 2, 2]
     assert not fixes[1].position_covariance.any()
     poses = ros_messages.path(driven, 0).poses
     assert [stamp(pose.header) for pose in poses] == driven.time_ns[[0, 3, 5]].tolist()

@@ -247,3 +247,15 @@ def test_real_receivers_are_read(shared_data: SharedData) -> None:
     for name, count in (("ublox-zed-f9p-hp", 29), ("ublox-neo-m8n", 24), ("ublox-zed-f9r", 30)):
         with (folder / f"{name}.log").open("rb") as file:
             assert len(parse_ubx(file).fixes) == count
+
+
+def test_a_last_byte_that_was_used_begins_no_other_message() -> None:
+    """A checksum that ends in B5 before a stray 62: the pair is no start of a message."""
+    ending = next(
+        m for k in range(1 << 16) if (m := message((6, 1), k.to_bytes(2, "little")))[-1] == 0xB5
+    )
+    data = ending + b"\x62" + pvt()
+    whole = parse_ubx([data])
+    assert (whole.messages, whole.bad_checksum) == (2, 0)
+    for k in range(len(data)):
+        assert parse_ubx([data[:k], data[k:]]) == whole

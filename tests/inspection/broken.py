@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.recording import open_log
+from fieldgrid.recording.logs import read_fix_log
 from tests.conftest import TWO_LANES
 
 Image = npt.NDArray[np.uint8]
@@ -122,7 +122,7 @@ def scaled_baseline(by: float) -> Callable[[str], str]:
 def fixes_as_table(folder: Path, moved_s: float, *, backward: bool = False) -> None:
     """The log of the drive as a table of its own, its times moved; `backward` exchanges some."""
     (source,) = (folder / "gnss").iterdir()
-    fixes = list(open_log(source).fixes)
+    fixes = list(read_fix_log(source).fixes)
     source.unlink()
     times = [fix.time_ns + round(moved_s * 1e9) for fix in fixes]
     if backward:

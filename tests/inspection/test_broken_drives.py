@@ -14,6 +14,7 @@ import pytest
 from fieldgrid.build import build_map
 from fieldgrid.errors import FieldgridError
 from fieldgrid.inspection import Inspection, Severity, inspect_recording
+from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
 from tests.inspection.broken import (
@@ -44,7 +45,7 @@ def finding(found: Inspection, code: str) -> tuple[str, str]:
 
 
 def test_a_sound_drive_has_nothing_to_complain_of() -> None:
-    found = inspect_recording(TWO_LANES, gnss=RTK)
+    found = inspect_recording(TWO_LANES, options=DriveOptions(RTK))
     assert found.builds
     assert serious(found) == set()
     assert found.reasons.total() == 0
@@ -63,7 +64,7 @@ def test_a_sound_drive_has_nothing_to_complain_of() -> None:
 
 
 def test_a_poorer_log_is_told_and_no_more() -> None:
-    found = inspect_recording(TWO_LANES, gnss=SF1)
+    found = inspect_recording(TWO_LANES, options=DriveOptions(SF1))
     assert found.builds
     assert serious(found) == {"fix-gaps"}
     assert found.clock is not None
@@ -128,7 +129,9 @@ def test_two_seconds_are_an_error_without_a_gyro_too(drive: Make) -> None:
 
 
 def test_the_remedy_mends_it(drive: Make) -> None:
-    found = inspect_recording(drive(moved_s=2.0), image_time_offset_ns=-2_000_000_000)
+    found = inspect_recording(
+        drive(moved_s=2.0), options=DriveOptions(image_time_offset_ns=-2_000_000_000)
+    )
     assert serious(found) == set()
     assert found.declared_offset_s == -2.0
 

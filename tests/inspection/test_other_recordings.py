@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.inspection import inspect_recording, sampling
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import DriveOptions, open_recording
 from tests.conftest import TWO_LANES
 from tests.inspection.broken import FEW, RTK
 from tests.inspection.conftest import codes, serious
@@ -51,7 +51,7 @@ def bag_of(tmp_path: Path, said: list[Said], maker: Maker) -> Path:
 def test_a_bag_tells_when_its_messages_were_received(tmp_path: Path) -> None:
     maker = Maker("mcap")
     path = bag_of(tmp_path, said_of_the_example(maker), maker)
-    found = inspect_recording(path, mounting=MOUNTING)
+    found = inspect_recording(path, options=DriveOptions(mounting=MOUNTING))
     assert found.builds
     assert found.kind == "ROS bag"
     assert not serious(found) - {"stamp-delays"}
@@ -64,7 +64,7 @@ def test_a_bag_without_a_topic_that_is_needed(tmp_path: Path) -> None:
     maker = Maker("mcap")
     said = [one for one in said_of_the_example(maker) if "right/image" not in one.topic]
     path = bag_of(tmp_path, said, maker)
-    found = inspect_recording(path, mounting=MOUNTING)
+    found = inspect_recording(path, options=DriveOptions(mounting=MOUNTING))
     assert not found.builds
     assert {stream.name for stream in found.streams} == {one.topic for one in said}
     assert "no-images" in codes(found)
@@ -86,13 +86,13 @@ def test_a_truncated_bag(tmp_path: Path) -> None:
     path = bag_of(tmp_path, said_of_the_example(maker), maker)
     data = path.read_bytes()
     path.write_bytes(data[: int(0.9 * len(data))])
-    found = inspect_recording(path, mounting=MOUNTING)
+    found = inspect_recording(path, options=DriveOptions(mounting=MOUNTING))
     assert "losses" in codes(found) or not found.builds
     path.write_bytes(data[:10])
-    found = inspect_recording(path, mounting=MOUNTING)
+    found = inspect_recording(path, options=DriveOptions(mounting=MOUNTING))
     assert not found.builds
     path.write_bytes(b"")
-    assert not inspect_recording(path, mounting=MOUNTING).builds
+    assert not inspect_recording(path, options=DriveOptions(mounting=MOUNTING)).builds
 
 
 @pytest.mark.parametrize("kind", ["clouds", "depth"])
@@ -113,7 +113,7 @@ def test_of_a_long_drive_stretches_are_enough(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(sampling, "MOST_FOLLOWED", 24)
     monkeypatch.setattr(sampling, "STRETCHES", 3)
     monkeypatch.setattr(sampling, "MOST_SAMPLES", 6)
-    found = inspect_recording(TWO_LANES, gnss=RTK)
+    found = inspect_recording(TWO_LANES, options=DriveOptions(RTK))
     assert (found.followed, found.camera_pairs, found.looked) == (24, 21, 6)
     assert serious(found) == set()
     assert found.clock is not None

@@ -7,19 +7,16 @@ have walls of leaves on both sides. Nothing of the package is used but its recor
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import cache
-from typing import Self
+from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Motion
-from fieldgrid.recording import CloudFrame, Frame, StereoFrame, Stream
+from fieldgrid.recording import CloudFrame, Frame, Recording, StereoFrame
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig, StereoCamera
 
 _Float64 = npt.NDArray[np.float64]
@@ -44,53 +41,33 @@ class Memory:
     def read(self) -> npt.NDArray[np.generic]:
         return self.values
 
+    def encoded(self) -> bytes:
+        return b""
+
     def sha256(self) -> str:
         return ""
 
 
-@dataclass
-class Drive:
-    """A recording in memory."""
+@dataclass(frozen=True)
+class MemoryFrames:
+    """Frames that are there already."""
 
-    rig: Rig
-    shots: list[Frame]
-    name: str = "rendered"
-    log: FixColumns = field(default_factory=lambda: FixColumns.of([]))
-    datum_hint: Datum | None = None
-    gnss_source: str = ""
-    notes: tuple[str, ...] = ()
-    losses: tuple[str, ...] = ()
+    shots: tuple[Frame, ...]
+    roles: tuple[str, ...] = ("left", "right")
 
     @property
-    def frame_count(self) -> int:
-        return len(self.shots)
-
-    def streams(self) -> Sequence[Stream]:
-        return []
-
-    def frame_times_ns(self) -> npt.NDArray[np.int64]:
+    def times_ns(self) -> npt.NDArray[np.int64]:
         return np.array([shot.time_ns for shot in self.shots], dtype=np.int64)
 
-    def frames(self) -> Iterator[Frame]:
-        return iter(self.shots)
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        return iter(self.shots[start:stop])
 
-    def fixes(self) -> FixColumns:
-        return self.log
 
-    def gnss_sha256(self) -> str:
-        return ""
-
-    def motion(self) -> Motion:
-        return Motion()
-
-    def close(self) -> None:
-        pass
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
+def in_memory(rig: Rig, shots: Iterable[Frame]) -> Recording:
+    """A recording without files."""
+    return Recording(
+        path=Path("rendered"), name="rendered", rig=rig, source=MemoryFrames(tuple(shots))
+    )
 
 
 @cache
@@ -103,7 +80,7 @@ def rendered(
     sway_deg: float = 0.25,
     walls: bool = False,
     textured: bool = True,
-) -> Drive:
+) -> Recording:
     """A drive of a camera that really hangs as `mount` says, while its rig says `NO_MOUNT`.
 
     A negative step is reverse. The drive is made once: copy what you change.
@@ -124,7 +101,7 @@ def rendered(
         middle = heading + step_m * curvature_per_m / 2.0
         x, y = x + step_m * math.sin(middle), y + step_m * math.cos(middle)
         heading += step_m * curvature_per_m
-    return Drive(Rig(CAMERA, NO_MOUNT, LeverArm(0.0, 0.0, 2.0)), shots)
+    return in_memory(Rig(CAMERA, NO_MOUNT, LeverArm(0.0, 0.0, 2.0)), shots)
 
 
 def _texture() -> Image:
@@ -204,7 +181,7 @@ def _view(
     return np.where(seen, grey, 200).astype(np.uint8)
 
 
-def swept(mount: Mount, *, sweeps: int = 5) -> Drive:
+def swept(mount: Mount, *, sweeps: int = 5) -> Recording:
     """A lidar over flat ground with posts, standing still."""
     random = np.random.default_rng(3)
     shots: list[Frame] = []
@@ -216,4 +193,4 @@ def swept(mount: Mount, *, sweeps: int = 5) -> Drive:
         in_sensor = (points @ mount.rotation()).astype(np.float32)
         cloud = Memory(f"sweep {k}", in_sensor)
         shots.append(CloudFrame(str(k), START_NS + k * PERIOD_NS, cloud))  # type: ignore[arg-type]
-    return Drive(Rig(Lidar(1000.0), NO_MOUNT, LeverArm(0.0, 0.0, 2.0)), shots)
+    return in_memory(Rig(Lidar(1000.0), NO_MOUNT, LeverArm(0.0, 0.0, 2.0)), shots)

@@ -14,7 +14,7 @@ import pytest
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.mounting import Measured, MountEstimate, estimate_mount
 from fieldgrid.mounting.estimate import AHEAD, UNDER
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import DriveOptions, open_recording
 from fieldgrid.rig import Mount
 from tests.conftest import TWO_LANES
 from tests.mounting.drives import AXLE_AHEAD_M, rendered, swept
@@ -108,7 +108,7 @@ def test_a_drive_that_shows_no_ground() -> None:
 
 @pytest.fixture(scope="module")
 def two_lanes() -> MountEstimate:
-    return estimate_mount(TWO_LANES, gnss="gnss_rtk.nmea")
+    return estimate_mount(TWO_LANES, DriveOptions("gnss_rtk.nmea"))
 
 
 def test_the_vineyard_rig_is_recovered(two_lanes: MountEstimate) -> None:

@@ -8,34 +8,35 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fieldgrid.fixes import FixColumns
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.measured import Measured
 from fieldgrid.mounting.travel import Ways
+from fieldgrid.recording import FixLog, Recording
 from fieldgrid.rig import Mount
-from tests.mounting.drives import Drive, rendered
+from tests.mounting.drives import rendered
 from tests.simulated import Command, fixes_of, simulate, time_ns
 
 PERIOD_S = 0.5
 
 
-def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Drive, Ways]:
+def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Recording, Ways]:
     """A drive of 60 m, and what a camera with a wrong baseline would have seen of it."""
     truth = simulate([Command(40.0, 1.5)], 40.0, speed_mps=1.5)
-    drive = replace(rendered(Mount(2.0, 18.0), frames=2))
     sigma = None if heading_off_deg is None else 0.1
     log = fixes_of(truth, noise_m=0.01, heading_sigma_deg=sigma)
     if heading_off_deg is not None:
         log = log.replace(heading_deg=log.heading_deg + heading_off_deg)
-    drive.log = log
+    drive = replace(rendered(Mount(2.0, 18.0), frames=2), log=FixLog(log))
     n = int(40.0 / PERIOD_S)
     zeros = np.zeros(n)
     return drive, Ways(np.arange(1, n + 1), np.full(n, 1.5 * PERIOD_S * scale), zeros, zeros, zeros)
 
 
 def test_gentle_curves_are_compared_by_their_chords() -> None:
-    drive, curvature, way_m = straight(1.0)[0], 0.045, 1.5 * PERIOD_S
+    curvature, way_m = 0.045, 1.5 * PERIOD_S
     truth = simulate([Command(40.0, 1.5, curvature)], speed_mps=1.5)
-    drive.log = fixes_of(truth)
+    drive = replace(straight(1.0)[0], log=FixLog(fixes_of(truth)))
     n = int(40.0 / PERIOD_S)
     turn_deg = np.full(n, math.degrees(way_m * curvature))
     arcs = Ways(
@@ -46,7 +47,7 @@ def test_gentle_curves_are_compared_by_their_chords() -> None:
     assert found.scale.value == pytest.approx(1.0, abs=0.0015)
 
 
-def check(drive: Drive, steps: Ways) -> GnssCheck:
+def check(drive: Recording, steps: Ways) -> GnssCheck:
     times = time_ns(np.arange(len(steps.stop) + 1) * PERIOD_S)
     found = check_against_gnss(drive, times, steps)
     assert isinstance(found, GnssCheck)
@@ -87,12 +88,12 @@ def test_curves_gaps_and_lone_fixes_are_not_compared() -> None:
     assert check(drive, curved).scale is None
     lone = steps._replace(stop=steps.stop * 2)
     assert check(drive, lone._replace(stop=lone.stop % 70)).scale is None
-    drive.log = []
-    assert check_against_gnss(drive, time_ns(np.zeros(1)), steps) == (
+    without = replace(drive, log=FixLog(FixColumns.of([])))
+    assert check_against_gnss(without, time_ns(np.zeros(1)), steps) == (
         "No fixes, so nothing was compared with them."
     )
-    log = straight(1.0)[0].log
-    drive.log = log.replace(quality=np.zeros(len(log), dtype=np.int64))
-    said = check_against_gnss(drive, time_ns(np.zeros(1)), steps)
+    log = drive.fixes()
+    refused = log.replace(quality=np.zeros(len(log), dtype=np.int64))
+    said = check_against_gnss(replace(drive, log=FixLog(refused)), time_ns(np.zeros(1)), steps)
     assert isinstance(said, str)
     assert said.startswith("Nothing was compared with the fixes: ")

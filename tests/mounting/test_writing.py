@@ -14,8 +14,7 @@ from fieldgrid.mounting import Measured, MountEstimate, write_estimate
 from fieldgrid.mounting.estimate import UNDER
 from fieldgrid.mounting.passed import Stands
 from fieldgrid.mounting.travel import Ways
-from fieldgrid.recording import open_recording
-from fieldgrid.recording.places import mounting_place
+from fieldgrid.recording import mounting_path, open_recording
 from fieldgrid.rig import Rig
 
 NOTHING = np.zeros(0)
@@ -138,24 +137,24 @@ def test_a_file_that_is_no_mounting_is_not_replaced(make_drive: Callable[..., Pa
 
 def test_the_places_of_mountings(make_drive: Callable[..., Path], tmp_path: Path) -> None:
     drive = make_drive()
-    assert mounting_place(drive) == drive / "calibration" / "mounting.json"
+    assert mounting_path(drive) == drive / "calibration" / "mounting.json"
     bag = tmp_path / "a.b.mcap"
     bag.touch()
-    assert mounting_place(bag) == tmp_path / "a.b.mounting.json"
+    assert mounting_path(bag) == tmp_path / "a.b.mounting.json"
     (tmp_path / "mounting.json").touch()
-    assert mounting_place(bag) == tmp_path / "mounting.json"  # what it is opened with
+    assert mounting_path(bag) == tmp_path / "mounting.json"  # what it is opened with
     (tmp_path / "a.b.mounting.json").touch()
-    assert mounting_place(bag) == tmp_path / "a.b.mounting.json"
+    assert mounting_path(bag) == tmp_path / "a.b.mounting.json"
     folder = tmp_path / "bag"
     folder.mkdir()
-    assert mounting_place(folder) == folder / "mounting.json"
+    assert mounting_path(folder) == folder / "mounting.json"
     for camera in ("cam0", "cam1"):
         (folder / "mav0" / camera).mkdir(parents=True)
         (folder / "mav0" / camera / "data.csv").touch()
-    assert mounting_place(folder) == folder / "mounting.json"
-    assert mounting_place(folder / "mav0") == folder / "mounting.json"
+    assert mounting_path(folder) == folder / "mounting.json"
+    assert mounting_path(folder / "mav0") == folder / "mounting.json"
     (folder / "mav0" / "mounting.json").touch()
-    assert mounting_place(folder) == folder / "mav0" / "mounting.json"
+    assert mounting_path(folder) == folder / "mav0" / "mounting.json"
 
 
 def test_a_kitti_drive_is_opened_with_the_mounting_that_was_written(

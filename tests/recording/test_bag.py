@@ -15,13 +15,11 @@ import pytest
 
 from fieldgrid.build import build_map
 from fieldgrid.build.tracking import track_drive
-from fieldgrid.errors import CalibrationError, ConfigError, GnssError, RecordingError
+from fieldgrid.errors import CalibrationError, ConfigError, GnssError, NoFramesError, RecordingError
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import Mounting, Options, Recording, open_recording
-from fieldgrid.recording.bag import BagRecording, open_drive
-from fieldgrid.recording.bare import BareDrive
+from fieldgrid.recording import Mounting, Recording, open_drive, open_recording
 from fieldgrid.recording.files import parse_time_ns
-from fieldgrid.recording.protocol import StereoFrame, pair_of
+from fieldgrid.recording.frames import StereoFrame
 from fieldgrid.rig import Carrier, StereoCamera
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
@@ -81,7 +79,7 @@ def mcap(drive: Path, tmp_path: Path) -> Path:
 def same_images(bag: Recording, folder: Recording) -> Iterator[bool]:
     for one, other in zip(bag.frames(), folder.frames(), strict=True):
         assert one.time_ns == other.time_ns
-        for image, wanted in zip(pair_of(one).images(), pair_of(other).images(), strict=True):
+        for image, wanted in zip(one.images(), other.images(), strict=True):
             yield np.array_equal(image, wanted)
 
 
@@ -137,7 +135,6 @@ def test_a_map_has_the_same_bits(
     frames, inputs = content(tmp_path / "bag.gpkg")
     frames_wanted, inputs_wanted = content(tmp_path / "folder.gpkg")
     with open_map(tmp_path / "bag.gpkg") as universal, open_recording(bag) as recording:
-        assert isinstance(recording, BagRecording)
         assert universal.sessions()[0].source_sha256 == recording.gnss_sha256()
     assert len(frames) == 3
     assert inputs == inputs_wanted
@@ -163,7 +160,7 @@ def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
 ) -> None:
     kitti = open_recording(shared_data(KITTI), mounting=None)
     assert isinstance(kitti.rig.sensor, StereoCamera)
-    frames = [pair_of(frame) for frame in kitti.frames()][:4]
+    frames = list(kitti.frames())[:4]
     folder, maker = tmp_path / "folder", Maker(container)
     calibrate_like(folder, kitti)
     files = [(f.time_ns, Path(f.left.name).name, f.left, f.right) for f in frames]
@@ -269,7 +266,7 @@ def test_a_bag_without_images_is_tracked_by_its_fixes_and_motion(
     )
     assert tracked.gnss_source == "/fix"
     assert len(tracked.estimate.fix_row) == 989
-    assert any("no images" in note for note in tracked.notes)
+    assert any("no pair of a left" in note for note in tracked.notes)
     accepted = tracked.estimate.trajectory.accepted[tracked.estimate.fix_row]
     assert accepted.sum() > 700
     with pytest.raises(RecordingError, match=r"no pair of a left .*/fix \(sensor_msgs/NavSatFix"):
@@ -280,9 +277,10 @@ def test_every_topic_of_a_bag_without_images_is_a_stream(drive: Path, tmp_path: 
     def without_left(_: Maker, said: list[Said]) -> list[Said]:
         return [one for one in said if one.topic != bags.LEFT]
 
-    bare = open_drive(rebuilt(drive, tmp_path, without_left), Options())
-    assert isinstance(bare, BareDrive)
-    roles = {stream.name: stream.role for stream in bare.streams}
+    with open_drive(rebuilt(drive, tmp_path, without_left)) as bare:
+        roles = {stream.name: stream.role for stream in bare.streams()}
+        with pytest.raises(NoFramesError, match="no pair of a left and a right image"):
+            bare.recording()
     assert roles[bags.NMEA] == "nmea"
     assert roles[bags.IMU] == "imu"
     assert roles[bags.RIGHT] == ""
@@ -300,7 +298,6 @@ def test_the_hash_of_the_fixes_is_that_of_their_messages_or_their_log(
 
     def hash_of(change: Callable[[Maker, list[Said]], list[Said]], gnss: str | None = None) -> str:
         with open_recording(rebuilt(drive, tmp_path, change), gnss) as recording:
-            assert isinstance(recording, BagRecording)
             return recording.gnss_sha256()
 
     plain = hash_of(lambda _, said: said)
@@ -402,7 +399,7 @@ def test_an_empty_file_is_told(container: Container, tmp_path: Path) -> None:
 def test_a_file_that_is_no_bag_is_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "letter.txt"
     path.write_text("Dear Sir or Madam")
-    with pytest.raises(RecordingError, match="is a file, and no bag; give the folder"):
+    with pytest.raises(GnssError, match="no bag and no GNSS log that is known"):
         open_recording(path)
 
 

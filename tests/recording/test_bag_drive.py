@@ -17,10 +17,9 @@ from hypothesis import strategies as st
 
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording import CloudFrame, DepthFrame, Recording, open_recording
-from fieldgrid.recording.bag.readings import fix_of
 from fieldgrid.recording.bag.transforms import Transforms
-from fieldgrid.recording.protocol import pair_of
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, StereoCamera
+from fieldgrid.ros.gnss import quality_of
 from tests.conftest import TWO_LANES
 from tests.recording import bags
 from tests.recording.bags import CONTAINERS, Container, Maker, Said
@@ -97,7 +96,7 @@ Opened = Callable[..., Recording]
 
 def numbers(recording: Recording) -> list[tuple[int, int]]:
     """What the pixels of the pairs tell."""
-    pairs = [pair_of(frame).images() for frame in recording.frames()]
+    pairs = [frame.images() for frame in recording.frames()]
     return [(int(left[0, 0]), int(right[0, 0]) - 100) for left, right in pairs]
 
 
@@ -126,20 +125,19 @@ def test_the_quality_is_by_status_and_covariance(
     message = Maker("mcap").fix(
         UTC, LAT, LON, HEIGHT, status=status, sigma_m=sigma_m, covariance_type=covariance_type
     )
-    fix = fix_of(message, UTC)
-    assert fix.quality == quality
+    found, stated_m = quality_of(message)
+    assert found == quality
     known = sigma_m > 0.0 and covariance_type != 0
-    assert fix.sigma_m == (pytest.approx(sigma_m) if known else None)
-    assert (fix.lat_deg, fix.lon_deg, fix.height_m) == (LAT, LON, HEIGHT)
+    assert stated_m == (pytest.approx(sigma_m) if known else None)
 
 
 def test_the_covariance_is_east_north_up_by_row() -> None:
     message = Maker("mcap").fix(UTC, LAT, LON, HEIGHT)
     message.position_covariance[:] = [0.09, 5, 5, 5, 0.16, 5, 5, 5, 100.0]
-    assert fix_of(message, UTC).sigma_m == pytest.approx(math.sqrt(0.125))
+    assert quality_of(message)[1] == pytest.approx(math.sqrt(0.125))
     for nonsense in (math.nan, math.inf, -1.0):
         message.position_covariance[4] = nonsense
-        assert fix_of(message, UTC).sigma_m is None
+        assert quality_of(message)[1] is None
 
 
 def test_fixes_without_position_or_height(opened: Opened) -> None:
@@ -385,8 +383,8 @@ def test_disparity_images_are_depth_frames(opened: Opened) -> None:
         assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5, baseline_m)
         (frame, *_) = recording.frames()
         assert isinstance(frame, DepthFrame)
-        assert frame.depth.read()[5, 5] == np.float32(2.0)
-        assert len(frame.depth.sha256()) == 64
+        assert frame.source.read()[5, 5] == np.float32(2.0)
+        assert len(frame.source.sha256()) == 64
 
 
 def test_disparities_are_of_the_left_camera_and_the_mounting_of_the_middle(
@@ -420,7 +418,7 @@ def test_depth_images_are_depth_frames(opened: Opened) -> None:
 
     with opened(said) as recording:
         assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5)
-        depths = [f.depth.read()[0, 0] for f in recording.frames() if isinstance(f, DepthFrame)]
+        depths = [f.source.read()[0, 0] for f in recording.frames() if isinstance(f, DepthFrame)]
         np.testing.assert_allclose(depths, [1.5, 1.501, 1.502], rtol=1e-6)
 
 
@@ -443,7 +441,7 @@ def test_clouds_are_turned_to_right_down_forward(opened: Opened) -> None:
         assert recording.rig.sensor.points_per_sr == pytest.approx(expected, rel=0.3)
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
-        points = frame.cloud.read()
+        points = frame.source.read()
     assert points[:, 2].min() > 3.0
     assert points[:, 1].max() == pytest.approx(5.0 * math.sin(0.4), rel=1e-5)  # below the sensor
 
@@ -467,7 +465,7 @@ def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:
         assert recording.rig.sensor == Lidar(1234.0)
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
-        assert frame.cloud.read()[:, 0].min() > 3.0  # what was ahead, taken as right
+        assert frame.source.read()[:, 0].min() > 3.0  # what was ahead, taken as right
 
 
 def test_a_cloud_of_a_lidar_that_looks_back_is_turned_to_look_ahead(opened: Opened) -> None:
@@ -480,7 +478,7 @@ def test_a_cloud_of_a_lidar_that_looks_back_is_turned_to_look_ahead(opened: Open
         assert (mount.tilt_deg, mount.roll_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
-        assert frame.cloud.read()[:, 2].max() < -3.0  # what it sees lies behind the vehicle
+        assert frame.source.read()[:, 2].max() < -3.0  # what it sees lies behind the vehicle
 
 
 # Raw pairs
@@ -516,7 +514,7 @@ def test_raw_pairs_are_rectified_by_their_calibration(
         assert recording.rig.camera == StereoCamera(640, 480, 905.4, 316.2, 243.9, 162.972 / 905.4)
         assert any("are raw, and rectified by" in note for note in recording.notes)
         (frame,) = recording.frames()
-        left, right = pair_of(frame).images()
+        left, right = frame.images()
     for image, side in ((left, "left"), (right, "right")):
         wanted = cv2.imread(str(folder / side / "000003.jpg"), cv2.IMREAD_GRAYSCALE)
         assert wanted is not None
@@ -592,7 +590,7 @@ def test_a_recording_that_changes_while_it_is_read_is_told(opened: Opened, tmp_p
 def peak_bytes(recording: Recording) -> int:
     tracemalloc.start()
     for frame in recording.frames():
-        pair_of(frame).images()
+        frame.images()
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return peak
@@ -638,7 +636,7 @@ def test_how_many_bits_a_camera_fills_is_found_out_once(opened: Opened) -> None:
 
     with opened(said) as recording:  # the brightest has 1064, of 11 bits
         assert any("lower 12 are taken as filled" in note for note in recording.notes)
-        left, _ = pair_of(next(iter(recording.frames()))).images()
+        left, _ = next(iter(recording.frames())).images()
         assert left[0, 0] == 0
-        brightest = [pair_of(frame).images()[0][0, 0] for frame in recording.frames()]
+        brightest = [frame.images()[0][0, 0] for frame in recording.frames()]
         assert brightest == [0, 1064 >> 4, 128 >> 4, 192 >> 4]

@@ -18,8 +18,8 @@ import yaml
 from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError, FieldgridError
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import Recording, is_recording, open_recording
-from fieldgrid.recording.protocol import pair_of
+from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording.format import find_format
 from fieldgrid.rig import Mount
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
@@ -160,8 +160,8 @@ def test_the_same_drive_gives_the_same_bits(
         assert gyro_of(ours)[0] == gyro_of(wanted)[0]
         assert gyro_of(ours)[1].tobytes() == gyro_of(wanted)[1].tobytes()
         for one, other in zip(ours.frames(), wanted.frames(), strict=True):
-            assert pair_of(one).rectifier is None
-            for image, same in zip(pair_of(one).images(), pair_of(other).images(), strict=True):
+            assert one.rectifier is None
+            for image, same in zip(one.images(), other.images(), strict=True):
                 assert (image == same).all()
     for folder in (euroc, drive):
         build_map([folder], tmp_path / f"{folder.name}.gpkg", BuildSettings())
@@ -172,13 +172,13 @@ def test_the_same_drive_gives_the_same_bits(
 
 def test_the_folder_or_its_mav0_may_be_given(euroc: Path) -> None:
     for path in (euroc, euroc / "mav0"):
-        assert is_recording(path)
+        assert find_format(path)
         recording = open_recording(path)
         assert recording.name == "drive"
         assert recording.frame_count == 3
         assert recording.gnss_source == "gnss/gnss_rtk.nmea"
         assert recording.notes == ()
-    assert not is_recording(euroc / "mav0" / "cam0")
+    assert find_format(euroc / "mav0" / "cam0") is None
 
 
 def test_sensors_without_a_mav0_above_them(euroc: Path, tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_raw_images_are_rectified(euroc: Path) -> None:
         document = yaml.safe_load(path.read_text().partition("\n")[2])
         changes = {"distortion_coefficients": [-0.28, 0.07, 0.0002, 1.8e-5]}
         path.write_text(camera_yaml(document["T_BS"]["data"], **changes))
-    frame = pair_of(next(iter(open_recording(euroc).frames())))
+    frame = next(iter(open_recording(euroc).frames()))
     assert frame.rectifier is not None
     raw = frame.left.read(), frame.right.read()
     images = frame.images()

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.fixes import Fix
-from fieldgrid.recording import Columns, FixLog, columns_from_text, open_log
+from fieldgrid.recording import Columns, FixLog, columns_from_text
+from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.qualities import read_qualities
 
 SharedData = Callable[[str], Path]
@@ -24,7 +25,7 @@ START_S = START_NS // 10**9
 def read(folder: Path, text: str | bytes, columns: str = "") -> FixLog:
     path = folder / "log.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return open_log(path, columns_from_text(columns) if columns else None)
+    return read_fix_log(path, columns_from_text(columns) if columns else None)
 
 
 def only(folder: Path, text: str | bytes, columns: str = "") -> Fix:
@@ -269,7 +270,7 @@ def test_a_role_can_be_switched_off(tmp_path: Path) -> None:
     text = f"time,lat,lon,heading_deg\n{START_S},41,-4,10\n"
     assert only(tmp_path, text).heading_deg == 10.0
     assert only(tmp_path, text, "heading=").heading_deg is None
-    assert open_log(tmp_path / "log.csv", Columns({"heading": ""})).fixes[0].heading_deg is None
+    assert read_fix_log(tmp_path / "log.csv", Columns({"heading": ""})).fixes[0].heading_deg is None
 
 
 def test_many_rows_are_read_alike(tmp_path: Path) -> None:
@@ -287,7 +288,7 @@ def test_any_text_is_a_table_or_an_error(
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_text(f"time,lat,lon,quality,satellites\n{text}", encoding="utf-8", newline="")
     try:
-        log = open_log(path)
+        log = read_fix_log(path)
     except RecordingError:
         return
     assert all(fix.time_ns > 0 for fix in log.fixes)
@@ -311,7 +312,7 @@ def test_any_text_is_a_table_or_an_error(
 def test_logs_of_all_kinds_are_read(
     name: str, count: int, quality: int, has_heading: bool, shared_data: SharedData
 ) -> None:
-    log = open_log(shared_data(name))
+    log = read_fix_log(shared_data(name))
     first = log.fixes[0]
     assert (len(log.fixes), first.quality, first.heading_deg is not None) == (
         count, quality, has_heading,
@@ -319,7 +320,7 @@ def test_logs_of_all_kinds_are_read(
 
 
 def test_oxts_rows_bring_their_gyro(shared_data: SharedData) -> None:
-    log = open_log(shared_data("kitti_oxts/2011_09_30_drive_0020.csv"))
+    log = read_fix_log(shared_data("kitti_oxts/2011_09_30_drive_0020.csv"))
     gyro = log.motion.gyro
     assert gyro is not None
     interpolated = sum(fix.quality == 6 for fix in log.fixes)

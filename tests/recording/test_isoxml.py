@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import Fix
 from fieldgrid.quality import Quality
-from fieldgrid.recording import open_log
+from fieldgrid.recording.logs import read_fix_log
 
 SharedData = Callable[[str], Path]
 
@@ -52,7 +52,7 @@ def write(folder: Path, header: str, data: bytes, name: str = "TLG00001") -> Non
 
 
 def test_all_attributes_are_read_and_values_hold_until_they_change(folder: Path) -> None:
-    log = open_log(folder / "TLG00001.bin")
+    log = read_fix_log(folder / "TLG00001.bin")
     first = Fix(START_NS, 41.65, -4.72, 787.4, 4, 17, 0.7, speed_mps=1.5)
     assert list(log.fixes) == [first, first._replace(time_ns=START_NS + 10**9)]
     assert log.notes == ("TLG00001.bin: speed from the logged value DDI 018D.",)
@@ -60,17 +60,17 @@ def test_all_attributes_are_read_and_values_hold_until_they_change(folder: Path)
 
 def test_header_and_folder_lead_to_the_log(folder: Path) -> None:
     (folder / "TASKDATA.XML").write_text("<ISO11783_TaskData/>")
-    expected = open_log(folder / "TLG00001.bin")
+    expected = read_fix_log(folder / "TLG00001.bin")
     for path in (folder / "TLG00001.XML", folder / "TASKDATA.XML", folder):
-        assert open_log(path) == expected
+        assert read_fix_log(path) == expected
     write(folder, PLAIN.format(""), plain() + values(), "TLG00002")
     with pytest.raises(RecordingError, match=r"2 time logs: TLG00001\.bin, TLG00002\.bin; give on"):
-        open_log(folder)
+        read_fix_log(folder)
 
 
 def test_what_is_not_there_is_assumed_and_said(folder: Path) -> None:
     write(folder, PLAIN.format(""), plain() + values() + plain(1, 5) + values())
-    log = open_log(folder)
+    log = read_fix_log(folder)
     assert list(log.fixes) == [
         Fix(START_NS, 41.65, -4.72, 0.0, Quality.UNKNOWN),
         Fix(START_NS + 10**9, 41.65, -4.72, 0.0, Quality.RTK_FLOAT),
@@ -85,7 +85,9 @@ def test_what_is_not_there_is_assumed_and_said(folder: Path) -> None:
 def test_constants_of_the_header_hold_for_all_records(folder: Path) -> None:
     header = '<TIM A=""><PTN A="" B="" C="12500" D="2"/></TIM>'
     write(folder, header, struct.pack("<IHii", NOON_MS, DAY, 416500000, -47200000) + values())
-    assert list(open_log(folder).fixes) == [Fix(START_NS, 41.65, -4.72, 12.5, Quality.DIFFERENTIAL)]
+    assert list(read_fix_log(folder).fixes) == [
+        Fix(START_NS, 41.65, -4.72, 12.5, Quality.DIFFERENTIAL)
+    ]
 
 
 def test_values_that_are_not_available_are_none(folder: Path) -> None:
@@ -93,12 +95,12 @@ def test_values_that_are_not_available_are_none(folder: Path) -> None:
     nowhere = full(lat=0x7FFFFFFF)
     before = plain(days=1)
     write(folder, FULL.format(""), absent + values() + nowhere + values())
-    log = open_log(folder)
+    log = read_fix_log(folder)
     (fix,) = log.fixes
     assert (fix.hdop, fix.time_ns) == (None, START_NS + 7200 * 10**9)
     assert log.notes == ("TLG00001.bin: 1 records without a position skipped.",)
     write(folder, PLAIN.format(""), before + values())
-    assert open_log(folder).notes[-1] == "TLG00001.bin: 1 records without a time skipped."
+    assert read_fix_log(folder).notes[-1] == "TLG00001.bin: 1 records without a time skipped."
 
 
 def test_a_proprietary_speed_is_known_by_its_unit(folder: Path) -> None:
@@ -108,13 +110,13 @@ def test_a_proprietary_speed_is_known_by_its_unit(folder: Path) -> None:
         '<T><DPD A="1" B="EA60" F="1"/><DPD A="2" B="ea7e" F="13"/>'
         '<DVP A="1" B="0" C="1" E="km"/><DVP A="13" B="0" C="0.1" E="km/h"/></T>'
     )
-    assert open_log(folder).fixes[0].speed_mps == pytest.approx(1.0)
+    assert read_fix_log(folder).fixes[0].speed_mps == pytest.approx(1.0)
 
 
 def test_a_record_that_is_cut_off_is_said(folder: Path) -> None:
     data = plain() + values() + plain(1) + b"\x02\x00"
     write(folder, PLAIN.format(SPEED), data)
-    log = open_log(folder)
+    log = read_fix_log(folder)
     assert len(log.fixes) == 1
     assert log.notes[-1] == "TLG00001.bin: the last 17 bytes are no whole record, and skipped."
 
@@ -136,19 +138,19 @@ def test_a_record_that_is_cut_off_is_said(folder: Path) -> None:
 def test_a_header_that_is_none(header: str, message: str, folder: Path) -> None:
     write(folder, header, plain() + values())
     with pytest.raises(RecordingError, match=rf"TLG00001\.XML.*{message}"):
-        open_log(folder)
+        read_fix_log(folder)
 
 
 def test_a_value_that_is_not_declared_is_damage(folder: Path) -> None:
     write(folder, PLAIN.format(SPEED), plain() + values() + plain() + values((2, 5)))
     with pytest.raises(RecordingError, match=r"byte 16: value 2 of a record is not among the 2"):
-        open_log(folder)
+        read_fix_log(folder)
 
 
 def test_half_a_log_is_named(folder: Path) -> None:
     (folder / "TLG00001.XML").unlink()
     with pytest.raises(RecordingError, match=r"TLG00001\.xml is not beside it; copy both"):
-        open_log(folder)
+        read_fix_log(folder)
 
 
 @settings(deadline=None)
@@ -159,7 +161,7 @@ def test_any_bytes_are_records_or_an_error(
     folder = tmp_path_factory.getbasetemp()
     write(folder, FULL.format(SPEED), full() + values() + data)
     try:
-        log = open_log(folder / "TLG00001.bin")
+        log = read_fix_log(folder / "TLG00001.bin")
     except RecordingError:
         return
     assert log.fixes[0].lat_deg == 41.65
@@ -168,7 +170,7 @@ def test_any_bytes_are_records_or_an_error(
 def test_the_harvester_is_read_as_others_read_it(shared_data: SharedData) -> None:
     folder = shared_data("gnss/isoxml_harvester")
     for name in ("TLG00005", "TLG00020"):
-        raw = open_log(folder / "raw" / "ValidTimeLogs" / f"{name}.bin").fixes
-        table = open_log(folder / "csv" / f"ValidTimeLogs_{name}.csv").fixes
+        raw = read_fix_log(folder / "raw" / "ValidTimeLogs" / f"{name}.bin").fixes
+        table = read_fix_log(folder / "csv" / f"ValidTimeLogs_{name}.csv").fixes
         assert [fix[:5] for fix in raw] == [fix[:5] for fix in table]
         assert [fix.speed_mps for fix in raw] == pytest.approx([fix.speed_mps for fix in table])

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.errors import CalibrationError, FieldgridError, RecordingError
+from fieldgrid.errors import CalibrationError, ConfigError, FieldgridError, RecordingError
 from fieldgrid.gnss import condition
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.recording.kitti_calibration import mount_angles_deg
@@ -182,7 +182,7 @@ def test_several_drives_ask_for_one(date_folder: Path) -> None:
 
 
 def test_another_log_cannot_be_given(date_folder: Path) -> None:
-    with pytest.raises(RecordingError, match=r"'rtk\.nmea' cannot be used; leave --gnss out"):
+    with pytest.raises(ConfigError, match=r"and not in rtk\.nmea; leave --gnss out"):
         open_recording(date_folder, gnss="rtk.nmea")
     assert open_recording(date_folder, gnss="oxts").frame_count == 2
 

@@ -82,8 +82,8 @@ def test_depth_images_with_their_camera_info(tmp_path: Path) -> None:
         for k, frame in enumerate(frames):
             assert isinstance(frame, DepthFrame)
             assert frame.size_px == SIZE
-            assert frame.depth.read() == pytest.approx(np.full((48, 64), 5.0 + k / 1000.0))
-            assert [source.name for source in frame.sources] == [frame.depth.name]
+            assert frame.source.read() == pytest.approx(np.full((48, 64), 5.0 + k / 1000.0))
+            assert [source.name for source in frame.sources] == [frame.source.name]
         streams = {stream.name: stream for stream in recording.streams()}
         assert (streams["depth"].kind, streams["depth"].role) == ("image", "depth")
 
@@ -99,7 +99,7 @@ def test_the_baseline_of_depths_can_be_told(tmp_path: Path) -> None:
     assert recording.rig.sensor == DepthCamera(64, 48, 100.0, 120.0, 31.5, 23.5, 0.095)
     frame = next(recording.frames())
     assert isinstance(frame, DepthFrame)
-    assert frame.depth.read()[0, 0] == pytest.approx(50.0)
+    assert frame.source.read()[0, 0] == pytest.approx(50.0)
 
 
 def test_depths_of_the_left_camera_of_a_pair(tmp_path: Path) -> None:
@@ -122,14 +122,14 @@ def test_disparities_are_depths_by_the_pair_s_calibration(tmp_path: Path) -> Non
     drive = folder(tmp_path, ("disparity",), {"stereo_opencv.yaml": opencv_yaml(OPENCV)})
     frame = next(open_recording(drive).frames())
     assert isinstance(frame, DepthFrame)
-    assert frame.depth.read()[0, 0] == pytest.approx(100.0 * 0.2 / (5000 / 256.0))
+    assert frame.source.read()[0, 0] == pytest.approx(100.0 * 0.2 / (5000 / 256.0))
 
 
 def test_disparities_with_a_baseline_that_is_told(tmp_path: Path) -> None:
     settings = "[disparity]\nscale_px = 0.0625\nbaseline_m = 0.1\n"
     frame = next(open_recording(folder(tmp_path, ("disparity",), settings=settings)).frames())
     assert isinstance(frame, DepthFrame)
-    assert frame.depth.read()[0, 0] == pytest.approx(100.0 * 0.1 / (5000 / 16.0))
+    assert frame.source.read()[0, 0] == pytest.approx(100.0 * 0.1 / (5000 / 16.0))
 
 
 def test_disparities_need_a_baseline(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_clouds(tmp_path: Path) -> None:
         frames = list(recording.frames())
         assert len(frames) == 3
         assert isinstance(frames[0], CloudFrame)
-        points = frames[0].cloud.read()
+        points = frames[0].source.read()
         assert (points[:, 1] > 0.0).all()  # the ground is below
         assert (points[:, 2] > 0.0).mean() > 0.99  # and ahead
         (stream, *_) = recording.streams()
@@ -180,7 +180,7 @@ def test_what_is_told_of_clouds(tmp_path: Path) -> None:
     assert recording.rig.sensor == Lidar(12345.0)
     frame = next(recording.frames())
     assert isinstance(frame, CloudFrame)
-    assert np.array_equal(frame.cloud.read(), cloud().astype(np.float32))
+    assert np.array_equal(frame.source.read(), cloud().astype(np.float32))
     assert not any("steradian" in note for note in recording.notes)
 
 

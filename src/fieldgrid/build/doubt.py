@@ -17,7 +17,6 @@ from fieldgrid.build.report import SessionReport
 from fieldgrid.errors import CalibrationError
 from fieldgrid.odometry import features
 from fieldgrid.recording import Frame, Recording
-from fieldgrid.recording.protocol import pair_of
 from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
 from fieldgrid.settings import BuildSettings
 
@@ -103,7 +102,7 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
     camera = recording.rig.camera
     as_is, exchanged = [], []
     for frame in _probes(recording, frames, every):
-        left, right = pair_of(frame).images()
+        left, right = frame.images()
         as_is.append(len(features(camera, left, right).blur_px))
         exchanged.append(len(features(camera, right, left).blur_px))
     points = float(np.median(exchanged))

@@ -14,13 +14,11 @@ from typing import NamedTuple, TypeVar
 import cv2
 
 from fieldgrid.array_types import Float32
-from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
-from fieldgrid.recording import CloudFrame, DepthFrame, Frame, Recording, StereoFrame
-from fieldgrid.recording.protocol import pair_of
+from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
@@ -50,7 +48,7 @@ def perceive(
     frames: Iterable[Frame], gridder: LocalGridder, jobs: int, *, odometry: bool = False
 ) -> Iterator[Perceived]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory."""
-    return side_by_side(lambda frame: _perceive_one(frame, gridder, odometry), frames, jobs)
+    return side_by_side(lambda frame: frame.read(_Stages(frame, gridder, odometry)), frames, jobs)
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -101,7 +99,7 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     camera, offset_ns = recording.rig.camera, recording.rig.image_time_offset_ns
 
     def look(frame: Frame) -> tuple[int, Features]:
-        return frame.time_ns, features(camera, *pair_of(frame).images())
+        return frame.time_ns, features(camera, *frame.images())
 
     for time_ns, seen in side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
         motion.add(time_ns + offset_ns, seen)
@@ -128,59 +126,55 @@ def side_by_side(work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int)
         cv2.setNumThreads(threads_before)
 
 
-def _perceive_one(frame: Frame, gridder: LocalGridder, odometry: bool) -> Perceived:
-    if isinstance(frame, StereoFrame):
-        return _perceive_pair(frame, gridder, odometry)
-    start = time.thread_time()
-    to_grid: Callable[[Float32], tuple[LocalGrid, FrameGround]]
-    if isinstance(frame, DepthFrame):
-        seen, to_grid = checked_depth_m(frame), gridder.from_depth
-    else:
-        seen, to_grid = frame.cloud.read(), gridder.from_cloud
-    hashes = tuple(source.sha256() for source in frame.sources)
-    decoded = time.thread_time()
-    grid, ground = to_grid(seen)
-    done = time.thread_time()
-    return Perceived(frame, grid, ground, None, hashes, decoded - start, 0.0, done - decoded, 0.0)
+class _Stages:
+    """Makes what is perceived of one frame once it is read, and times it from here on."""
 
+    def __init__(self, frame: Frame, gridder: LocalGridder, odometry: bool) -> None:
+        self._frame, self._gridder, self._odometry = frame, gridder, odometry
+        self._start = time.thread_time()
 
-def _perceive_pair(frame: StereoFrame, gridder: LocalGridder, odometry: bool) -> Perceived:
-    start = time.thread_time()
-    left, right = frame.images()
-    hashes = tuple(source.sha256() for source in frame.sources)
-    decoded = time.thread_time()
-    disparity = gridder.matcher.disparity(left, right)
-    matched = time.thread_time()
-    grid, ground = gridder.from_disparity(disparity)
-    gridded = time.thread_time()
-    seen = features(gridder.rig.camera, left, right) if odometry else None
-    done = time.thread_time()
-    return Perceived(
-        frame,
-        grid,
-        ground,
-        seen,
-        hashes,
-        decoded - start,
-        matched - decoded,
-        gridded - matched,
-        done - gridded,
-    )
-
-
-def checked_depth_m(frame: DepthFrame) -> Float32:
-    """The depths of a frame, once it is sure that they are of the calibrated size.
-
-    Raises CalibrationError when they are not.
-    """
-    depth_m = frame.depth.read()
-    width, height = frame.size_px
-    if depth_m.shape != (height, width):
-        raise CalibrationError(
-            f"{frame.depth.name} has {depth_m.shape[1]} x {depth_m.shape[0]} px, but the "
-            f"calibration is for {width} x {height} px; give the calibration of these images."
+    def pair(self, left: Image, right: Image) -> Perceived:
+        """Of a pair: matched, gridded and, if that is wanted, its features."""
+        gridder, hashes = self._gridder, self._hashes()
+        decoded = time.thread_time()
+        disparity = gridder.matcher.disparity(left, right)
+        matched = time.thread_time()
+        grid, ground = gridder.from_disparity(disparity)
+        gridded = time.thread_time()
+        seen = features(gridder.rig.camera, left, right) if self._odometry else None
+        done = time.thread_time()
+        return Perceived(
+            self._frame,
+            grid,
+            ground,
+            seen,
+            hashes,
+            decoded - self._start,
+            matched - decoded,
+            gridded - matched,
+            done - gridded,
         )
-    return depth_m
+
+    def depth(self, depth_m: Float32) -> Perceived:
+        """Of an image of depths."""
+        return self._gridded(self._gridder.from_depth, depth_m)
+
+    def cloud(self, points_m: Float32) -> Perceived:
+        """Of a cloud."""
+        return self._gridded(self._gridder.from_cloud, points_m)
+
+    def _gridded(
+        self, to_grid: Callable[[Float32], tuple[LocalGrid, FrameGround]], seen: Float32
+    ) -> Perceived:
+        hashes, decoded = self._hashes(), time.thread_time()
+        grid, ground = to_grid(seen)
+        grid_s = time.thread_time() - decoded
+        return Perceived(
+            self._frame, grid, ground, None, hashes, decoded - self._start, 0.0, grid_s, 0.0
+        )
+
+    def _hashes(self) -> tuple[str, ...]:
+        return tuple(source.sha256() for source in self._frame.sources)
 
 
 @lru_cache(maxsize=8)
@@ -192,10 +186,4 @@ def local_grid(frame: Frame, rig: Rig, settings: BuildSettings | None = None) ->
     """The vehicle-fixed local grid of one frame, a pair, a depth image or a cloud: read, decoded,
     matched and gridded here."""
     gridder = _gridder(rig, settings or BuildSettings())
-    if isinstance(frame, DepthFrame):
-        grid, _ = gridder.from_depth(checked_depth_m(frame))
-    elif isinstance(frame, CloudFrame):
-        grid, _ = gridder.from_cloud(frame.cloud.read())
-    else:
-        grid, _ = gridder(*frame.images())
-    return grid
+    return frame.read(_Stages(frame, gridder, odometry=False)).grid

@@ -14,8 +14,8 @@ from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import Budget, Estimate, estimate_poses
 from fieldgrid.pose.clock import WIDEST_S
-from fieldgrid.recording import Recording
-from fieldgrid.rig import Lidar, Rig
+from fieldgrid.recording import Drive, Recording
+from fieldgrid.rig import Carrier, Lidar, Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status, Trajectory
 
@@ -26,23 +26,26 @@ _NO_GROUND = "no ground was found in the {}, so heights above it are not known"
 
 
 def estimate_drive(
-    recording: Recording,
+    drive: Drive,
     settings: BuildSettings | None = None,
     datum: Datum | None = None,
     steps: Steps | None = None,
+    *,
+    carrier: Carrier | None = None,
 ) -> Estimate:
-    """Trajectory and report of a recording; `datum` is the recording's own or its first fix.
+    """Trajectory and report of a drive; `datum` is the drive's own or its first fix.
 
-    `steps` are the camera's, if they have been worked out (:func:`visual_odometry`).
+    `steps` are the camera's, if they have been worked out (:func:`visual_odometry`). `carrier` is
+    the vehicle of a drive that has no rig.
     """
     settings = settings or BuildSettings()
     return estimate_poses(
-        recording.fixes(),
-        recording.rig,
-        datum or recording.datum_hint,
+        drive.fixes(),
+        drive.rig or carrier,
+        datum or drive.datum_hint,
         settings.pose,
-        recording.motion()._replace(steps=steps),
-        cell_budget(recording.rig, settings),
+        drive.motion()._replace(steps=steps),
+        None if drive.rig is None else cell_budget(drive.rig, settings),
     )
 
 

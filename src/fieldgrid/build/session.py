@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +38,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
 from fieldgrid.motion import Steps
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
@@ -268,11 +268,8 @@ def build_map(
     paths: Sequence[Path],
     out: Path,
     settings: BuildSettings,
+    options: DriveOptions | None = None,
     *,
-    gnss: str | None = None,
-    topics: Mapping[str, str] | None = None,
-    mounting: Path | None = None,
-    image_time_offset_ns: int | None = None,
     datum: Datum | None = None,
     append: bool = False,
     overwrite: bool = False,
@@ -283,24 +280,14 @@ def build_map(
 ) -> list[SessionReport]:
     """Make the map `out` from recordings, a session each, or append them to it.
 
-    `gnss`, `topics`, `mounting` and `image_time_offset_ns` are for each of them what
-    `open_recording` takes.
+    Each is opened with `options` as by `open_drive`.
     What can be checked is checked before the first image is read. On any error a new map does
     not come to be and an existing one stays as it was, but for the sessions already appended.
     """
     check_output(out, append=append, overwrite=overwrite)
     with ExitStack() as open_things:
         recordings = [
-            open_things.enter_context(
-                open_recording(
-                    path,
-                    gnss,
-                    topics=topics,
-                    mounting=mounting,
-                    image_time_offset_ns=image_time_offset_ns,
-                )
-            )
-            for path in paths
+            open_things.enter_context(open_drive(path, options)).recording() for path in paths
         ]
         if append:
             with open_map(out) as existing:

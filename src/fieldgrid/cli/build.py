@@ -16,6 +16,7 @@ from fieldgrid.cli import output, parse, recording_options
 if TYPE_CHECKING:
     from fieldgrid.build import Progress, SessionReport
     from fieldgrid.geodesy import Datum
+    from fieldgrid.recording import DriveOptions
     from fieldgrid.settings import BuildSettings
 
 
@@ -132,8 +133,7 @@ def command(
         reports = _run(
             recordings,
             out,
-            gnss,
-            recording_options.given(topic, mounting, time_offset),
+            recording_options.given(gnss, topic, mounting, time_offset),
             settings,
             _datum(datum, datum_from),
             append,
@@ -243,8 +243,7 @@ def _settings(
 def _run(
     paths: list[Path],
     out: Path,
-    gnss: str | None,
-    given: recording_options.Given,
+    options: DriveOptions,
     settings: BuildSettings,
     datum: Any,
     append: bool,
@@ -260,10 +259,7 @@ def _run(
             paths,
             out,
             settings,
-            gnss=gnss,
-            topics=given.topics,
-            mounting=given.mounting,
-            image_time_offset_ns=given.image_time_offset_ns,
+            options,
             datum=datum,
             append=append,
             overwrite=overwrite,

@@ -33,7 +33,7 @@ def command(
     ] = False,
     as_json: recording_options.AsJson = False,
 ) -> None:
-    """Write what was understood of a recording as one MCAP, for Foxglove and ROS 2.
+    """Write what was understood of a drive as one MCAP, for Foxglove and ROS 2.
 
     Images with calibration, fixes, gyro, wheels, the estimated poses and where everything sits.
 
@@ -49,16 +49,10 @@ def command(
         )
     if out.suffix.lower() != ".mcap":
         raise typer.BadParameter(f"{out.name} does not end in .mcap", param_hint="OUT.mcap")
-    opening = recording_options.given(topic, mounting, time_offset)._asdict()
+    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as show:
         converted = convert_recording(
-            recording,
-            out,
-            images=images,
-            overwrite=overwrite,
-            progress=show,
-            gnss=gnss,
-            **opening,
+            recording, out, options, images=images, overwrite=overwrite, progress=show
         )
     if as_json:
         output.print_json(converted.as_dict())

@@ -50,17 +50,9 @@ def command(
     from fieldgrid.inspection import inspect_recording
     from fieldgrid.settings import resolve
 
-    given = recording_options.given(topic, mounting, time_offset)
+    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as tell:
-        found = inspect_recording(
-            recording,
-            resolve(config, {}),
-            gnss=gnss,
-            topics=given.topics,
-            mounting=given.mounting,
-            image_time_offset_ns=given.image_time_offset_ns,
-            tell=tell,
-        )
+        found = inspect_recording(recording, resolve(config, {}), options, tell=tell)
     if figure is not None:
         _draw(found, figure)
     if as_json:

@@ -72,10 +72,10 @@ def command(
         raise typer.BadParameter("it is for --write", param_hint="--antenna")
     from fieldgrid.mounting import estimate_mount, write_estimate
 
-    opening = recording_options.given(topic, mounting, time_offset)._asdict()
+    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as show:
         estimate = estimate_mount(
-            recording, every=every, jobs=jobs or os.cpu_count(), progress=show, gnss=gnss, **opening
+            recording, options, every=every, jobs=jobs or os.cpu_count(), progress=show
         )
     if figure is not None:
         _draw(estimate, figure)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from fieldgrid.recording import DriveOptions
 
 Gnss = Annotated[
     str | None, typer.Option("--gnss", metavar="FILE", help="Which GNSS log of the recording.")
@@ -59,16 +62,16 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 _TOPIC = re.compile(r"([a-z_]+)=(\S+)")
 
 
-class Given(NamedTuple):
-    """What of these options is more than text, as `open_recording` takes it."""
+def given(
+    gnss: str | None,
+    topics: list[str] | None,
+    mounting: Path | None,
+    offset_s: float | None,
+    columns: str | None = None,
+) -> DriveOptions:
+    """The values of these options; a usage error for what is none."""
+    from fieldgrid.recording import DriveOptions, columns_from_text
 
-    topics: dict[str, str]
-    mounting: Path | None
-    image_time_offset_ns: int | None
-
-
-def given(topics: list[str] | None, mounting: Path | None, offset_s: float | None) -> Given:
-    """The values of --topic, --mounting and --time-offset; a usage error for what is none."""
     by_role: dict[str, str] = {}
     for text in topics or []:
         match = _TOPIC.fullmatch(text)
@@ -82,4 +85,10 @@ def given(topics: list[str] | None, mounting: Path | None, offset_s: float | Non
         by_role[match[1]] = match[2]
     if offset_s is not None and not math.isfinite(offset_s * 1e9):  # as nanoseconds below
         raise typer.BadParameter(f"{offset_s} is no number of seconds", param_hint="--time-offset")
-    return Given(by_role, mounting, None if offset_s is None else round(offset_s * 1e9))
+    return DriveOptions(
+        gnss,
+        None if columns is None else columns_from_text(columns),
+        by_role,
+        mounting,
+        None if offset_s is None else round(offset_s * 1e9),
+    )

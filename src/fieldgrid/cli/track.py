@@ -67,30 +67,18 @@ def command(
             f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
         )
     from fieldgrid.build.tracking import track_drive
-    from fieldgrid.recording import columns_from_text
     from fieldgrid.rig import Carrier
     from fieldgrid.settings import resolve
     from fieldgrid.track import check_target, summarise_track, write_track
 
     origin = parse.datum(datum)
-    given = recording_options.given(topic, mounting, time_offset)
-    mapping = None if columns is None else columns_from_text(columns)
+    options = recording_options.given(gnss, topic, mounting, time_offset, columns)
     settings = resolve(config, {"pose": {"heading": heading}})
     carrier = None
     if antenna_ahead is not None or heading_offset is not None:
         carrier = Carrier(antenna_ahead or 0.0, heading_offset)
     check_target(out)
-    drive = track_drive(
-        recording,
-        settings,
-        gnss=gnss,
-        columns=mapping,
-        datum=origin,
-        carrier=carrier,
-        topics=given.topics,
-        mounting=given.mounting,
-        image_time_offset_ns=given.image_time_offset_ns,
-    )
+    drive = track_drive(recording, settings, options, datum=origin, carrier=carrier)
     write_track(drive.estimate, out)
     if figure is not None:
         _draw(drive, settings, figure)

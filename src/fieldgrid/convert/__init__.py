@@ -4,13 +4,13 @@ Frames by REP-103 and REP-105: `map` is the Local Tangent Plane (east, north, up
 the grid origin (forward, left, up), below it the optical frames of the sensor, the antenna, and
 the axle that does not steer where it is known.
 All stamps are by the clock of the receiver. Topics: images with their camera_info (or depths, or
-points), /gnss/fix, /imu/data, /wheel_odometry, /pose, /tf, /tf_static, and /datum, where `map` is.
+points), /gnss/fix with /gnss/fix/details, /imu/data, /wheel_odometry, /pose, /tf, /tf_static with
+/fieldgrid/rig, and /datum, where `map` is. What is read again gives the map of the original.
 """
 
 from __future__ import annotations
 
 from fieldgrid.convert.frames import Images
-from fieldgrid.convert.messages import nav_sat_fix
 from fieldgrid.convert.writing import Converted, convert_recording
 
-__all__ = ["Converted", "Images", "convert_recording", "nav_sat_fix"]
+__all__ = ["Converted", "Images", "convert_recording"]

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fieldgrid.build import estimate_drive
-from fieldgrid.convert.drive import Said, fixes_said, motion_said, poses_said, said_once
-from fieldgrid.convert.frames import Images, frames_said
-from fieldgrid.errors import ConfigError, GnssError, RecordingError
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.convert.drive import (
+    fix_messages,
+    messages_once,
+    motion_messages,
+    pose_messages,
+)
+from fieldgrid.convert.frames import Images, frame_messages
+from fieldgrid.errors import ConfigError, GnssError, NoFramesError, RecordingError
+from fieldgrid.recording import Drive, DriveOptions, Recording, open_drive
 from fieldgrid.ros import McapWriter
 from fieldgrid.trajectory import Trajectory
 
@@ -42,19 +47,19 @@ class Converted:
 
 
 def convert_recording(
-    recording: Recording | str | Path,
+    drive: Drive | str | Path,
     out: str | Path,
+    options: DriveOptions | None = None,
     *,
     images: Images | str = Images.COMPRESSED,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    **opening: Any,
 ) -> Converted:
-    """Write an MCAP of what a recording holds and what its poses are estimated to be.
+    """Write an MCAP of what a drive holds and what its poses are estimated to be.
 
-    A path is opened here, `opening` being what `open_recording` takes. The file appears whole or
-    not at all; no more than one frame is held in memory. Raises MapExistsError for a file that is
-    there unless it may be overwritten, and what reading and estimating raise.
+    A path is opened with `options` as by `open_drive`: a recording, or a log alone. The file
+    appears whole or not at all; no more than one frame is held in memory. Raises MapExistsError
+    for a file that is there unless it may be overwritten, and what reading and estimating raise.
     """
     out = Path(out)
     if out.suffix.lower() != ".mcap":
@@ -65,63 +70,59 @@ def convert_recording(
         raise ConfigError(
             f"Images {images!r} cannot be written; give one of {', '.join(Images)}."
         ) from None
-    if not isinstance(recording, str | Path):
-        return _converted(recording, out, kind, overwrite, progress)
-    with open_recording(recording, **opening) as drive:
+    if not isinstance(drive, str | Path):
         return _converted(drive, out, kind, overwrite, progress)
+    with open_drive(drive, options) as opened:
+        return _converted(opened, out, kind, overwrite, progress)
 
 
 def _converted(
-    recording: Recording,
+    drive: Drive,
     out: Path,
     images: Images,
     overwrite: bool,
     progress: Callable[[int, int], None] | None,
 ) -> Converted:
+    recording: Recording | None = None
+    try:
+        recording = drive.recording()
+    except NoFramesError:
+        if not len(drive.fixes()):
+            raise
     with McapWriter(out, overwrite=overwrite) as writer:
-        trajectory, notes = _trajectory(recording)
+        trajectory, notes = _trajectory(drive)
+        streams = [fix_messages(drive.fixes()), motion_messages(drive.motion())]
+        if trajectory is not None:
+            streams.append(pose_messages(trajectory))
+        if recording is not None and images is not Images.NONE:
+            streams.append(frame_messages(recording, images, progress))
         counts: Counter[str] = Counter()
         start_ns, stop_ns = 0, 0
-        for said in _everything(recording, trajectory, images, progress):
+        for one in heapq.merge(*streams, key=lambda one: (one.time_ns, one.order)):
             if not counts:
-                start_ns = said.time_ns
-                for topic, message in said_once(recording.rig, trajectory, said.time_ns):
-                    writer.write(topic, message, said.time_ns, latched=True)
+                start_ns = one.time_ns
+                # Image stamps are by the receiver's clock already.
+                rig = drive.rig and replace(drive.rig, image_time_offset_ns=0)
+                for topic, message in messages_once(rig, trajectory, start_ns):
+                    writer.write(topic, message, start_ns, latched=True)
                     counts[topic] += 1
-            writer.write(said.topic, said.message, said.time_ns)
-            counts[said.topic] += 1
-            stop_ns = said.time_ns
+            writer.write(one.topic, one.message, one.time_ns)
+            counts[one.topic] += 1
+            stop_ns = one.time_ns
         if not counts:
             raise RecordingError(
-                f"{recording.name} has neither frames nor fixes, so there is nothing to convert; "
-                "give another recording."
+                f"{drive.name} has neither frames nor fixes, so there is nothing to convert; "
+                "give another drive."
             )
-    return Converted(
-        out, recording.name, dict(sorted(counts.items())), start_ns, stop_ns, tuple(notes)
-    )
+    return Converted(out, drive.name, dict(sorted(counts.items())), start_ns, stop_ns, tuple(notes))
 
 
-def _trajectory(recording: Recording) -> tuple[Trajectory | None, list[str]]:
+def _trajectory(drive: Drive) -> tuple[Trajectory | None, list[str]]:
     """The estimated poses, or a remark on why there are none."""
-    notes = list(recording.losses)
-    if not len(recording.fixes()):
+    notes = list(drive.losses)
+    if not len(drive.fixes()):
         return None, [*notes, "There are no fixes, so no poses were written."]
     try:
-        return estimate_drive(recording).trajectory, notes
+        return estimate_drive(drive).trajectory, notes
     except GnssError as problem:
         return None, [*notes, f"No poses were written: {problem}"]
-
-
-def _everything(
-    recording: Recording,
-    trajectory: Trajectory | None,
-    images: Images,
-    progress: Callable[[int, int], None] | None,
-) -> Iterator[Said]:
-    """All messages in order of time."""
-    streams = [fixes_said(recording.fixes()), motion_said(recording)]
-    if trajectory is not None:
-        streams.append(poses_said(trajectory))
-    if images is not Images.NONE:
-        streams.append(frames_said(recording, images, progress))
-    return heapq.merge(*streams, key=lambda said: (said.time_ns, said.order))

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.ros_messages import FRAME
 from fieldgrid.mapfile import MapView
+from fieldgrid.ros.messages import MAP
 
 
 class Raw(NamedTuple):
@@ -48,7 +48,7 @@ def grid(view: MapView, time_ns: int) -> Raw:
     cells[..., 4] = view.density
     bounds, cell_m = view.bounds, view.lattice.cell_m
     message = Grid(
-        frame_id=FRAME,
+        frame_id=MAP,
         column_count=view.window.width,
         row_stride=view.window.width * len(names),
         cell_stride=len(names),

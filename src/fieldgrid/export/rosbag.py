@@ -24,6 +24,8 @@ from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.ros import BagFolderWriter, McapWriter
+from fieldgrid.ros.gnss import datum_message
+from fieldgrid.ros.messages import text
 from fieldgrid.trajectory import Trajectory
 
 MAX_CELLS = 25_000_000
@@ -173,9 +175,9 @@ def _messages(
     """All messages in the order of their times, one in memory at a time."""
     datum = view.datum
     yield _Stamped("/tf_static", ros_messages.earth_to_map(datum, start_ns), start_ns, True)
-    yield _Stamped("/datum", ros_messages.datum_fix(datum, start_ns), start_ns, True)
+    yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(view), ensure_ascii=False)
-    yield _Stamped("/georeference", ros_messages.text(about), start_ns, True)
+    yield _Stamped("/georeference", text(about), start_ns, True)
     occupancy = curve.occupancy(view.layer(layer), view.observed)
     grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
     yield _Stamped("/map", grid, start_ns, True)

@@ -102,7 +102,8 @@ class _Framer:
 
     def _cut(self, last: bool) -> Iterator[tuple[bytes, bytes]]:
         held, at = bytes(self._held), 0
-        while (at := held.find(_SYNC, at)) >= 0:
+        while (found := held.find(_SYNC, at)) >= 0:
+            at = found
             length = int.from_bytes(held[at + 4 : at + 6], "little")
             stop = at + _FRAME + length
             complete = len(held) >= at + 6
@@ -118,8 +119,8 @@ class _Framer:
                 self.messages += 1
                 yield held[at + 2 : at + 4], held[at + 6 : stop - 2]
                 at = stop
-        # Without a sync the last byte may still be the first half of one.
-        self._held = bytearray(held[at:] if at >= 0 else held[-1:])
+        # Without a sync the last byte may be the first half of one, unless it is used already.
+        self._held = bytearray(held[at:] if found >= 0 else held[max(at, len(held) - 1) :])
 
 
 def _checks(body: bytes) -> bool:

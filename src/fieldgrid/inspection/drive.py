@@ -38,12 +38,11 @@ from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import ground_seen, mount_findings, scale, scale_findings
 from fieldgrid.inspection.sampling import sample_every, stretches
-from fieldgrid.inspection.subject import Subject
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.pose import ClockOffset, Estimate
 from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.placed import place
-from fieldgrid.recording import Recording
+from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
 
@@ -52,10 +51,10 @@ GROUND_SHARE = 0.7
 
 
 def with_fixes(
-    found: Inspection, estimate: Estimate, subject: Subject, findings: list[Finding]
+    found: Inspection, estimate: Estimate, drive: Drive, findings: list[Finding]
 ) -> Inspection:
     """The report with the fixes of a drive, judged, and the poses from them."""
-    fixes = subject.fixes.in_order()
+    fixes = drive.fixes().in_order()
     accepted = estimate.trajectory.accepted[estimate.fix_row]
     summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
     findings += fix_findings(summary)
@@ -63,7 +62,6 @@ def with_fixes(
 
 
 def with_frames(
-    subject: Subject,
     recording: Recording,
     settings: BuildSettings,
     found: Inspection,
@@ -79,7 +77,7 @@ def with_frames(
     fixes_alone: Estimate | None = None
     with noted(findings):
         fixes_alone = estimate_drive(recording, settings)
-        found = with_fixes(found, fixes_alone, subject, findings)
+        found = with_fixes(found, fixes_alone, recording, findings)
         with noted(findings, "no-overlap"):
             check_images(recording, fixes_alone.trajectory)
     with noted(findings):

@@ -14,8 +14,7 @@ from fieldgrid.inspection.measures import Look, blur, exposure, vertical_shifts
 from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, features
-from fieldgrid.recording import Frame, Image, Recording, StereoFrame
-from fieldgrid.recording.protocol import pair_of
+from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import StereoCamera
 
 Tell = Callable[[int, int], None]
@@ -83,7 +82,7 @@ def _pairs(
     def work(item: tuple[int, Frame]) -> _Found | Unread:
         index, frame = item
         try:
-            return _found(pair_of(frame), gridder, index in run_of, index in close)
+            return _found(frame, gridder, index in run_of, index in close)
         except FieldgridError as problem:
             return Unread(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
 
@@ -117,16 +116,14 @@ def _pairs(
     )
 
 
-def _found(frame: StereoFrame, gridder: LocalGridder, follow: bool, close: bool) -> _Found:
+def _found(frame: Frame, gridder: LocalGridder, follow: bool, close: bool) -> _Found:
     left, right = frame.images()
     seen = features(gridder.rig.camera, left, right)
     look = _look(frame, left, right, len(seen.blur_px), gridder) if close else None
     return _Found(frame.time_ns, seen if follow else None, look)
 
 
-def _look(
-    frame: StereoFrame, left: Image, right: Image, points: int, gridder: LocalGridder
-) -> Look:
+def _look(frame: Frame, left: Image, right: Image, points: int, gridder: LocalGridder) -> Look:
     brightness, dark, saturated = exposure(left, right)
     grid, ground = gridder(left, right)
     return Look(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
 from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
-from fieldgrid.recording import Frame, Recording, open_unmounted
+from fieldgrid.recording import DriveOptions, Frame, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 
 FEWEST_STANDS = 8
@@ -169,24 +169,25 @@ class MountEstimate:
 
 def estimate_mount(
     recording: Recording | str | Path,
+    options: DriveOptions | None = None,
     *,
     every: int | None = None,
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    **opening: Any,
 ) -> MountEstimate:
     """Height, tilt, roll and yaw of a recording's sensor, by the drive alone.
 
-    A path is opened here, `opening` being what `open_recording` takes; it needs no mounting. What
+    A path is opened with `options` as by `open_drive`; it needs no mounting. What
     the recording says of its mount does not enter, except where its unsteered axle is. Every
     `every`-th frame is looked at (None: frames about a metre apart), `jobs` at a time; `progress`
     is told how many of how many. Raises RecordingError when no ground is seen.
     """
     if not isinstance(recording, str | Path):
         return _estimated(recording, recording.rig, every, jobs, progress)
-    drive, states = open_unmounted(Path(recording), **opening)
-    with drive:
-        return _estimated(drive, drive.rig if states else None, every, jobs, progress)
+    with open_drive(recording, replace(options or DriveOptions(), unmounted=True)) as drive:
+        found = drive.recording()
+        stated = found.rig if found.is_mounted else None
+        return _estimated(found, stated, every, jobs, progress)
 
 
 def _estimated(

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float32, Float64, Index, UInt8
-from fieldgrid.build.perception import checked_depth_m
-from fieldgrid.errors import RecordingError
 from fieldgrid.mounting.passed import REACH_M, Patches
 from fieldgrid.mounting.plane import (
     PATCH_M,
@@ -19,8 +17,7 @@ from fieldgrid.mounting.plane import (
     rough_plane,
 )
 from fieldgrid.odometry import Features, features
-from fieldgrid.recording import CloudFrame, DepthFrame, Frame
-from fieldgrid.recording.protocol import pair_of
+from fieldgrid.recording import Frame
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import SUBPIXELS, StereoMatcher, whole_image
@@ -48,33 +45,35 @@ class Look(NamedTuple):
     features: Features | None
 
 
+class _Seen(NamedTuple):
+    """Points [n, 3] of the sensor's frame, their sigma [n], and the features of a pair."""
+
+    points_m: Float64
+    sigma_m: Float64
+    features: Features | None = None
+
+
 class Looker:
     """Looks at the frames of one rig, of whose mount it knows nothing; safe in threads."""
 
     def __init__(self, rig: Rig, stereo: StereoSettings | None = None) -> None:
-        self._sensor = rig.sensor
-        self._sigma_px = (stereo or StereoSettings()).disparity_sigma_px
-        if isinstance(self._sensor, StereoCamera):
-            self._matcher = _matcher(self._sensor, stereo or StereoSettings())
+        self._rig = rig
+        self._settings = stereo or StereoSettings()
+        self._patch_m = SPARSE_PATCH_M if isinstance(rig.sensor, Lidar) else PATCH_M
+        if isinstance(rig.sensor, StereoCamera):
+            self._matcher = _matcher(rig.sensor, self._settings)
 
     def __call__(self, frame: Frame) -> Look:
         """Everything that is needed of a frame; reads its images."""
-        seen: Features | None = None
-        if isinstance(self._sensor, StereoCamera):
-            left, right = pair_of(frame).images()
-            seen = features(self._sensor, left, right)
-            points_m, sigma_m = self._of_pair(self._sensor, left, right)
-        elif isinstance(self._sensor, DepthCamera) and isinstance(frame, DepthFrame):
-            points_m, sigma_m = self._of_depth(self._sensor, checked_depth_m(frame))
-        else:
-            points_m, sigma_m = _of_cloud(frame)
+        points_m, sigma_m, seen = frame.read(self)
         range_m = np.linalg.norm(points_m, axis=1)
         usable = (range_m > 0.2) & (range_m < RANGE_M) & (sigma_m < MOST_RANGE_SIGMA_M)
-        patch_m = SPARSE_PATCH_M if isinstance(self._sensor, Lidar) else PATCH_M
-        plane, patches = _ground(points_m[usable], sigma_m[usable], patch_m)
+        plane, patches = _ground(points_m[usable], sigma_m[usable], self._patch_m)
         return Look(frame.time_ns, plane, patches, seen)
 
-    def _of_pair(self, camera: StereoCamera, left: UInt8, right: UInt8) -> tuple[Float64, Float64]:
+    def pair(self, left: UInt8, right: UInt8) -> _Seen:
+        """What a pair shows, seen from the middle of the baseline."""
+        camera = self._rig.camera
         disparity = self._matcher.disparity(left, right).values[::STEP_PX, ::STEP_PX]
         row, column = np.nonzero(disparity > 0)
         shift_px = disparity[row, column] / SUBPIXELS - camera.disparity_offset_px
@@ -83,17 +82,25 @@ class Looker:
         depth_m = camera.focal_baseline_px_m / shift_px
         focal_px = camera.focal_px
         points_m = _unprojected(column, row, depth_m, camera, (focal_px, focal_px))
-        points_m[:, 0] -= camera.baseline_m / 2.0  # seen from the middle of the baseline
-        return points_m, camera.range_sigma_m(depth_m, self._sigma_px)
+        points_m[:, 0] -= camera.baseline_m / 2.0
+        sigma_m = camera.range_sigma_m(depth_m, self._settings.disparity_sigma_px)
+        return _Seen(points_m, sigma_m, features(camera, left, right))
 
-    def _of_depth(self, camera: DepthCamera, depth_m: Float32) -> tuple[Float64, Float64]:
+    def depth(self, depth_m: Float32) -> _Seen:
+        """What an image of depths shows."""
+        camera = self._rig.depth_camera
         depth = depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
         row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0) & (depth < RANGE_M))
         z = depth[row, column]
         points_m = _unprojected(column, row, z, camera, (camera.fx_px, camera.fy_px))
         if camera.baseline_m is None:
-            return points_m, DEPTH_SHARE * z
-        return points_m, z * z * self._sigma_px / (camera.fx_px * camera.baseline_m)
+            return _Seen(points_m, DEPTH_SHARE * z)
+        sigma_px = self._settings.disparity_sigma_px
+        return _Seen(points_m, z * z * sigma_px / (camera.fx_px * camera.baseline_m))
+
+    def cloud(self, points_m: Float32) -> _Seen:
+        """What a cloud shows."""
+        return _Seen(points_m.astype(np.float64), np.full(len(points_m), LIDAR_SIGMA_M))
 
 
 def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
@@ -114,15 +121,6 @@ def _unprojected(
     x = (column * STEP_PX - camera.cx_px) / focal_px[0]
     y = (row * STEP_PX - camera.cy_px) / focal_px[1]
     return np.column_stack([x * depth_m, y * depth_m, depth_m])
-
-
-def _of_cloud(frame: Frame) -> tuple[Float64, Float64]:
-    if not isinstance(frame, CloudFrame):
-        raise RecordingError(
-            f"Frame {frame.frame_id} does not fit the rig's sensor; give a recording of one sensor."
-        )
-    points_m = frame.cloud.read().astype(np.float64)
-    return points_m, np.full(len(points_m), LIDAR_SIGMA_M)
 
 
 def _ground(points_m: Float64, sigma_m: Float64, patch_m: float) -> tuple[Plane | None, Patches]:

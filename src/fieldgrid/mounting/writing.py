@@ -7,9 +7,8 @@ from pathlib import Path
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.mounting.estimate import MountEstimate
-from fieldgrid.recording import Mounting
+from fieldgrid.recording import Mounting, mounting_path
 from fieldgrid.recording.mounting import read_mounting, write_mounting
-from fieldgrid.recording.places import mounting_place
 from fieldgrid.rig import LeverArm, Mount
 
 _HEIGHT_DIGITS, _ANGLE_DIGITS = 3, 2
@@ -26,7 +25,7 @@ def write_estimate(
     antenna (forward, left, up of the camera, metres), which no drive tells: raises ConfigError
     when nobody does, since a forgotten lever arm misplaces the map.
     """
-    place, rig = mounting_place(Path(recording)), estimate.stated
+    place, rig = mounting_path(Path(recording)), estimate.stated
     mount = _rounded(estimate)
     if antenna_flu_m is not None:
         forward_m, left_m, up_m = antenna_flu_m

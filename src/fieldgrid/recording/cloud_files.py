@@ -13,12 +13,12 @@ from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
 from fieldgrid.recording.frame_table import TABLE, Layout
+from fieldgrid.recording.frames import CloudFrame, Frame
 from fieldgrid.recording.las import las_time_ns, read_las
 from fieldgrid.recording.motion_files import directions
 from fieldgrid.recording.npy import parse_npy
 from fieldgrid.recording.pcd import parse_pcd
 from fieldgrid.recording.ply import parse_ply
-from fieldgrid.recording.protocol import CloudFrame, Frame
 from fieldgrid.recording.stored import Shot
 
 SUFFIXES = frozenset({".ply", ".pcd", ".las", ".laz", ".npy", ".bin"})

@@ -16,10 +16,10 @@ from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
 from fieldgrid.recording.frame_table import Layout
+from fieldgrid.recording.frames import DepthFrame, Frame
 from fieldgrid.recording.image_header import read_header
 from fieldgrid.recording.images import MAX_PIXELS
 from fieldgrid.recording.npy import parse_npy
-from fieldgrid.recording.protocol import DepthFrame, Frame
 from fieldgrid.recording.stored import Shot
 
 _Any = npt.NDArray[np.generic]

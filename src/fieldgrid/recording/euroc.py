@@ -11,36 +11,30 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError, RecordingError
-from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.recording.calibration_kalibr import pinhole
 from fieldgrid.recording.calibration_yaml import load_yaml, matrix
 from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames, with_motion
 from fieldgrid.recording.files import is_inside, parse_time_ns, read_text
-from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.format import Format
 from fieldgrid.recording.image_format import image_format
-from fieldgrid.recording.logs import find_log, log_name, passed_over, read_fix_log
+from fieldgrid.recording.logs import find_log, with_log
 from fieldgrid.recording.motion_files import in_order
 from fieldgrid.recording.mounting import MOUNTING, Mounting
-from fieldgrid.recording.options import Options
+from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, read_settings
-from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
+from fieldgrid.recording.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recording.table_time import find_time
 from fieldgrid.recording.tables import open_table
 from fieldgrid.rectify import RawCamera, Rectification, is_rotation, rectify_by_pose
 
-LOOKS_FOR = "mav0 with cam0 and cam1"
-
+_LOOKS_FOR = "mav0 with cam0 and cam1"
 _TOP = "mav0"
 _LEFT, _RIGHT, _IMU = "cam0", "cam1", "imu0"
 _DATA, _SENSOR = "data.csv", "sensor.yaml"
 _MAX_AWAY_M = 100.0
 _RATES = tuple(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
-
-
-def recognises(path: Path) -> bool:
-    """Whether a path is a folder of EuRoC's kind, or its mav0."""
-    return _mav(path) is not None
 
 
 def mounting_path(path: Path) -> Path:
@@ -50,37 +44,37 @@ def mounting_path(path: Path) -> Path:
     return inside if inside.exists() else _beside(folder, mav, MOUNTING)
 
 
-def open_euroc(path: Path, options: Options) -> StoredRecording:
+def open_euroc(path: Path, options: DriveOptions) -> Drive:
     """The recording at a path; what EuRoC's format has no place for lies beside or in mav0:
     `mounting.json`, `gnss/`, `recording.toml`."""
     options.refuse_topics(path)
     folder, mav = _folders(path)
     settings = read_settings(_beside(folder, mav, SETTINGS))
-    rectification = _rectification(mav)
-    camera = rectification.camera
-    mounting = options.find_mounting(mounting_path(path), path)
-    shots, frame_notes = _shots(folder, mav)
-    stored, image_notes = image_format(folder, shots, settings)
     log_path = _log_path(folder, mav, options)
-    log = (
-        FixLog(FixColumns.of([]), (passed_over(folder),))
-        if log_path is None
-        else read_fix_log(log_path, options.columns or settings.columns)
+    drive = with_log(
+        Drive(path=path, name=settings.name or folder.resolve().name, datum_hint=settings.datum),
+        folder,
+        log_path,
+        options.columns or settings.columns,
     )
-    gyro, gyro_notes = _gyro(mav, mounting, rectification)
-    return StoredRecording(
-        name=settings.name or folder.resolve().name,
-        rig=mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
-        folder=folder,
-        shots=shots,
-        kind=PairKind((camera.width_px, camera.height_px), rectification.rectifier, stored),
-        fix_log=log.fixes,
-        gnss_source="" if log_path is None else log_name(log_path, folder),
-        gnss_path=log_path,
-        datum_hint=settings.datum,
-        notes=frame_notes + image_notes + log.notes + gyro_notes,
-        own_motion=Motion(gyro=gyro or log.motion.gyro, wheels=log.motion.wheels),
-    )
+
+    def make(drive: Drive) -> Recording:
+        rectification = _rectification(mav)
+        camera = rectification.camera
+        mounting = options.find_mounting(mounting_path(path), path)
+        shots, frame_notes = _shots(folder, mav)
+        stored, image_notes = image_format(folder, shots, settings)
+        gyro, gyro_notes = _gyro(mav, mounting, rectification)
+        size_px = (camera.width_px, camera.height_px)
+        return as_recording(
+            with_motion(drive, Motion(gyro=gyro), gyro_notes),
+            mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
+            StoredFrames(folder, shots, PairKind(size_px, rectification.rectifier, stored)),
+            frame_notes + image_notes,
+            is_mounted=mounting is not NO_MOUNTING,
+        )
+
+    return with_frames(drive, make)
 
 
 def _mav(path: Path) -> Path | None:
@@ -95,7 +89,7 @@ def _folders(path: Path) -> tuple[Path, Path]:
     """The folder of the recording, and that of the sensors in it, which may be the same."""
     mav = _mav(path)
     if mav is None:
-        raise RecordingError(f"{path} has no {LOOKS_FOR}; give the folder that holds them.")
+        raise RecordingError(f"{path} has no {_LOOKS_FOR}; give the folder that holds them.")
     return mav.parent if mav.name == _TOP else mav, mav
 
 
@@ -104,7 +98,7 @@ def _beside(folder: Path, mav: Path, name: str) -> Path:
     return mav / name if (mav / name).exists() else folder / name
 
 
-def _log_path(folder: Path, mav: Path, options: Options) -> Path | None:
+def _log_path(folder: Path, mav: Path, options: DriveOptions) -> Path | None:
     """The log that was asked for, else that of mav0/gnss, mav0/gps0 or gnss beside them."""
     if options.gnss is None and (mav / "gps0" / _DATA).is_file():
         return mav / "gps0" / _DATA
@@ -207,3 +201,12 @@ def _gyro(
     series, lost = in_order(np.concatenate(times), np.concatenate(rates))
     notes = (f"{_IMU}/{_DATA}: {lost} rows without a time or value, or repeated, skipped.",)
     return Gyro(*series), notes if lost else ()
+
+
+FORMAT = Format(
+    "EuRoC",
+    _LOOKS_FOR,
+    lambda path: _mav(path) is not None,
+    open_euroc,
+    mounting_path,
+)

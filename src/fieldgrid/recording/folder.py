@@ -3,64 +3,89 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
-from fieldgrid.errors import RecordingError
-from fieldgrid.fixes import FixColumns
+from fieldgrid.errors import NoFramesError, RecordingError
 from fieldgrid.geodesy import Datum
+from fieldgrid.recording.calibration import read_calibration
+from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames, with_motion
 from fieldgrid.recording.files import read_text
-from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.format import Format
 from fieldgrid.recording.frame_table import TABLE
-from fieldgrid.recording.logs import find_log, log_name, passed_over, read_fix_log
-from fieldgrid.recording.motion_files import read_motion
-from fieldgrid.recording.mounting import MOUNTING
-from fieldgrid.recording.options import Options
+from fieldgrid.recording.logs import find_log, with_log
+from fieldgrid.recording.motion_files import AXES, read_motion
+from fieldgrid.recording.mounting import MOUNTING, read_mounting
+from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.sensors import CALIBRATION, has_frames, read_seen
 from fieldgrid.recording.settings_file import MAX_BYTES, SETTINGS, checked_datum, read_settings
-from fieldgrid.recording.stored import StoredRecording
-
-LOOKS_FOR = f"{TABLE}, or left/ and right/, depth/, disparity/ or clouds/"
+from fieldgrid.recording.stored import StoredFrames
 
 _SESSION = "session.json"
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder is a plain recording."""
-    if (path / TABLE).is_file() or has_frames(path):
+    """Whether a folder is a plain recording, or holds at least the GNSS logs of a drive."""
+    if (path / TABLE).is_file() or has_frames(path) or (path / "gnss").is_dir():
         return True
     return (path / SETTINGS).is_file() and read_settings(path / SETTINGS).frames is not None
 
 
-def open_folder(path: Path, options: Options) -> StoredRecording:
-    """The recording in a plain folder. What the options say outranks the settings file."""
+def open_folder(path: Path, options: DriveOptions) -> Drive:
+    """The drive in a plain folder, with frames or without. What the options say outranks the
+    settings file."""
     options.refuse_topics(path)
     settings = read_settings(path / SETTINGS)
-    mounting = options.find_mounting(path / CALIBRATION / MOUNTING, path)
-    seen = read_seen(path, settings, mounting, options.offset_or(settings.image_time_offset_ns))
     log_path = find_log(path, options.gnss)
-    log = (
-        FixLog(FixColumns.of([]), (passed_over(path),))
-        if log_path is None
-        else read_fix_log(log_path, options.columns or settings.columns)
+    drive = with_log(
+        Drive(
+            path=path,
+            name=settings.name or path.resolve().name,
+            datum_hint=settings.datum or _session_datum(path / _SESSION),
+        ),
+        path,
+        log_path,
+        options.columns or settings.columns,
     )
-    moved = read_motion(path, mounting.imu_axes)
-    return StoredRecording(
-        name=settings.name or path.resolve().name,
-        rig=seen.rig,
-        folder=path,
-        shots=seen.shots,
-        kind=seen.kind,
-        fix_log=log.fixes,
-        gnss_source="" if log_path is None else log_name(log_path, path),
-        gnss_path=log_path,
-        datum_hint=settings.datum or _session_datum(path / _SESSION),
-        notes=seen.notes + log.notes + moved.notes,
-        own_motion=moved.motion._replace(
-            gyro=moved.motion.gyro or log.motion.gyro,
-            wheels=moved.motion.wheels or log.motion.wheels,
+    if not ((path / TABLE).is_file() or has_frames(path) or settings.frames is not None):
+        return _without_frames(path, options, drive)
+
+    def make(drive: Drive) -> Recording:
+        mounting = options.find_mounting(mounting_path(path), path)
+        offset_ns = options.offset_or(settings.image_time_offset_ns)
+        seen = read_seen(path, settings, mounting, offset_ns)
+        return as_recording(
+            with_motion(drive, *read_motion(path, mounting.imu_axes)),
+            seen.rig,
+            StoredFrames(path, seen.shots, seen.kind),
+            seen.notes,
+            is_mounted=mounting is not NO_MOUNTING,
+        )
+
+    found = with_frames(drive, make)
+    return found if found.refusal is None else with_motion(found, *read_motion(path))
+
+
+def _without_frames(path: Path, options: DriveOptions, drive: Drive) -> Drive:
+    """A folder of logs; where it has a calibration, that tells what carried the antenna."""
+    why = f"{path} is no recording with images"
+    options.refuse(why, "mounting", "image_time_offset_ns")
+    folder = path / CALIBRATION
+    mounting = read_mounting(folder / MOUNTING) if folder.is_dir() else None
+    return replace(
+        with_motion(drive, *read_motion(path, AXES if mounting is None else mounting.imu_axes)),
+        rig=None if mounting is None else mounting.rig(read_calibration(folder).camera),
+        refusal=NoFramesError(
+            f"{why}: it has neither {TABLE}, nor left/ and right/, depth/, disparity/ or clouds/; "
+            "give one that has, or track its fixes alone."
         ),
     )
+
+
+def mounting_path(path: Path) -> Path:
+    """Where the mounting of a plain folder is."""
+    return path / CALIBRATION / MOUNTING
 
 
 def _session_datum(path: Path) -> Datum | None:
@@ -79,3 +104,12 @@ def _session_datum(path: Path) -> Datum | None:
     if not all(key in origin for key in keys):
         raise RecordingError(f"{path}: ltp_origin needs {', '.join(keys)}; add what is missing.")
     return checked_datum([origin[key] for key in keys], path)
+
+
+FORMAT = Format(
+    "plain folder",
+    f"{TABLE}, or left/ and right/, depth/, disparity/ or clouds/, or gnss/",
+    recognises,
+    open_folder,
+    mounting_path,
+)

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
+from fieldgrid.recording.frames import Image
 from fieldgrid.recording.image_header import Header, read_header
 from fieldgrid.recording.pixels import BITS, to_grey
-from fieldgrid.recording.protocol import Image
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff"})
 """File name endings of images that can be read, in lower case."""
@@ -55,6 +55,10 @@ class ImageFile:
         """Grey, 8 bit, as stored: a rotation noted in the file is not applied."""
         return decode_image(self._bytes(), self.name, self.max_pixels, self.format)
 
+    def encoded(self) -> bytes:
+        """The file, if it is a JPEG or PNG and nothing is to be told beside it; else empty."""
+        return self_contained(self._bytes()) if self.format == AS_STORED else b""
+
     def size_px(self) -> tuple[int, int]:
         """(width, height) by the file's own header."""
         header = _checked_header(self._bytes(), self.name, self.max_pixels)
@@ -72,6 +76,11 @@ class ImageFile:
 
     def _bytes(self) -> bytes:
         return read_bytes(self.path, _MAX_FILE_BYTES)
+
+
+def self_contained(data: bytes) -> bytes:
+    """Image data that are a JPEG or a PNG; empty for others."""
+    return data if data.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")) else b""
 
 
 def decode_image(

@@ -10,61 +10,53 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recording.files import read_text
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.format import Format
 from fieldgrid.recording.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
     read_kitti_calibration,
 )
 from fieldgrid.recording.mounting import MOUNTING
-from fieldgrid.recording.options import Options
+from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
+from fieldgrid.recording.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.rig import Rig
-
-LOOKS_FOR = "one KITTI drive *_sync with image_00 .. image_03 and oxts"
 
 _MAX_OXTS_BYTES = 1 << 16
 
 
-def recognises(path: Path) -> bool:
-    """Whether a path is a KITTI drive, or holds some."""
-    return bool(_drives(path))
-
-
-def open_kitti(path: Path, options: Options) -> StoredRecording:
+def open_kitti(path: Path, options: DriveOptions) -> Drive:
     """The drive at or below a path. Its fixes are always those of oxts."""
     drives = _drives(path)
     if len(drives) != 1:
         names = ", ".join(drive.name for drive in drives)
         raise RecordingError(f"{path} holds {len(drives)} KITTI drives: {names}; give one of them.")
     options.refuse_topics(path)
-    if options.gnss is not None and str(options.gnss) != "oxts":
-        raise RecordingError(
-            f"A KITTI drive has its fixes in oxts, so {str(options.gnss)!r} cannot be used; "
-            "leave --gnss out."
-        )
-    if options.columns is not None:
-        raise ConfigError("Columns: the fixes of a KITTI drive are no table; leave them out.")
-    drive = drives[0]
-    times_ns, rows = _oxts(drive)
-    left, right = _cameras(drive)
-    rig = _rig(drive, left, right, options)
-    return StoredRecording(
-        name=drive.resolve().name,
-        rig=rig,
-        folder=drive,
-        shots=checked_shots(_shots(drive, left, right), drive),
-        kind=PairKind((rig.camera.width_px, rig.camera.height_px)),
-        fix_log=oxts_fixes(times_ns, rows),
+    if str(options.gnss) != "oxts":
+        options.refuse(f"A KITTI drive has its fixes in oxts, and not in {options.gnss}", "gnss")
+    options.refuse("The fixes of a KITTI drive are no table", "columns")
+    folder = drives[0]
+    times_ns, rows = _oxts(folder)
+    drive = Drive(
+        path=path,
+        name=folder.resolve().name,
+        log=FixLog(oxts_fixes(times_ns, rows), motion=oxts_motion(times_ns, rows)),
         gnss_source="oxts",
-        notes=(
-            *_height_note(rig),
-            "The heights of oxts are above mean sea level, not above the ellipsoid.",
-        ),
-        own_motion=oxts_motion(times_ns, rows),
+        notes=("The heights of oxts are above mean sea level, not above the ellipsoid.",),
     )
+    return with_frames(drive, lambda drive: _recording(drive, folder, options))
+
+
+def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
+    left, right = _cameras(folder)
+    rig = _rig(folder, left, right, options)
+    shots = checked_shots(_shots(folder, left, right), folder)
+    kind = PairKind((rig.camera.width_px, rig.camera.height_px))
+    return as_recording(drive, rig, StoredFrames(folder, shots, kind), _height_note(rig))
 
 
 def _height_note(rig: Rig) -> tuple[str, ...]:
@@ -76,12 +68,7 @@ def _height_note(rig: Rig) -> tuple[str, ...]:
     )
 
 
-def mounting_path(path: Path) -> Path:
-    """Where the mounting of a drive at or below a path is looked for."""
-    return next(iter(_drives(path)), path) / MOUNTING
-
-
-def _rig(drive: Path, left: str, right: str, options: Options) -> Rig:
+def _rig(drive: Path, left: str, right: str, options: DriveOptions) -> Rig:
     """KITTI's own rig, unless another mounting is given or lies in the drive."""
     rig, offset_ns = read_kitti_calibration(drive, left, right).rig(), options.offset_or(0)
     if options.mounting is None and not (drive / MOUNTING).exists():
@@ -163,3 +150,12 @@ def _stamp_ns(text: str, path: Path) -> int:
         raise RecordingError(
             f"{path}: {text[:40]!r} is no time like 2011-09-30 12:08:26.399641520; copy it again."
         ) from None
+
+
+FORMAT = Format(
+    "KITTI raw",
+    "one KITTI drive *_sync with image_00 .. image_03 and oxts",
+    lambda path: bool(_drives(path)),
+    open_kitti,
+    lambda path: next(iter(_drives(path)), path) / MOUNTING,
+)

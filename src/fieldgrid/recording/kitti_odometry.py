@@ -6,29 +6,30 @@ It has no GNSS. Its poses can stand in for one, once it is said where and when t
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
-from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.quality import Quality
+from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.format import Format
 from fieldgrid.recording.images import SUFFIXES, ImageFile
 from fieldgrid.recording.kitti_calibration import CAMERA_HEIGHT_M, floats, numbers, read_entries
 from fieldgrid.recording.logs import find_log, log_name, read_fix_log
 from fieldgrid.recording.mounting import MOUNTING
-from fieldgrid.recording.options import Options
+from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, Settings, Start, read_settings
-from fieldgrid.recording.stored import PairKind, Shot, StoredRecording, checked_shots
+from fieldgrid.recording.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.rectify import camera_from_projections
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-
-LOOKS_FOR = "a KITTI sequence with calib.txt, times.txt, image_0 and image_1"
 
 _CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
 _SIDES = (("0", "1"), ("2", "3"))
@@ -42,7 +43,7 @@ def recognises(path: Path) -> bool:
     return any(all((path / f"image_{number}").is_dir() for number in pair) for pair in _SIDES)
 
 
-def open_sequence(path: Path, options: Options) -> StoredRecording:
+def open_sequence(path: Path, options: DriveOptions) -> Drive:
     """The sequence at a path: fixes of a log that is given, else of its own poses."""
     options.refuse_topics(path)
     settings = read_settings(path / SETTINGS)
@@ -52,38 +53,50 @@ def open_sequence(path: Path, options: Options) -> StoredRecording:
             "with [start] utc_s = seconds since 1970 of its first image."
         )
     times_ns = _times_ns(path / _TIMES, settings.start)
+    log_path = find_log(path, options.gnss)
+    drive = Drive(path=path, name=settings.name or path.resolve().name, datum_hint=settings.datum)
     left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
+    offset_ns = options.offset_or(settings.image_time_offset_ns)
+    if log_path is not None:
+        log = read_fix_log(log_path, options.columns or settings.columns)
+        drive = replace(
+            drive,
+            log=log,
+            gnss_source=log_name(log_path, path),
+            gnss_path=log_path,
+            notes=log.notes,
+        )
+
+        def make(drive: Drive) -> Recording:
+            camera, frames = _frames(path, left, right, times_ns)
+            mounting = options.find_mounting(path / MOUNTING, path)
+            rig = mounting.rig(camera, offset_ns)
+            return as_recording(drive, rig, frames, is_mounted=mounting is not NO_MOUNTING)
+
+        return with_frames(drive, make)
+    options.refuse("The poses of a KITTI sequence are no table", "columns")
+    camera, frames = _frames(path, left, right, times_ns)
+    mount, notes = _own_mount(path, options)
+    log = _poses_as_fixes(path, times_ns, settings, mount)
+    source = _POSES if len(log.fixes) else ""
+    drive = replace(
+        drive,
+        log=log,
+        gnss_source=source,
+        gnss_path=path / source if source else None,
+        notes=log.notes,
+    )
+    antenna = _first_camera(_projection(path, left), camera, mount)
+    rig = Rig(camera, mount, antenna, image_time_offset_ns=offset_ns, heading_offset_deg=0.0)
+    return as_recording(drive, rig, frames, notes)
+
+
+def _frames(
+    path: Path, left: str, right: str, times_ns: list[int]
+) -> tuple[StereoCamera, StoredFrames]:
     shots = checked_shots(_shots(path, left, right, times_ns), path)
     camera = _camera(path, left, right, ImageFile(path / shots[0].files[0]).size_px())
-    log_path = find_log(path, options.gnss)
-    notes: tuple[str, ...] = ()
-    if log_path is not None:
-        source = log_name(log_path, path)
-        log = read_fix_log(log_path, options.columns or settings.columns)
-        mounting = options.find_mounting(path / MOUNTING, path)
-        rig = mounting.rig(camera, options.offset_or(settings.image_time_offset_ns))
-    elif options.columns is not None:
-        raise ConfigError("Columns: the poses of a KITTI sequence are no table; leave them out.")
-    else:
-        mount, notes = _own_mount(path, options)
-        log = _poses_as_fixes(path, times_ns, settings, mount)
-        source = _POSES if len(log.fixes) else ""
-        antenna = _first_camera(_projection(path, left), camera, mount)
-        offset_ns = options.offset_or(settings.image_time_offset_ns)
-        rig = Rig(camera, mount, antenna, image_time_offset_ns=offset_ns, heading_offset_deg=0.0)
-    return StoredRecording(
-        name=settings.name or path.resolve().name,
-        rig=rig,
-        folder=path,
-        shots=shots,
-        kind=PairKind((camera.width_px, camera.height_px)),
-        fix_log=log.fixes,
-        gnss_source=source,
-        gnss_path=path / source if log_path is None and source else log_path,
-        datum_hint=settings.datum,
-        notes=notes + log.notes,
-        own_motion=log.motion,
-    )
+    return camera, StoredFrames(path, shots, PairKind((camera.width_px, camera.height_px)))
 
 
 def _times_ns(path: Path, start: Start) -> list[int]:
@@ -119,7 +132,7 @@ def _camera(path: Path, left: str, right: str, size_px: tuple[int, int]) -> Ster
     return camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
 
 
-def _own_mount(path: Path, options: Options) -> tuple[Mount, tuple[str, ...]]:
+def _own_mount(path: Path, options: DriveOptions) -> tuple[Mount, tuple[str, ...]]:
     """How the cameras sit, by a mounting that is given, else as KITTI's; and a remark."""
     if options.mounting is not None or (path / MOUNTING).exists():
         return options.find_mounting(path / MOUNTING, path).mount, ()
@@ -200,3 +213,11 @@ def _fixes(
         heading_deg=headings,
         heading_sigma_deg=_SIGMA_DEG,
     )
+
+
+FORMAT = Format(
+    "KITTI odometry",
+    "a KITTI sequence with calib.txt, times.txt, image_0 and image_1",
+    recognises,
+    open_sequence,
+)

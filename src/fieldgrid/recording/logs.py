@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.files import open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.fix_table import read_fix_table
+from fieldgrid.recording.format import Format
 from fieldgrid.recording.isoxml import is_time_log, read_time_log
+from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.stream_log import looks_like_stream, read_stream
 from fieldgrid.recording.tables import COMMENTS, DELIMITERS, split_header
 
@@ -100,3 +104,41 @@ def _looks_like_table(head: bytes) -> bool:
         return False
     # Damaged sentences and remarks before something else than a table hold commas, too.
     return not first.startswith(("$", "!", *COMMENTS)) or "lat" in first.lower()
+
+
+def with_log(drive: Drive, folder: Path, log_path: Path | None, columns: Columns | None) -> Drive:
+    """A drive in a folder with the fixes of a log, or a remark that there is none."""
+    if log_path is None:
+        return replace(drive, notes=(*drive.notes, passed_over(folder)))
+    log = read_fix_log(log_path, columns)
+    return replace(
+        drive,
+        log=log,
+        gnss_source=log_name(log_path, folder),
+        gnss_path=log_path,
+        notes=drive.notes + log.notes,
+    )
+
+
+def open_log(path: Path, options: DriveOptions) -> Drive:
+    """A log as a drive without frames, of whose vehicle nothing is known."""
+    options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
+    options.refuse_topics(path)
+    options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
+    log = read_fix_log(path, options.columns)
+    return Drive(
+        path=path,
+        name=path.stem,
+        log=log,
+        gnss_source=path.name,
+        gnss_path=path,
+        notes=log.notes,
+    )
+
+
+FORMAT = Format(
+    "GNSS log",
+    "a log of NMEA, UBX or a table, or an ISO 11783-10 time log",
+    lambda path: path.is_file() or is_time_log(path),
+    open_log,
+)

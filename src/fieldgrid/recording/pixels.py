@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.protocol import Image
+from fieldgrid.recording.frames import Image
 
 Pixels = npt.NDArray[np.uint8 | np.uint16]
 """Values [row, column] or [row, column, channel] in the machine's byte order."""

@@ -1,26 +1,20 @@
-"""A recording that is a list of files and a list of fixes, both known when it opens."""
+"""Frames that are a list of files, known when a recording opens."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Motion
 from fieldgrid.recording.files import check_regular
+from fieldgrid.recording.frames import Frame, PairRectifier, StereoFrame
 from fieldgrid.recording.images import AS_STORED, ImageFile, ImageFormat
-from fieldgrid.recording.protocol import Frame, PairRectifier, StereoFrame, Stream
-from fieldgrid.rig import Rig
 
 
 class Shot(NamedTuple):
@@ -62,83 +56,27 @@ class PairKind:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredRecording:
-    """A :class:`~fieldgrid.recording.protocol.Recording` of files.
+class StoredFrames:
+    """Frames that are files (a :class:`~fieldgrid.recording.frames.FrameSource`): a row of text
+    each; images and clouds stay on disk, and nothing is held open."""
 
-    It holds a row of text a frame; images and clouds stay on disk. Nothing is held open.
-    """
-
-    name: str
-    rig: Rig
     folder: Path
     shots: tuple[Shot, ...]
     kind: FrameKind
-    fix_log: FixColumns
-    gnss_source: str = ""
-    datum_hint: Datum | None = None
-    notes: tuple[str, ...] = ()
-    own_motion: Motion = field(default_factory=Motion)
-    losses: tuple[str, ...] = ()
-    gnss_path: Path | None = None
 
     @property
-    def frame_count(self) -> int:
-        """How many frames there are."""
-        return len(self.shots)
-
-    def frame_times_ns(self) -> Int64:
-        """Times of the frames, shape (frame_count,), increasing."""
+    def times_ns(self) -> Int64:
+        """Times of the frames, increasing."""
         return np.array([shot.time_ns for shot in self.shots], dtype=np.int64)
 
-    def frames(self) -> Iterator[Frame]:
-        """The frames in order of time, unread."""
-        return (self.kind.frame(self.folder, shot) for shot in self.shots)
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What the files of a frame are."""
+        return self.kind.roles
 
-    def fixes(self) -> FixColumns:
-        """The fixes in the order of the log."""
-        return self.fix_log
-
-    def gnss_sha256(self) -> str:
-        """The hash of the log of fixes where that is a file."""
-        if self.gnss_path is None or not self.gnss_path.is_file():
-            return ""
-        with self.gnss_path.open("rb") as log:
-            return hashlib.file_digest(log, "sha256").hexdigest()
-
-    def motion(self) -> Motion:
-        """What the drive knows of its own motion."""
-        return self.own_motion
-
-    def streams(self) -> Sequence[Stream]:
-        """Images, fixes and motion, each with its times."""
-        frames_ns = self.frame_times_ns()
-        fixes_ns = self.fix_log.time_ns
-        found = [
-            Stream(role, "cloud" if role == "cloud" else "image", role, len(frames_ns), frames_ns)
-            for role in self.kind.roles
-        ]
-        if self.gnss_source:
-            found.append(Stream(self.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns))
-        gyro, wheels, _ = self.own_motion
-        if gyro is not None:
-            found.append(Stream("gyro", "gyro", "gyro", len(gyro.time_ns), gyro.time_ns))
-        if wheels is not None:
-            found.append(Stream("wheels", "speed", "wheels", len(wheels.time_ns), wheels.time_ns))
-        return found
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """Some of the frames, unread."""
+        return (self.kind.frame(self.folder, shot) for shot in self.shots[start:stop])
 
 
 def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") -> tuple[Shot, ...]:

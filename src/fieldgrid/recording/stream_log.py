@@ -32,8 +32,8 @@ def read_stream(path: Path) -> FixLog:
     nmea, ubx = _parse(path)
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
         raise GnssError(
-            f"{path} is no GNSS log that is known: no NMEA sentence, no UBX message, no table; "
-            "check the file, or let the receiver write GGA and RMC."
+            f"{path} is no bag and no GNSS log that is known: no NMEA sentence, no UBX message, no "
+            "table; check the file, or let the receiver write GGA and RMC."
         )
     if nmea.undated and not (nmea.fixes or ubx.fixes):
         raise GnssError(

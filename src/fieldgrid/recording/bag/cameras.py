@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
+from fieldgrid.recording.bag.content import Content
 from fieldgrid.recording.bag.images import baseline_m
-from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.topics import INFO, is_rectified, listing
 from fieldgrid.rectify import (
     Rectifier,
@@ -22,7 +20,6 @@ from fieldgrid.rectify import (
     rectify_by_projections,
 )
 from fieldgrid.rig import DepthCamera, StereoCamera
-from fieldgrid.ros import Topic
 
 _MOST_COEFFICIENTS = 64
 
@@ -49,19 +46,13 @@ class _Info(NamedTuple):
     source: str
 
 
-def stereo_pair(
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-    said: bool | None,
-) -> Pair:
+def stereo_pair(content: Content, said: bool | None) -> Pair:
     """The camera of the pair by its two calibrations. Raises CalibrationError.
 
     Whether the images are rectified is `said`, or by None told by the names of their topics.
     """
-    left = _info(readings, "left_info", roles, topics, path)
-    right = _info(readings, "right_info", roles, topics, path)
+    roles, path = content.roles, content.path
+    left, right = _info(content, "left_info"), _info(content, "right_info")
     if left.size_px != right.size_px:
         raise CalibrationError(
             f"{left.source} is for images of {left.size_px} px, {right.source} for "
@@ -89,28 +80,16 @@ def stereo_pair(
     return Pair(found.camera, found.rectifier, found.R_rect_left, (note,))
 
 
-def depth_camera(
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-    baseline: float | None,
-) -> DepthCamera:
+def depth_camera(content: Content, baseline: float | None) -> DepthCamera:
     """The camera of depth images by their calibration; `baseline` is that of the pair they come
     from, metres, None where nobody says it."""
-    info = _info(readings, "depth_info", roles, topics, path)
+    info = _info(content, "depth_info")
     return _depth_camera(info, info.P if info.P[0, 0] > 0.0 else info.K, baseline)
 
 
-def disparity_camera(
-    image: Any,
-    readings: Readings,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-) -> DepthCamera:
+def disparity_camera(content: Content, image: Any) -> DepthCamera:
     """The camera of disparity images, of which the first is given: f and T are its own."""
-    info = _info(readings, "left_info", roles, topics, path)
+    info = _info(content, "left_info")
     P = info.P.copy()
     P[0, 0] = P[1, 1] = float(image.f)
     return _depth_camera(info, P, baseline_m(image))
@@ -124,14 +103,9 @@ def _depth_camera(info: _Info, P: Float64, baseline: float | None) -> DepthCamer
         raise CalibrationError(f"{info.source}: {problem}") from problem
 
 
-def _info(
-    readings: Readings,
-    role: str,
-    roles: Mapping[str, str],
-    topics: Mapping[str, Topic],
-    path: Path,
-) -> _Info:
-    message = readings.infos.get(role)
+def _info(content: Content, role: str) -> _Info:
+    path, roles, topics = content.path, content.roles, content.bag.topics
+    message = content.readings.first(roles.get(role))
     if message is None:
         infos = [topic for topic in topics.values() if topic.type == INFO]
         raise CalibrationError(

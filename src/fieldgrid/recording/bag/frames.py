@@ -7,15 +7,25 @@ its partner comes, and what belongs to no frame is not held at all.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
+from fieldgrid.recording.bag.clouds import MessageCloud
+from fieldgrid.recording.bag.images import CompressedImage, DepthImage, DisparityImage, RawImage
 from fieldgrid.recording.bag.order import WINDOW, Clock, Ordered, clock, ordered, pair
+from fieldgrid.recording.frames import (
+    CloudFrame,
+    DepthFrame,
+    Frame,
+    PairRectifier,
+    StereoFrame,
+)
 from fieldgrid.ros import Bag, Message
 
 MOST_HELD = 2 * WINDOW
@@ -32,12 +42,101 @@ class Plan(NamedTuple):
     places: tuple[Int64, ...]
     notes: tuple[str, ...]
 
+    def part(self, start: int, stop: int) -> Plan:
+        """The plan of some of the frames."""
+        chosen = slice(start, stop)
+        return self._replace(
+            time_ns=self.time_ns[chosen],
+            message_ns=tuple(times[chosen] for times in self.message_ns),
+            places=tuple(places[chosen] for places in self.places),
+        )
+
 
 class Taken(NamedTuple):
     """A message of a frame, and its time."""
 
     message: Message
     time_ns: int
+
+
+class FrameMaker(Protocol):
+    """How the frames of a bag are made; it can be pickled."""
+
+    roles: ClassVar[tuple[str, ...]]
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The frame of a number and a time, of its messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairMaker:
+    """Makes pairs for a calibration of `size_px`; of 16 bits the cameras fill the lower `bits`."""
+
+    roles: ClassVar[tuple[str, ...]] = ("left", "right")
+    size_px: tuple[int, int]
+    rectifier: PairRectifier | None
+    compressed: tuple[bool, ...]
+    bits: int
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The pair, its images undecoded."""
+        left, right = (
+            CompressedImage(*one) if packed else RawImage(*one, self.bits)
+            for one, packed in zip(taken, self.compressed, strict=True)
+        )
+        return StereoFrame(f"{number:06d}", time_ns, left, right, self.size_px, self.rectifier)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthMaker:
+    """Makes images of depths of messages that `kind` reads."""
+
+    roles: ClassVar[tuple[str, ...]] = ("depth",)
+    kind: type[DepthImage] | type[DisparityImage]
+    size_px: tuple[int, int]
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The image of depths, undecoded."""
+        return DepthFrame(f"{number:06d}", time_ns, self.kind(*taken[0]), self.size_px)
+
+
+@dataclass(frozen=True, slots=True)
+class CloudMaker:
+    """Makes clouds whose axes `R`, by row, turns into right, down, forward."""
+
+    roles: ClassVar[tuple[str, ...]] = ("cloud",)
+    R: tuple[float, ...]
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The cloud, undecoded."""
+        return CloudFrame(f"{number:06d}", time_ns, MessageCloud(*taken[0], self.R))
+
+
+@dataclass(frozen=True, slots=True)
+class BagFrames:
+    """The frames of a bag (a :class:`~fieldgrid.recording.frames.FrameSource`). Images stay in the
+    bag; a frame holds the bytes of its own messages."""
+
+    bag: Bag
+    plan: Plan
+    maker: FrameMaker
+
+    @property
+    def times_ns(self) -> Int64:
+        """Times of the frames, increasing."""
+        return self.plan.time_ns
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What the messages of a frame are."""
+        return self.maker.roles
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """Some of the frames, images undecoded; the bag is read from where they are."""
+        plan = self.plan.part(start, stop)
+        times_ns = plan.time_ns.tolist()
+        for k, taken in enumerate(read_frames(self.bag, plan)):
+            yield self.maker.frame(start + k, times_ns[k], taken)
 
 
 def plan_single(bag: Bag, topic: str) -> Plan:
@@ -105,20 +204,29 @@ def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
     All topics are read in one pass as long as what belongs together lies together. Some programs
     write one topic after the other; then each is read by itself, at the cost of a pass for each.
     """
+    if not len(plan.time_ns):
+        return
+    where = [bag.places(topic) for topic in plan.topics]
+    starts = [int(at[places.min()]) for at, places in zip(where, plan.places, strict=True)]
     done = 0
-    for taken in _together(bag, plan):
+    for taken in _together(bag, plan, where, min(starts)):
         yield taken
         done += 1
     if done < len(plan.time_ns):
-        streams = [_alone(bag, plan, k) for k in range(len(plan.topics))]
+        streams = [_alone(bag, plan, k, where[k], starts[k]) for k in range(len(plan.topics))]
         yield from islice(zip(*streams, strict=True), done, None)
 
 
-def _together(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
+def _together(
+    bag: Bag, plan: Plan, where: Sequence[Int64], start: int
+) -> Iterator[tuple[Taken, ...]]:
     """The frames, until the messages of one have to be held that are more than a few."""
-    queues = {topic: _Queue(plan, k) for k, topic in enumerate(plan.topics)}
+    queues = {
+        topic: _Queue(plan, k, int(np.searchsorted(where[k], start)))
+        for k, topic in enumerate(plan.topics)
+    }
     left = len(plan.time_ns)
-    for message in bag.messages(plan.topics):
+    for message in bag.messages(plan.topics, start):
         queue = queues[message.topic]
         queue.put(message)
         while left and all(one.ready for one in queues.values()):
@@ -128,11 +236,11 @@ def _together(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
             return
 
 
-def _alone(bag: Bag, plan: Plan, number: int) -> Iterator[Taken]:
+def _alone(bag: Bag, plan: Plan, number: int, where: Int64, start: int) -> Iterator[Taken]:
     """What the frames take from one of the topics."""
-    queue = _Queue(plan, number)
+    queue = _Queue(plan, number, int(np.searchsorted(where, start)))
     left = len(plan.time_ns)
-    for message in bag.messages((plan.topics[number],)):
+    for message in bag.messages((plan.topics[number],), start):
         queue.put(message)
         while queue.ready:
             yield queue.ready.popleft()
@@ -146,18 +254,18 @@ def _alone(bag: Bag, plan: Plan, number: int) -> Iterator[Taken]:
 
 
 class _Queue:
-    """The messages of one topic that frames take, brought into the order of the frames.
+    """The messages of one topic that frames take, brought into the order of the frames, of a
+    reading that begins with the message of a place.
 
     Those that come before their turn wait, which :func:`ordered` has seen to be few.
     """
 
-    def __init__(self, plan: Plan, number: int) -> None:
+    def __init__(self, plan: Plan, number: int, first: int) -> None:
         places = plan.places[number]
         self.ready: deque[Taken] = deque()
-        self._is_wanted = np.zeros(int(places.max()) + 1, dtype=np.bool_)
-        self._is_wanted[places] = True
+        self._wanted = frozenset(places.tolist())
         self._places, self._times_ns = places, plan.message_ns[number]
-        self._next = self._seen = 0
+        self._next, self._seen = 0, first
         self._early: dict[int, Message] = {}
 
     @property
@@ -169,7 +277,7 @@ class _Queue:
         """The next message of the topic, whether a frame takes it or not."""
         place = self._seen
         self._seen += 1
-        if place >= len(self._is_wanted) or not self._is_wanted[place]:
+        if place not in self._wanted:
             return
         self._early[place] = message
         while self._next < len(self._places) and int(self._places[self._next]) in self._early:

@@ -10,9 +10,9 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float32
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.images import MAX_PIXELS, decode_image
+from fieldgrid.recording.frames import Image
+from fieldgrid.recording.images import MAX_PIXELS, decode_image, self_contained
 from fieldgrid.recording.pixels import Pixels, layout, to_grey
-from fieldgrid.recording.protocol import Image
 from fieldgrid.ros import Message, decode
 
 MILLIMETRES, METRES = ("16UC1", "mono16"), "32FC1"
@@ -61,6 +61,10 @@ class RawImage(MessageSource):
         except RecordingError as problem:
             raise RecordingError(f"{self.name}: {problem}") from problem
 
+    def encoded(self) -> bytes:
+        """Nothing: the message holds pixels."""
+        return b""
+
     def deep_pixels(self) -> Pixels | None:
         """The pixels as recorded if their values have 16 bits, else None."""
         pixels, _ = self._pixels()
@@ -83,6 +87,10 @@ class CompressedImage(MessageSource):
     def read(self) -> Image:
         """Grey, 8 bit."""
         return decode_image(self.decoded().data.tobytes(), self.name)
+
+    def encoded(self) -> bytes:
+        """The image as recorded, if it is a JPEG or a PNG."""
+        return self_contained(self.decoded().data.tobytes())
 
 
 @dataclass(frozen=True, slots=True)

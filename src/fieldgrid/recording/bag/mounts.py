@@ -11,14 +11,13 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.clouds import R_OPTICAL_FLU
-from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.transforms import Place, Transforms
 from fieldgrid.recording.kitti_calibration import mount_angles_deg
 from fieldgrid.recording.motion_files import directions
-from fieldgrid.recording.mounting import Mounting, estimating, missing_mounting
-from fieldgrid.recording.options import Options
-from fieldgrid.recording.places import mounting_place
-from fieldgrid.rig import LeverArm, Mount
+from fieldgrid.recording.mounting import MOUNTING, Mounting, estimating, missing_mounting
+from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
+from fieldgrid.rig import LeverArm, Mount, Rig, Sensor
+from fieldgrid.ros.gnss import RIG
 
 GROUND, BASE = "base_footprint", "base_link"
 """Frames by the convention of ROS: on the ground below the vehicle, and on the vehicle."""
@@ -33,11 +32,13 @@ _DIGITS = 9
 
 
 class Mounted(NamedTuple):
-    """The mounting of a sensor, the turn of points that it does not tell, and remarks."""
+    """The mounting of a sensor, the turn of points that it does not tell, remarks, and the sensor
+    itself where the bag says it exactly."""
 
     mounting: Mounting
     R_sensor: Float64
     notes: tuple[str, ...] = ()
+    sensor: Sensor | None = None
 
 
 class SensorFrame(NamedTuple):
@@ -52,18 +53,51 @@ class SensorFrame(NamedTuple):
     measured_m: Float64
 
 
+def mounting_path(path: Path) -> Path:
+    """The mounting beside a bag that is one file, which has its name unless another is there; of a
+    folder, in it."""
+    if path.is_dir():
+        return path / MOUNTING
+    shared, own = path.with_name(MOUNTING), path.with_name(f"{path.stem}.{MOUNTING}")
+    return shared if shared.exists() and not own.exists() else own
+
+
 def find_mounting(
-    path: Path, options: Options, readings: Readings, sensor: SensorFrame, antenna: str
+    path: Path, options: DriveOptions, transforms: Transforms, sensor: SensorFrame, antenna: str
 ) -> Mounted:
     """The mounting that is given or lies beside the bag, else that of its static transforms.
 
     `antenna` is the frame of the fixes. Raises CalibrationError when nothing tells it.
     """
-    usual = mounting_place(path)
+    usual = mounting_path(path)
     if options.mounting is not None or usual.exists():
         return Mounted(_moved(options.find_mounting(usual, path), sensor), np.eye(3))
-    placed = _place(readings.transforms, sensor.name, GROUND)
-    if placed is None and _place(readings.transforms, sensor.name, BASE) is not None:
+    try:
+        return _by_transforms(path, usual, transforms, sensor, antenna)
+    except CalibrationError:
+        if not options.unmounted:
+            raise
+        return Mounted(NO_MOUNTING, np.eye(3))
+
+
+def exactly(rig: Rig) -> Mounted:
+    """The mounting and the sensor of a rig that the bag itself says."""
+    mounting = Mounting(
+        rig.mount,
+        rig.antenna,
+        rig.rear_axle_forward_m,
+        rig.heading_offset_deg,
+        rig.heading_convention,
+        source=RIG,
+    )
+    return Mounted(mounting, np.eye(3), (f"Mount and antenna by {RIG}.",), rig.sensor)
+
+
+def _by_transforms(
+    path: Path, usual: Path, transforms: Transforms, sensor: SensorFrame, antenna: str
+) -> Mounted:
+    placed = _place(transforms, sensor.name, GROUND)
+    if placed is None and _place(transforms, sensor.name, BASE) is not None:
         raise CalibrationError(
             f"{path}: its static transforms place the sensor ({sensor.name!r}) on {BASE}, but do "
             f"not say how high that is above the ground; record the transform from {GROUND} to "
@@ -71,7 +105,7 @@ def find_mounting(
         )
     if placed is None:
         raise missing_mounting(usual, path)
-    at_antenna = _place(readings.transforms, antenna, GROUND)
+    at_antenna = _place(transforms, antenna, GROUND)
     if at_antenna is None:
         raise CalibrationError(
             f"{path}: its static transforms place the sensor ({sensor.name!r}) above {GROUND}, but "
@@ -79,7 +113,7 @@ def find_mounting(
             f"the whole map; record the antenna's transform, or write {usual} ({estimating(path)} "
             "does)."
         )
-    axle = _place(readings.transforms, AXLE, GROUND)
+    axle = _place(transforms, AXLE, GROUND)
     return _mounted(path, placed, at_antenna, axle, sensor)
 
 
@@ -137,7 +171,7 @@ def is_optical(frame: str) -> bool:
     return "optical" in frame.lower()
 
 
-def optical(frame: str, readings: Readings, axes: str | None = None) -> Float64:
+def optical(frame: str, transforms: Transforms, axes: str | None = None) -> Float64:
     """Turns directions of a sensor's frame into right, down, forward.
 
     `axes` are where its x, y and z point, when that is said. Else frames whose name says so are
@@ -149,17 +183,17 @@ def optical(frame: str, readings: Readings, axes: str | None = None) -> Float64:
     if is_optical(frame):
         return np.eye(3)
     for base in (GROUND, BASE):
-        placed = _place(readings.transforms, frame, base)
+        placed = _place(transforms, frame, base)
         if placed is not None and placed.R[1, 0] < -0.5 and placed.R[2, 2] < 0.5:
             return np.eye(3)
     return R_OPTICAL_FLU
 
 
-def vertical_row(imu_frame: str, readings: Readings) -> Float64 | None:
+def vertical_row(imu_frame: str, transforms: Transforms) -> Float64 | None:
     """What of an IMU's three rates is the rate about the vehicle's vertical, upwards: a row of
     three numbers; None where no static transform tells it."""
     for base in (BASE, GROUND):
-        placed = _place(readings.transforms, imu_frame, base)
+        placed = _place(transforms, imu_frame, base)
         if placed is not None:
             row, whole = placed.R[2], np.round(placed.R[2])
             return np.asarray(whole if np.abs(whole - row).max() < _SAME else row)

@@ -1,4 +1,9 @@
-"""What of a bag is not images, read in one pass: fixes, gyro, wheels, calibration, transforms."""
+"""What of a bag is not images, heard in the run that counts its messages: fixes, gyro, wheels,
+calibrations, transforms.
+
+Which topics are used is known only when the run has ended. Of the topics of one role those are
+heard that may still be the one, by what their names are worth.
+"""
 
 from __future__ import annotations
 
@@ -6,235 +11,355 @@ import hashlib
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.fixes import Fix, quality_by_sigma
+from fieldgrid.fixes import FixColumns
+from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaLog, NmeaStream
-from fieldgrid.quality import Quality
 from fieldgrid.recording.bag.order import clock
-from fieldgrid.recording.bag.topics import FIXES, static_transforms
+from fieldgrid.recording.bag.topics import (
+    FIX,
+    FIXES,
+    IMU,
+    INFO,
+    NMEA,
+    ODOMETRY,
+    TF,
+    TF_STATIC,
+    worth,
+)
 from fieldgrid.recording.bag.transforms import Transforms
-from fieldgrid.ros import Bag, Message, decode
+from fieldgrid.rig import Rig
+from fieldgrid.ros import Bag, Message, Take, decode
+from fieldgrid.ros.gnss import DATUM, DETAILS, RIG, Details, datum_of, quality_of, rig_of
 
-_CALIBRATIONS = ("left_info", "right_info", "depth_info")
+_TEXT = "std_msgs/msg/String"
 _UNLIMITED = 1 << 60
-_NO_FIX, _UNKNOWN = -1, 0
-# NavSatStatus: a fix, one with satellite-based and one with ground-based corrections.
-_QUALITY_OF_STATUS = {
-    _NO_FIX: Quality.NONE,
-    0: Quality.GPS,
-    1: Quality.SBAS,
-    2: Quality.DIFFERENTIAL,
-}
+_MOST_TREES = 10_000
+_ALL_OF_FIRST, _THEN_EVERY = 200, 50
 
 
-class Turns(NamedTuple):
-    """Rates of turn about the axes of an IMU, rad/s [n, 3], in the order of the record."""
+class Heard:
+    """The messages of one topic, each decoded and added; those that do not fit their type are
+    counted. `frame_id` is that of the first message."""
 
-    time_ns: Int64
-    rates_rad_s: Float64
+    hashes = False
 
+    def __init__(self) -> None:
+        self.is_dropped = False
+        self.frame_id = ""
+        self.damaged = 0
+        self.counts: Counter[str] = Counter()
+        self.places = array("q")
+        self._hash = hashlib.sha256()
 
-class Speeds(NamedTuple):
-    """Speeds along the x axis of the vehicle, m/s, in the order of the record."""
-
-    time_ns: Int64
-    speed_mps: Float64
-
-
-@dataclass
-class Readings:
-    """The content of the small topics of a bag.
-
-    `infos` are the first messages of calibration by their role, `frame_ids` those of the
-    first message of a role, `sha256` the hashes of all messages of a role that gives fixes.
-    `notes` are remarks, a sentence each.
-    """
-
-    nmea: NmeaLog = field(default_factory=lambda: NmeaLog([]))
-    fixes: list[Fix] = field(default_factory=list)
-    turns: Turns | None = None
-    speeds: Speeds | None = None
-    infos: dict[str, Any] = field(default_factory=dict)
-    frame_ids: dict[str, str] = field(default_factory=dict)
-    sha256: dict[str, str] = field(default_factory=dict)
-    transforms: Transforms = field(default_factory=Transforms)
-    notes: list[str] = field(default_factory=list)
-
-
-def read_readings(bag: Bag, roles: Mapping[str, str]) -> Readings:
-    """One pass over the topics of these roles that are small; images are left alone.
-
-    A message that does not fit its type is left out and counted.
-    """
-    one_pass = _Pass(bag, roles)
-    of_topic: dict[str, list[tuple[str, Callable[[Any, Message, int], None]]]] = {}
-    for role, take in one_pass.takers().items():
-        if role in roles:
-            of_topic.setdefault(roles[role], []).append((role, take))
-    for topic in static_transforms(bag.topics, roles):
-        of_topic[topic] = [("", lambda tree, *_: one_pass.found.transforms.add(tree))]
-    places: Counter[str] = Counter()
-    for message in bag.messages(tuple(of_topic)):
-        place = places[message.topic]
-        places[message.topic] += 1
-        one_pass.hash(message)
-        wanted = [t for role, t in of_topic[message.topic] if role not in one_pass.found.infos]
-        if not wanted:
-            continue  # a camera says the same with every image
+    def take(self, message: Message, place: int) -> None:
+        """The next message, and its place in the topic."""
+        if self.is_dropped:
+            return
+        if self.hashes:
+            self._hash.update(message.data)
+        if not self._wants(place):
+            return
         try:
             found = decode(message)
         except RecordingError:
-            one_pass.damaged[message.topic] += 1
-            continue
-        for take in wanted:
-            take(found, message, place)
-    return one_pass.finish()
-
-
-class _Pass:
-    """What one pass has collected so far."""
-
-    def __init__(self, bag: Bag, roles: Mapping[str, str]) -> None:
-        self.found = Readings()
-        self.damaged: Counter[str] = Counter()
-        self._bag, self._roles = bag, roles
-        self._nmea = NmeaStream(max_undated=_UNLIMITED)
-        self._sentences: list[Fix] = []
-        self._clocks: dict[str, Int64] = {}
-        self._counts: Counter[str] = Counter()
-        self._turn_ns, self._turn_xyz = array("q"), array("d")
-        self._speed_ns, self._speed = array("q"), array("d")
-        self._no_gyro = 0
-        self._hashes = {roles[role]: hashlib.sha256() for role in FIXES if role in roles}
-
-    def hash(self, message: Message) -> None:
-        """Take a message into the hash of its topic, if that gives fixes."""
-        if message.topic in self._hashes:
-            self._hashes[message.topic].update(message.data)
-
-    def takers(self) -> dict[str, Callable[[Any, Message, int], None]]:
-        """What to do with a decoded message, by role."""
-        infos = {role: self._info_taker(role) for role in _CALIBRATIONS}
-        return {
-            "fix": self._fix,
-            "nmea": self._sentence,
-            "imu": self._turn,
-            "odometry": self._speeds,
-            **infos,
-        }
-
-    def finish(self) -> Readings:
-        """Everything, once the last message is through."""
-        found = self.found
-        found.sha256 = {
-            role: self._hashes[self._roles[role]].hexdigest() for role in FIXES & self._roles.keys()
-        }
-        if "nmea" in self._roles:
-            self._sentences += self._nmea.finish()
-            found.nmea = self._nmea.log(self._sentences)
-        if self._turn_ns:
-            rates = np.array(self._turn_xyz, dtype=np.float64).reshape(-1, 3)
-            found.turns = Turns(np.array(self._turn_ns, dtype=np.int64), rates)
-        if self._speed_ns:
-            found.speeds = Speeds(
-                np.array(self._speed_ns, dtype=np.int64), np.array(self._speed, dtype=np.float64)
-            )
-        if self._no_gyro:
-            topic = self._roles["imu"]
-            found.notes.append(f"{topic}: {self._no_gyro} messages say that they have no gyro.")
-        for topic, count in self.damaged.items():
-            found.notes.append(f"{topic}: {count} messages do not fit their type; skipped.")
-        for what, count in self._counts.items():
-            if count:
-                found.notes.append(f"{self._roles['fix']}: {count} {what}.")
-        return found
-
-    def _time_ns(self, topic: str, place: int) -> int:
-        """The time of a message, 0 for none, by the clock that the whole topic has."""
-        if topic not in self._clocks:
-            times = clock(topic, *self._bag.stamps(topic))
-            if times.received:
-                self.found.notes.append(
-                    f"{topic}: the header stamps are no UTC; the recorder's times are taken."
-                )
-            self._clocks[topic] = times.time_ns
-        times_ns = self._clocks[topic]
-        return int(times_ns[place]) if place < len(times_ns) else 0
-
-    def _info_taker(self, role: str) -> Callable[[Any, Message, int], None]:
-        def take(info: Any, _message: Message, _place: int) -> None:
-            self.found.infos[role] = info
-            self.found.frame_ids[role] = info.header.frame_id
-
-        return take
-
-    def _sentence(self, said: Any, _message: Message, _place: int) -> None:
-        self.found.frame_ids.setdefault("nmea", said.header.frame_id)
-        text = said.sentence.encode("utf-8", "replace").strip()
-        self._sentences += self._nmea.feed(text + b"\r\n")
-
-    def _fix(self, said: Any, message: Message, place: int) -> None:
-        self.found.frame_ids.setdefault("fix", said.header.frame_id)
-        time_ns = self._time_ns(message.topic, place)
-        if not (math.isfinite(said.latitude) and math.isfinite(said.longitude)):
-            self._counts["messages without a position skipped"] += 1
-        elif not time_ns:
-            self._counts["messages without a time skipped"] += 1
-        else:
-            self._counts["messages without a height: taken as 0 m"] += not math.isfinite(
-                said.altitude
-            )
-            self.found.fixes.append(fix_of(said, time_ns))
-
-    def _turn(self, said: Any, message: Message, place: int) -> None:
-        self.found.frame_ids.setdefault("imu", said.header.frame_id)
-        if said.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
-            self._no_gyro += 1
+            self.damaged += 1
             return
-        rates = said.angular_velocity
-        self._turn_ns.append(self._time_ns(message.topic, place))
-        self._turn_xyz.extend((rates.x, rates.y, rates.z))
+        header = getattr(found, "header", None)
+        if not self.frame_id and header is not None:
+            self.frame_id = header.frame_id
+        self._add(found, place)
 
-    def _speeds(self, said: Any, message: Message, place: int) -> None:
-        self._speed_ns.append(self._time_ns(message.topic, place))
-        self._speed.append(said.twist.twist.linear.x)
+    def _wants(self, place: int) -> bool:
+        """Whether the message of this place is to be decoded."""
+        return True
+
+    def _add(self, message: Any, place: int) -> None:
+        """What a decoded message says."""
+
+    def sha256(self) -> str:
+        """The hash of all messages one after the other, in hexadecimal."""
+        return self._hash.hexdigest()
+
+    def notes(self) -> Iterator[str]:
+        """Remarks, without the topic and the full stop."""
+        if self.damaged:
+            yield f"{self.damaged} messages do not fit their type; skipped"
+        for what, count in self.counts.items():
+            yield f"{count} {what}"
 
 
-def fix_of(said: Any, time_ns: int) -> Fix:
-    """The fix of a sensor_msgs/NavSatFix: its altitude is above the ellipsoid.
+class Sentences(Heard):
+    """NMEA in nmea_msgs/Sentence."""
 
-    The quality is that of the status, and RTK fixed where the covariance says centimetres. A
-    covariance of unknown type, of zeros or of nonsense says nothing.
+    hashes = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stream = NmeaStream(max_undated=_UNLIMITED)
+        self._log: NmeaLog | None = None
+        self._fixes: list[Any] = []
+
+    def _add(self, message: Any, place: int) -> None:
+        text = message.sentence.encode("utf-8", "replace").strip()
+        self._fixes += self._stream.feed(text + b"\r\n")
+
+    def log(self) -> NmeaLog:
+        """What the sentences come to."""
+        if self._log is None:
+            self._fixes += self._stream.finish()
+            self._log = self._stream.log(self._fixes)
+        return self._log
+
+
+class Fixes(Heard):
+    """Positions of sensor_msgs/NavSatFix."""
+
+    hashes = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._values = array("d")
+
+    def _add(self, message: Any, place: int) -> None:
+        lat_deg, lon_deg, height_m = message.latitude, message.longitude, message.altitude
+        if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)):
+            self.counts["messages without a position skipped"] += 1
+            return
+        if not math.isfinite(height_m):
+            self.counts["messages without a height: taken as 0 m"] += 1
+            height_m = 0.0
+        quality, sigma_m = quality_of(message)
+        self.places.append(place)
+        self._values.extend(
+            (lat_deg, lon_deg, height_m, quality, math.nan if sigma_m is None else sigma_m)
+        )
+
+    def columns(self, times_ns: Int64) -> FixColumns:
+        """The fixes by the times of all messages of the topic, 0 for none."""
+        time_ns = times_ns[np.array(self.places, dtype=np.int64)]
+        known = time_ns > 0
+        if not known.all():
+            self.counts["messages without a time skipped"] = int(np.count_nonzero(~known))
+        lat, lon, height, quality, sigma = np.array(self._values).reshape(-1, 5)[known].T
+        return FixColumns.of(
+            time_ns[known],
+            lat_deg=lat,
+            lon_deg=lon,
+            height_m=height,
+            quality=quality.astype(np.int64),
+            sigma_m=sigma,
+        )
+
+
+class Turns(Heard):
+    """Rates of turn about the axes of an IMU, rad/s."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rates = array("d")
+
+    def _add(self, message: Any, place: int) -> None:
+        if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
+            self.counts["messages say that they have no gyro"] += 1
+            return
+        rates = message.angular_velocity
+        self.places.append(place)
+        self._rates.extend((rates.x, rates.y, rates.z))
+
+    def rates_rad_s(self) -> Float64:
+        """The rates [n, 3], in the order of the record."""
+        return np.array(self._rates, dtype=np.float64).reshape(-1, 3)
+
+
+class Speeds(Heard):
+    """Speeds along the x axis of the vehicle, m/s, by nav_msgs/Odometry."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._speeds = array("d")
+
+    def _add(self, message: Any, place: int) -> None:
+        self.places.append(place)
+        self._speeds.append(message.twist.twist.linear.x)
+
+    def speeds_mps(self) -> Float64:
+        """The speeds [n], in the order of the record."""
+        return np.array(self._speeds, dtype=np.float64)
+
+
+class First(Heard):
+    """The first message of a topic: a camera says the same with every image."""
+
+    message: Any = None
+
+    def _wants(self, place: int) -> bool:
+        return self.message is None
+
+    def _add(self, message: Any, place: int) -> None:
+        self.message = message
+
+
+class Texts(Heard):
+    """What texts say of the fixes on the topic beside them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.details = Details()
+
+    def _add(self, message: Any, place: int) -> None:
+        self.details.add(message.data)
+
+
+class Trees(Heard):
+    """Static transforms."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.transforms = Transforms()
+
+    def _wants(self, place: int) -> bool:
+        return place < _MOST_TREES
+
+    def _add(self, message: Any, place: int) -> None:
+        self.transforms.add(message)
+
+
+class MovingTrees(Trees):
+    """Transforms on /tf, of which some robots publish those that never change, too."""
+
+    def _wants(self, place: int) -> bool:
+        return place < _ALL_OF_FIRST or (place < _MOST_TREES and place % _THEN_EVERY == 0)
+
+    def _add(self, message: Any, place: int) -> None:
+        self.transforms.add_unmoved(message)
+
+
+_ROLES: dict[str, tuple[str, type[Heard]]] = {
+    FIX: ("fix", Fixes),
+    NMEA: ("nmea", Sentences),
+    IMU: ("imu", Turns),
+    ODOMETRY: ("odometry", Speeds),
+}
+_SAID_ONCE = {RIG: (_TEXT,), DATUM: (_TEXT, FIX)}
+
+
+_Heard = TypeVar("_Heard", bound=Heard)
+
+
+class Series(NamedTuple):
+    """Values of a topic with their times, 0 where there is none, in the order of the record."""
+
+    time_ns: Int64
+    values: Float64
+
+
+class Readings:
+    """Listens to a bag while it is opened, and tells afterwards what was heard.
+
+    `given` names topics by their role, `gnss` the only topic that may give fixes.
     """
-    sigma_m = _sigma_m(said)
-    quality = _QUALITY_OF_STATUS.get(int(said.status.status), Quality.UNKNOWN)
-    if quality is not Quality.NONE and sigma_m is not None:
-        by_sigma = Quality(int(quality_by_sigma(sigma_m)))
-        quality = quality if by_sigma is Quality.UNKNOWN else by_sigma
-    height_m = float(said.altitude)
-    return Fix(
-        time_ns=time_ns,
-        lat_deg=float(said.latitude),
-        lon_deg=float(said.longitude),
-        height_m=height_m if math.isfinite(height_m) else 0.0,
-        quality=quality,
-        sigma_m=sigma_m,
-    )
 
+    def __init__(self, given: Mapping[str, str], gnss: str | None) -> None:
+        self._given, self._gnss = given, gnss
+        self._heard: dict[str, Heard] = {}
+        self._best: dict[str, str] = {}
+        self._notes: dict[str, str] = {}
 
-def _sigma_m(said: Any) -> float | None:
-    """1-sigma error along one horizontal axis; None when it is not said."""
-    if said.position_covariance_type == _UNKNOWN or len(said.position_covariance) != 9:
-        return None
-    east, north = (float(said.position_covariance[k]) for k in (0, 4))
-    if not (east > 0.0 and north > 0.0):
-        return None
-    mean = east if east == north else (east + north) / 2.0
-    return math.sqrt(mean) if math.isfinite(mean) else None
+    def listen(self, name: str, type_: str) -> Take | None:
+        """What takes the messages of a topic; see :data:`fieldgrid.ros.Listen`."""
+        heard: Heard | None = None
+        if type_ in _SAID_ONCE.get(name, ()) or type_ == INFO:
+            heard = First()
+        elif type_ in _ROLES:
+            role, kind = _ROLES[type_]
+            heard = kind() if self._may_be(role, name) else None
+        elif type_ in TF:
+            heard = Trees() if name.endswith(TF_STATIC) else MovingTrees()
+        elif type_ == _TEXT and name.endswith(DETAILS):
+            heard = Texts()
+        if heard is None:
+            return None
+        self._heard[name] = heard
+        return heard.take
+
+    def _may_be(self, role: str, name: str) -> bool:
+        """Whether a topic may be the one of its role, since no better one is known."""
+        if role in FIXES and self._gnss is not None:
+            return name == self._gnss
+        if role in self._given:
+            return name == self._given[role]
+        best = self._best.get(role)
+        if best is not None:
+            if worth(role, name) >= worth(role, best):
+                return False
+            self._heard.pop(best).is_dropped = True
+        self._best[role] = name
+        return True
+
+    def of(self, topic: str | None, kind: type[_Heard]) -> _Heard | None:
+        """What was heard of a topic, if it is of a kind."""
+        heard = self._heard.get(topic or "")
+        return heard if isinstance(heard, kind) else None
+
+    def frame_id(self, topic: str | None) -> str:
+        """The frame of the first message of a topic, empty where nothing was heard."""
+        heard = self._heard.get(topic or "")
+        return "" if heard is None else heard.frame_id
+
+    def first(self, topic: str | None) -> Any:
+        """The first message of a topic of calibrations; None where there is none."""
+        heard = self.of(topic, First)
+        return None if heard is None else heard.message
+
+    def rig(self) -> Rig | None:
+        """The rig that the bag says exactly."""
+        message = self.first(RIG)
+        return None if message is None else rig_of(message)
+
+    def datum(self) -> Datum | None:
+        """The datum that the bag declares."""
+        message = self.first(DATUM)
+        return None if message is None else datum_of(message)
+
+    def transforms(self, static: Collection[str]) -> Transforms:
+        """The tree of the static transforms of these topics, and below them of what is published
+        on others and never moves."""
+        tree = Transforms()
+        for heard in self._heard.values():
+            if isinstance(heard, MovingTrees):
+                tree.update(heard.transforms.unmoved())
+        for name in static:
+            found = self.of(name, Trees)
+            if found is not None:
+                tree.update(found.transforms)
+        return tree
+
+    def series(self, bag: Bag, topic: str, places: array[int], values: Float64) -> Series:
+        """Values that were heard, by the one clock that their topic has."""
+        return Series(self.times_ns(bag, topic)[np.array(places, dtype=np.int64)], values)
+
+    def times_ns(self, bag: Bag, topic: str) -> Int64:
+        """The times of all messages of a topic, 0 for none."""
+        times = clock(topic, *bag.stamps(topic))
+        if times.received:
+            self._notes[topic] = "the header stamps are no UTC; the recorder's times are taken"
+        return times.time_ns
+
+    def leave_out(self, topic: str, why: str) -> None:
+        """Note why a topic is not used."""
+        self._notes[topic] = f"not used: {why.removesuffix('.')}"
+
+    def notes(self, topics: Iterable[str]) -> list[str]:
+        """Remarks on topics, a sentence each."""
+        found = [f"{topic}: {note}." for topic, note in self._notes.items()]
+        for topic in dict.fromkeys(topics):
+            heard = self._heard.get(topic)
+            found += [f"{topic}: {note}." for note in (heard.notes() if heard else ())]
+        return found

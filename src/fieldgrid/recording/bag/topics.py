@@ -7,10 +7,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import NoFramesError, RecordingError
 from fieldgrid.ros import Topic
+from fieldgrid.ros.gnss import DATUM
 
-Kind = Literal["stereo", "disparity", "depth", "cloud", ""]
+Sensing = Literal["stereo", "disparity", "depth", "cloud", ""]
 """What the frames are made of; "" for a bag that has none."""
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -23,7 +24,7 @@ CLOUD, FIX, NMEA = (
 IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
-_TF_STATIC, _TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _TYPES: dict[str, tuple[str, ...]] = {
     **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
@@ -31,7 +32,7 @@ _TYPES: dict[str, tuple[str, ...]] = {
     **{"disparity": (DISPARITY,), "depth": (IMAGE,), "cloud": (CLOUD,)},
     **{"fix": (FIX,), "nmea": (NMEA,), "imu": (IMU,), "odometry": (ODOMETRY,)},
 }
-_SENSORS: dict[Kind, tuple[str, ...]] = {
+_SENSORS: dict[Sensing, tuple[str, ...]] = {
     "stereo": ("left", "right", "right_info"),
     "disparity": ("disparity",),
     "depth": ("depth", "depth_info"),
@@ -60,7 +61,7 @@ class Choice(NamedTuple):
     there are none.
     """
 
-    kind: Kind
+    kind: Sensing
     roles: Mapping[str, str]
     notes: tuple[str, ...] = ()
     problem: RecordingError | None = None
@@ -80,10 +81,10 @@ def choose(
     there or of another type, and where the names leave a choice open; what is open about the
     frames is told in the choice, since not everybody wants them.
     """
-    filled = {name: topic for name, topic in topics.items() if topic.count > 0}
+    filled = {name: topic for name, topic in topics.items() if topic.count and name != DATUM}
     finder = _Finder(filled, {**given}, path)
     finder.check_given(topics)
-    kind: Kind = ""
+    kind: Sensing = ""
     problem = None
     try:
         kind = finder.sensor(sensor)
@@ -96,9 +97,9 @@ def choose(
     return Choice(kind, roles, _told(roles, filled), problem)
 
 
-def no_frames(topics: Mapping[str, Topic], path: Path) -> RecordingError:
+def no_frames(topics: Mapping[str, Topic], path: Path) -> NoFramesError:
     """The error of a bag in which there is nothing that frames could be made of."""
-    return RecordingError(
+    return NoFramesError(
         f"{path} has no pair of a left and a right image, and neither disparity, depth image with "
         f"its camera_info, nor point cloud; it has {listing(topics.values())}; name the images "
         "with --topic left=NAME --topic right=NAME, or --topic depth=NAME."
@@ -123,8 +124,8 @@ def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> 
     used = [f"/{name.lstrip('/')}" for name in roles.values()]
     return [
         name
-        for name in _of_types(topics, _TF)
-        if name.endswith(_TF_STATIC)
+        for name in _of_types(topics, TF)
+        if name.endswith(TF_STATIC)
         and any(other.startswith(name.removesuffix("tf_static")) for other in used)
     ]
 
@@ -175,9 +176,9 @@ class _Finder:
                     f"{listing(everything.values())}."
                 )
 
-    def sensor(self, wanted: str | None) -> Kind:
+    def sensor(self, wanted: str | None) -> Sensing:
         """Find the topics of the given sensor, else of the wanted one, else of the best."""
-        finders: dict[Kind, Callable[[], bool]] = {
+        finders: dict[Sensing, Callable[[], bool]] = {
             "stereo": self._stereo,
             "disparity": self._disparity,
             "depth": self._depth,
@@ -197,7 +198,9 @@ class _Finder:
 
     def single(self, role: str) -> None:
         """Find the one topic of a role, if there is any."""
-        found = self._one_of(role, _of_types(self._topics, _TYPES[role]), _WORTH[role])
+        found = self._one_of(
+            role, _of_types(self._topics, _TYPES[role]), lambda name: worth(role, name)
+        )
         if found:
             self.roles[role] = found
 
@@ -324,12 +327,13 @@ def _imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
     return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
 
 
-_WORTH: dict[str, Callable[[str], object]] = {
-    "fix": lambda name: _MADE.search(name.lower()) is not None,
-    "nmea": lambda name: 0,
-    "imu": _imu_rank,
-    "odometry": _driven,
-}
+def worth(role: str, name: str) -> tuple[int, ...]:
+    """How good a name is for a role, the lowest being the best."""
+    if role == "imu":
+        return _imu_rank(name)
+    if role == "odometry":
+        return (_driven(name),)
+    return (role == "fix" and _MADE.search(name.lower()) is not None,)
 
 
 def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:

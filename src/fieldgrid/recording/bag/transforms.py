@@ -1,7 +1,8 @@
-"""Static transforms of a bag: where each frame sits on the vehicle."""
+"""Transforms of a bag that do not change: where each frame sits on the vehicle."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ from fieldgrid.errors import CalibrationError
 _DEEPEST = 64
 _MAX_FRAMES = 10_000
 _FARTHEST_M, _UNIT = 1e6, 0.01
+_SAME = 1e-6
+"""Transforms that differ by less, in metres or radians, are of one place."""
 
 
 class Place(NamedTuple):
@@ -26,14 +29,32 @@ class Transforms:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Place]] = {}
+        self._moved: set[str] = set()
 
     def add(self, message: Any) -> None:
         """The transforms of a tf2_msgs/TFMessage; those that are no transform are left out."""
-        for one in message.transforms:
-            child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
-            place = _place(one.transform)
-            if place is not None and child != parent and len(self._parents) < _MAX_FRAMES:
+        for child, parent, place in _told(message):
+            if len(self._parents) < _MAX_FRAMES:
                 self._parents[child] = (parent, place)
+
+    def add_unmoved(self, message: Any) -> None:
+        """The same, for :meth:`unmoved`: a frame that moves, or changes its parent, is noted."""
+        for child, parent, place in _told(message):
+            known = self._parents.get(child)
+            if known is None and len(self._parents) < _MAX_FRAMES:
+                self._parents[child] = (parent, place)
+            elif known is not None and (known[0] != parent or not _is_same(known[1], place)):
+                self._moved.add(child)
+
+    def unmoved(self) -> Transforms:
+        """The tree without the frames that were seen to move."""
+        found = Transforms()
+        found._parents = {key: at for key, at in self._parents.items() if key not in self._moved}
+        return found
+
+    def update(self, other: Transforms) -> None:
+        """Take in another tree, whose word on a frame holds."""
+        self._parents.update(other._parents)
 
     def has(self, frame: str) -> bool:
         """Whether a frame is in the tree."""
@@ -68,6 +89,20 @@ class Transforms:
             found[parent] = here
             frame = parent
         return found
+
+
+def _told(message: Any) -> Iterator[tuple[str, str, Place]]:
+    """Child, parent and place of the transforms of a message that are any."""
+    for one in message.transforms:
+        child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
+        place = _place(one.transform)
+        if place is not None and child != parent:
+            yield child, parent, place
+
+
+def _is_same(one: Place, other: Place) -> bool:
+    apart_m, turned = np.abs(one.at_m - other.at_m).max(), np.abs(one.R - other.R).max()
+    return bool(apart_m < _SAME and turned < _SAME)
 
 
 def _plain(frame: str) -> str:

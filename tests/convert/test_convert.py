@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import tempfile
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,26 +13,27 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 import fieldgrid as fg
 from fieldgrid.build import build_map
-from fieldgrid.convert import Images, convert_recording, nav_sat_fix
+from fieldgrid.convert import Images, convert_recording
 from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
 from fieldgrid.quality import Quality
-from fieldgrid.recording import DepthFrame, open_recording
-from fieldgrid.recording.bag.readings import fix_of
+from fieldgrid.recording import DepthFrame, DriveOptions, FixLog, open_recording
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
-from tests.mounting.drives import START_NS, Drive, Memory, swept
+from tests.mounting.drives import START_NS, Memory, in_memory, swept
 
 MakeDrive = Callable[..., Path]
+DATUM = "[datum]\nlat_deg = 41.65\nlon_deg = -4.72\nheight_m = 780.0\n"
+OFFSET = "image_time_offset_s = 0.015\n"
 Messages = dict[str, list[tuple[int, Any]]]
 
 
@@ -64,7 +65,7 @@ def stamp_ns(message: Any) -> int:
 @pytest.fixture(scope="module")
 def converted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("convert") / "two_lanes.mcap"
-    convert_recording(TWO_LANES, out, gnss="gnss_rtk.nmea")
+    convert_recording(TWO_LANES, out, DriveOptions("gnss_rtk.nmea"))
     return out
 
 
@@ -107,7 +108,7 @@ def test_what_is_said_once_is_played_to_those_who_come_later(converted: Path) ->
         for channel in summary.channels.values()
         if "durability: 1" in channel.metadata.get("offered_qos_profiles", "")  # transient local
     }
-    assert latched == {"/datum", "/tf_static"}
+    assert latched == {"/datum", "/fieldgrid/rig", "/tf_static"}
 
 
 def test_fixes_and_gyro(found: Messages) -> None:
@@ -152,12 +153,13 @@ def test_poses_are_east_north_up_and_counter_clockwise(found: Messages) -> None:
         assert (placed.header.frame_id, placed.child_frame_id) == ("map", "base_footprint")
         assert placed.transform.translation.x == trajectory.east_m[k]
     ((_, said),) = found["/datum"]
-    assert json.loads(said.data) == {
-        "frame": "map",
-        "lat_deg": trajectory.datum.lat_deg,
-        "lon_deg": trajectory.datum.lon_deg,
-        "height_m": trajectory.datum.height_m,
-    }
+    datum = trajectory.datum
+    assert said.header.frame_id == "map"
+    assert (said.latitude, said.longitude, said.altitude) == (
+        datum.lat_deg,
+        datum.lon_deg,
+        datum.height_m,
+    )
 
 
 def test_where_things_sit_on_the_vehicle(found: Messages) -> None:
@@ -185,11 +187,7 @@ def test_our_own_reader_finds_the_same_drive(converted: Path) -> None:
         for ours, theirs in list(zip(one.frames(), other.frames(), strict=True))[::10]:
             for a, b in zip(ours.images(), theirs.images(), strict=True):  # type: ignore[union-attr]
                 np.testing.assert_array_equal(a, b)
-        kept = (*Fix._fields[:5], "sigma_m")
-        for a, b in zip(one.fixes(), other.fixes(), strict=True):
-            assert [getattr(b, name) for name in kept] == pytest.approx(
-                [getattr(a, name) for name in kept], rel=1e-15
-            )
+        assert other.fixes() == one.fixes()
         assert one.motion().gyro is not None
         np.testing.assert_array_equal(other.motion().gyro, one.motion().gyro)
 
@@ -242,7 +240,7 @@ def test_depths(tmp_path: Path) -> None:
     depth[3, 4] = np.nan
     shots = [DepthFrame("a", START_NS, Memory("a", depth), (32, 24))]  # type: ignore[arg-type]
     out = tmp_path / "depth.mcap"
-    done = convert_recording(Drive(rig, list(shots)), out)
+    done = convert_recording(in_memory(rig, shots), out)
     assert done.notes == ("There are no fixes, so no poses were written.",)
     ((time_ns, image),) = messages(out)["/depth/image_rect"]
     assert time_ns == stamp_ns(image) == START_NS + 7_000_000  # by the clock of the receiver
@@ -256,19 +254,20 @@ def test_depths(tmp_path: Path) -> None:
 def test_clouds(tmp_path: Path) -> None:
     out = tmp_path / "cloud.mcap"
     drive = swept(Mount(1.9, 3.0, -2.0), sweeps=2)
-    drive = replace(drive, rig=replace(drive.rig, mount=Mount(1.9, 3.0, -2.0)))
     times = START_NS + np.arange(5) * 10**8
-    drive.log = FixColumns.of(times, lat_deg=40.0, lon_deg=-3.0, height_m=700.0, quality=4)
+    fixes = FixColumns.of(times, lat_deg=40.0, lon_deg=-3.0, height_m=700.0, quality=4)
+    rig = replace(drive.rig, mount=Mount(1.9, 3.0, -2.0))
+    drive = replace(drive, rig=rig, log=FixLog(fixes))
     convert_recording(drive, out)
     (_, cloud), _ = messages(out)["/lidar/points"]
     assert [field.name for field in cloud.fields] == ["x", "y", "z"]
     points = np.frombuffer(cloud.data, np.float32).reshape(-1, 3)
-    np.testing.assert_array_equal(points, drive.shots[0].cloud.read())  # type: ignore[union-attr]
+    np.testing.assert_array_equal(points, next(drive.frames()).source.read())  # type: ignore[union-attr]
     with open_recording(out) as again:
         assert isinstance(again.rig.sensor, Lidar)
-        assert again.rig.mount.tilt_deg == pytest.approx(3.0)
+        assert again.rig == drive.rig
         first = next(again.frames())
-        np.testing.assert_array_equal(first.cloud.read(), points)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(first.source.read(), points)  # type: ignore[union-attr]
 
 
 def test_gyro_and_wheels_come_back(make_drive: MakeDrive, tmp_path: Path) -> None:
@@ -277,33 +276,102 @@ def test_gyro_and_wheels_come_back(make_drive: MakeDrive, tmp_path: Path) -> Non
         gyro=Gyro(times, np.linspace(-0.1, 0.1, 5)), wheels=WheelSpeed(times, np.linspace(-1, 2, 5))
     )
     with open_recording(make_drive()) as recording:
-        convert_recording(replace(recording, own_motion=moved), out)  # type: ignore[type-var]
+        log = recording.log._replace(motion=moved)
+        convert_recording(replace(recording, log=log), out)
     with open_recording(out) as again:
         np.testing.assert_array_equal(again.motion().gyro, moved.gyro)
         np.testing.assert_array_equal(again.motion().wheels, moved.wheels)
 
 
-@given(
-    st.sampled_from([0, 1, 2, 4, 5, 9]),
-    st.none() | st.floats(0.001, 20.0),
+def content(path: Path) -> tuple[list[Any], Any]:
+    """Everything of a map that comes from images, fixes and motion, but for names."""
+    with fg.open_map(path) as universal:
+        (session,) = universal.sessions()
+        frames = [
+            (frame.pose, frame.grid().density.tobytes(), frame.grid().observed.tobytes())
+            for frame in universal.frames(with_grid=True)
+        ]
+        inputs = {k: v.tobytes() for k, v in universal.session_inputs(session.name).items()}
+        return [universal.datum, *frames], inputs
+
+
+@pytest.mark.parametrize("settings_file", ["", DATUM, OFFSET], ids=["plain", "datum", "offset"])
+def test_a_converted_drive_gives_the_map_of_the_original(
+    settings_file: str, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive, out = make_drive("june", range(4, 8)), tmp_path / "converted.mcap"
+    (drive / "recording.toml").write_text(settings_file)
+    convert_recording(drive, out)
+    for path in (drive, out):
+        build_map([path], tmp_path / f"{path.stem}.gpkg", BuildSettings())
+    assert content(tmp_path / "converted.gpkg") == content(tmp_path / "june.gpkg")
+
+
+def test_a_converted_drive_of_kitti_keeps_headings_and_rig(
+    shared_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    drive, out = shared_data("kitti_2011_09_30_drive_0020"), tmp_path / "kitti.mcap"
+    convert_recording(drive, out, images="none")
+    with fg.open_drive(drive) as one, fg.open_drive(out) as other:
+        assert other.fixes() == one.fixes()
+        assert other.motion().gyro is not None
+        np.testing.assert_array_equal(other.motion().gyro, one.motion().gyro)
+        assert other.datum_hint == fg.estimate_trajectory(one.recording()).datum
+
+
+FIXES = st.builds(
+    Fix,
+    st.integers(START_NS, START_NS + 10**12),
+    st.floats(-90.0, 90.0),
+    st.floats(-180.0, 180.0),
+    st.floats(-500.0, 9000.0),
+    quality=st.sampled_from(Quality),
+    satellites=st.none() | st.integers(0, 60),
+    hdop=st.none() | st.floats(0.0, 99.0),
+    age_s=st.none() | st.floats(0.0, 999.0),
+    sigma_m=st.none() | st.floats(0.001, 20.0),
+    speed_mps=st.none() | st.floats(0.0, 30.0),
+    heading_deg=st.none() | st.floats(-179.9, 180.0),
+    heading_sigma_deg=st.none() | st.floats(0.0, 90.0),
+    heading_quality=st.none() | st.sampled_from(list(Quality)[1:]),
+    course_deg=st.none() | st.floats(-179.9, 180.0),
 )
-def test_a_fix_keeps_what_the_message_can_hold(quality: int, sigma_m: float | None) -> None:
-    """Of decimetres the message does not tell how they were solved."""
-    fix = Fix(START_NS, 41.65, -4.72, 790.0, quality, sigma_m=sigma_m)
-    again = fix_of(nav_sat_fix(fix), START_NS)
-    assert again[:4] == fix[:4]
-    assert (again.quality == 0) == (quality == 0)
-    if sigma_m is not None:
-        assert again.sigma_m == pytest.approx(sigma_m)
-    elif quality == Quality.RTK_FLOAT:
-        assert (again.quality, again.sigma_m) == (Quality.DIFFERENTIAL, pytest.approx(0.25))
-    else:
-        assert again.quality == quality
 
 
-@pytest.mark.parametrize("quality", [6, 7, 8])
-def test_what_no_satellites_gave_is_no_fix(quality: int) -> None:
-    assert nav_sat_fix(Fix(START_NS, 41.65, -4.72, 790.0, quality)).status.status == -1
+@settings(max_examples=20)
+@given(st.lists(FIXES, min_size=1, max_size=6))
+def test_every_field_of_a_fix_comes_back(fixes: list[Fix]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        log, out = FixLog(FixColumns.of_rows(fixes)), Path(folder, "log.mcap")
+        convert_recording(fg.recording.Drive(path=Path("log"), name="log", log=log), out)
+        with fg.open_drive(out) as again:
+            assert again.fixes() == log.fixes.in_order()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "gnss/lawn_tractor_5hz",
+        "gnss/isoxml_harvester/csv",
+        "vineyard_two_lanes/gnss",
+        "gnss/gpsd_corpus",
+    ],
+)
+def test_a_log_comes_back_as_it_is(
+    name: str, shared_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    done = 0
+    for path in sorted(p for p in shared_data(name).iterdir() if p.is_file())[:8]:
+        try:
+            with fg.open_drive(path) as one:
+                convert_recording(one, tmp_path / f"{path.name}.mcap")
+        except fg.FieldgridError:
+            continue  # no fix, or no log at all
+        with fg.open_drive(path) as one, fg.open_drive(tmp_path / f"{path.name}.mcap") as other:
+            assert other.fixes() == one.fixes().in_order(), path
+            assert (other.rig, other.refusal is None) == (None, False)
+            done += 1
+    assert done
 
 
 def test_progress_and_bounds(make_drive: MakeDrive, tmp_path: Path) -> None:
@@ -324,5 +392,5 @@ def test_what_cannot_be_written(make_drive: MakeDrive, tmp_path: Path) -> None:
     assert out.read_text() == "mine"
     rig = Rig(Lidar(1000.0), Mount(1.0, 0.0), LeverArm(0.0, 0.0, 2.0))
     with pytest.raises(RecordingError, match="nothing to convert"):
-        convert_recording(Drive(rig, []), tmp_path / "b.mcap", images=Images.NONE)
+        convert_recording(in_memory(rig, []), tmp_path / "b.mcap", images=Images.NONE)
     assert not (tmp_path / "b.mcap").exists()

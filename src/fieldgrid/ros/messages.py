@@ -1,4 +1,8 @@
-"""Values as messages of ROS 2."""
+"""Messages of ROS 2: what they are made of, and those of sensors.
+
+Frames by REP-103 and REP-105: `map` is the Local Tangent Plane (east, north, up), a vehicle's frame
+is forward, left, up. Times are UTC in nanoseconds.
+"""
 
 from __future__ import annotations
 
@@ -8,46 +12,34 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float32, Float64
-from fieldgrid.fixes import Fix
-from fieldgrid.quality import CARRIER, Quality
 from fieldgrid.rig import DepthCamera, StereoCamera
-from fieldgrid.ros import types
+from fieldgrid.ros.definitions import types
 
-MAP, BASE = "map", "base_footprint"
-LEFT, RIGHT, DEPTH, LIDAR = "left_optical", "right_optical", "depth_optical", "lidar_optical"
-ANTENNA, IMU, AXLE = "gnss_antenna", "imu", "rear_axle"
+MAP, EARTH, BASE = "map", "earth", "base_footprint"
 
 _SECOND = 1_000_000_000
-
-# Qualities as NavSatStatus: no fix, a fix, with satellite-based, with ground-based
-# corrections. What no satellites gave (estimated, manual, simulated) is no fix.
-_STATUS = {
-    Quality.UNKNOWN: 0,
-    Quality.GPS: 0,
-    Quality.SBAS: 1,
-    Quality.DIFFERENTIAL: 2,
-    Quality.PPS: 2,
-    Quality.RTK_FIXED: 2,
-    Quality.RTK_FLOAT: 2,
-}
-_NO_FIX, _ALL_SERVICES = -1, 15
-_UNKNOWN, _APPROXIMATED, _DIAGONAL = 0, 1, 2
-UP_SHARE = 2.0
-"""How much less sure a receiver's height is than its position."""
-
 _NOT_SAID = 1e6
 
 
 def new(name: str, /, **fields: Any) -> Any:
-    """A message of a type, which ROS calls package/msg/Name."""
+    """A message of a type, which ROS calls package/msg/Name, by package/Name."""
     package, short = name.split("/")
     return types().types[f"{package}/msg/{short}"](**fields)
 
 
+def time_of(time_ns: int) -> Any:
+    """A builtin_interfaces/Time."""
+    return new("builtin_interfaces/Time", sec=time_ns // _SECOND, nanosec=time_ns % _SECOND)
+
+
 def header_of(time_ns: int, frame: str) -> Any:
     """A std_msgs/Header."""
-    stamp = new("builtin_interfaces/Time", sec=time_ns // _SECOND, nanosec=time_ns % _SECOND)
-    return new("std_msgs/Header", stamp=stamp, frame_id=frame)
+    return new("std_msgs/Header", stamp=time_of(time_ns), frame_id=frame)
+
+
+def text(content: str) -> Any:
+    """A std_msgs/String."""
+    return new("std_msgs/String", data=content)
 
 
 def vector(x: float, y: float, z: float, *, name: str = "Vector3") -> Any:
@@ -72,6 +64,23 @@ def quaternion(R: Float64) -> Any:
     return new("geometry_msgs/Quaternion", x=sign * x, y=sign * y, z=sign * z, w=sign * w)
 
 
+def turn_left(yaw_rad: float) -> Any:
+    """A turn about the vertical, counter-clockwise, as a geometry_msgs/Quaternion."""
+    half = yaw_rad / 2.0
+    return new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+
+
+def pose(x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> Any:
+    """A geometry_msgs/Pose of a level body; its yaw is counter-clockwise from x."""
+    position = vector(x, y, z, name="Point")
+    return new("geometry_msgs/Pose", position=position, orientation=turn_left(yaw_rad))
+
+
+def pose_stamped(time_ns: int, frame: str, placed: Any) -> Any:
+    """A geometry_msgs/PoseStamped."""
+    return new("geometry_msgs/PoseStamped", header=header_of(time_ns, frame), pose=placed)
+
+
 def transform(time_ns: int, parent: str, child: str, at_m: Float64, turn: Any) -> Any:
     """A geometry_msgs/TransformStamped: where the child is, and its turn, seen from the parent."""
     placed = new("geometry_msgs/Transform", translation=vector(*at_m.tolist()), rotation=turn)
@@ -83,36 +92,19 @@ def transform(time_ns: int, parent: str, child: str, at_m: Float64, turn: Any) -
     )
 
 
-def nav_sat_fix(fix: Fix) -> Any:
-    """A sensor_msgs/NavSatFix: altitude above the ellipsoid, what the message can hold."""
-    status = _STATUS.get(fix.quality, _NO_FIX)
-    if fix.sigma_m is not None and fix.sigma_m > 0.0 and math.isfinite(fix.sigma_m):
-        sigma_m, known = fix.sigma_m, _DIAGONAL
-    elif fix.quality in CARRIER:
-        # Without it nothing in the message would tell it from a plain differential fix.
-        sigma_m, known = fix.position_sigma_m, _APPROXIMATED
-    else:
-        sigma_m, known = 0.0, _UNKNOWN
-    variances = sigma_m**2 * np.array([1.0, 1.0, UP_SHARE**2])
-    return new(
-        "sensor_msgs/NavSatFix",
-        header=header_of(fix.time_ns, ANTENNA),
-        status=new("sensor_msgs/NavSatStatus", status=status, service=_ALL_SERVICES),
-        latitude=fix.lat_deg,
-        longitude=fix.lon_deg,
-        altitude=fix.height_m,
-        position_covariance=np.diag(variances).reshape(-1),
-        position_covariance_type=known,
-    )
+def transforms(*placed: Any) -> Any:
+    """A tf2_msgs/TFMessage."""
+    return new("tf2_msgs/TFMessage", transforms=list(placed))
 
 
-def imu_message(time_ns: int, rate_rad_s: float) -> Any:
-    """Of the three rates that about the vertical, upwards; the message says what it has not."""
+def imu_message(time_ns: int, frame: str, rate_rad_s: float) -> Any:
+    """A sensor_msgs/Imu of the rate about the vertical alone, clockwise as in
+    :class:`~fieldgrid.motion.Gyro`; the message says what it has not."""
     missing = np.array([-1.0, *[0.0] * 8])
     return new(
         "sensor_msgs/Imu",
-        header=header_of(time_ns, IMU),
-        orientation=new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        header=header_of(time_ns, frame),
+        orientation=turn_left(0.0),
         orientation_covariance=missing,
         angular_velocity=vector(0.0, 0.0, -rate_rad_s),
         angular_velocity_covariance=np.zeros(9),
@@ -123,15 +115,8 @@ def imu_message(time_ns: int, rate_rad_s: float) -> Any:
 
 def odometry_message(time_ns: int, speed_mps: float) -> Any:
     """A nav_msgs/Odometry of the speed alone: its pose is said to be unknown."""
-    pose = new(
-        "geometry_msgs/Pose",
-        position=vector(0.0, 0.0, 0.0, name="Point"),
-        orientation=new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-    )
     twist = new(
-        "geometry_msgs/Twist",
-        linear=vector(speed_mps, 0.0, 0.0),
-        angular=vector(0.0, 0.0, 0.0),
+        "geometry_msgs/Twist", linear=vector(speed_mps, 0.0, 0.0), angular=vector(0.0, 0.0, 0.0)
     )
     return new(
         "nav_msgs/Odometry",
@@ -139,7 +124,7 @@ def odometry_message(time_ns: int, speed_mps: float) -> Any:
         child_frame_id=BASE,
         pose=new(
             "geometry_msgs/PoseWithCovariance",
-            pose=pose,
+            pose=pose(0.0, 0.0),
             covariance=np.diag([_NOT_SAID] * 6).reshape(-1),
         ),
         twist=new("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
@@ -158,6 +143,16 @@ def image_message(pixels: AnyArray, encoding: str, header: Any) -> Any:
         is_bigendian=0,
         step=pixels.strides[0],
         data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
+    )
+
+
+def compressed_image(data: bytes, header: Any) -> Any:
+    """A sensor_msgs/CompressedImage of a JPEG or a PNG."""
+    return new(
+        "sensor_msgs/CompressedImage",
+        header=header,
+        format="png" if data.startswith(b"\x89PNG") else "jpeg",
+        data=np.frombuffer(data, dtype=np.uint8),
     )
 
 
@@ -181,6 +176,7 @@ def _info(
     header: Any,
 ) -> Any:
     (fx, fy), (cx, cy) = focal_px, centre_px
+    whole = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
     return new(
         "sensor_msgs/CameraInfo",
         header=header,
@@ -193,14 +189,7 @@ def _info(
         p=np.array([fx, 0.0, cx, shift_px_m, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
         binning_x=0,
         binning_y=0,
-        roi=new(
-            "sensor_msgs/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
-            do_rectify=False,
-        ),
+        roi=new("sensor_msgs/RegionOfInterest", **whole),
     )
 
 

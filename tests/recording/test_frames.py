@@ -33,6 +33,9 @@ class Given:
     def sha256(self) -> str:
         return ""
 
+    def encoded(self) -> bytes:
+        return b""
+
 
 def write(path: Path, image: np.ndarray) -> Path:
     assert cv2.imwrite(str(path), image)

@@ -1,0 +1,260 @@
+"""What is small in a bag, once it was opened: which topics are used, fixes, motion, transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import GnssError, RecordingError
+from fieldgrid.fixes import FixColumns
+from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.recording.bag.mounts import is_optical, vertical_row
+from fieldgrid.recording.bag.readings import Fixes, Readings, Sentences, Speeds, Texts, Turns
+from fieldgrid.recording.bag.topics import (
+    FIX,
+    FIXES,
+    NMEA,
+    Choice,
+    choose,
+    listing,
+    short,
+    static_transforms,
+)
+from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.recording.drive import Drive
+from fieldgrid.recording.fix_log import FixLog
+from fieldgrid.recording.logs import read_fix_log
+from fieldgrid.recording.motion_files import AXES, directions, in_order
+from fieldgrid.recording.options import DriveOptions
+from fieldgrid.recording.settings_file import SETTINGS, Settings, read_settings
+from fieldgrid.recording.stream_log import nmea_notes
+from fieldgrid.ros import Bag
+from fieldgrid.ros.gnss import DETAILS
+
+_OPTICAL_AXES = "rdf"
+_FIX_ROLES = {NMEA: "nmea", FIX: "fix"}
+
+
+class BagFixes(NamedTuple):
+    """The fixes of a drive with remarks and the motion of a log; the log, or the topic with the
+    hash of its messages, that they are from."""
+
+    log: FixLog
+    source: str = ""
+    path: Path | None = None
+    sha256: str = ""
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """A bag after the one run over it, before anything is made of its frames."""
+
+    bag: Bag
+    path: Path
+    settings: Settings
+    settings_path: Path
+    choice: Choice
+    readings: Readings
+    transforms: Transforms
+    fixes: BagFixes
+
+    @property
+    def roles(self) -> Mapping[str, str]:
+        """The topics that are used, by their roles."""
+        return self.choice.roles
+
+    @property
+    def folder(self) -> Path:
+        """Where files that belong to the bag lie."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    def frame_id(self, role: str) -> str:
+        """The frame of the messages of a role, empty where there are none."""
+        return self.readings.frame_id(self.roles.get(role))
+
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on what was read so far."""
+        files = self.bag.files
+        read = f"{len(files)} files are read as one drive: {files[0]} to {files[-1]}."
+        several = (read,) if len(files) > 1 else ()
+        of_topics = self.readings.notes(self.roles.values())
+        return (*several, *self.choice.notes, *self.fixes.log.notes, *of_topics)
+
+
+def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings) -> Content:
+    """What is small in a bag, and which of its topics are used. Raises RecordingError where that
+    is left open, but not for what concerns the frames alone."""
+    settings_path = _settings_path(path)
+    settings = read_settings(settings_path)
+    _refuse_settings(settings, settings_path)
+    log_path, gnss_topic = _choose_gnss(bag, options.gnss)
+    given = {**options.topics, **gnss_topic}
+    unwanted = FIXES - given.keys() if options.gnss is not None else frozenset[str]()
+    choice = choose(bag.topics, given, path, unwanted, settings.sensor)
+    if log_path is None:
+        options.refuse("The fixes of a bag are no table", "columns")
+        fixes = _fixes_of_topics(bag, readings, choice.roles)
+    else:
+        log = read_fix_log(log_path, options.columns or settings.columns)
+        fixes = BagFixes(log, log_path.name, log_path)
+    used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
+    for role in {"imu", "odometry"} & used.keys():
+        try:
+            readings.times_ns(bag, used[role])
+        except RecordingError as problem:
+            readings.leave_out(used.pop(role), str(problem))
+    return Content(
+        bag,
+        path,
+        settings,
+        settings_path,
+        choice._replace(roles=used),
+        readings,
+        readings.transforms(static_transforms(bag.topics, choice.roles)),
+        fixes,
+    )
+
+
+def _settings_path(path: Path) -> Path:
+    """The settings in the folder of a bag; beside a file first those that have its name."""
+    if path.is_dir():
+        return path / SETTINGS
+    own = path.with_suffix(".toml")
+    return own if own.exists() else path.with_name(SETTINGS)
+
+
+def _refuse_settings(settings: Settings, path: Path) -> None:
+    for key in ("frames", "bayer", "start", "scale"):
+        if getattr(settings, key) is not None:
+            raise RecordingError(
+                f"{path}: {key} is for folders of files, and the messages of a bag say it "
+                "themselves; leave it out."
+            )
+
+
+def _choose_gnss(bag: Bag, gnss: str | Path | None) -> tuple[Path | None, dict[str, str]]:
+    """What `--gnss` means for a bag: a log beside it or anywhere, or one of its topics by the role
+    that it gets; neither when nothing is asked for."""
+    if gnss is None:
+        return None, {}
+    name = str(gnss)
+    topic = bag.topics.get(name)
+    if topic is not None:
+        if topic.type not in _FIX_ROLES:
+            raise RecordingError(
+                f"{bag.path}: {name} is of the type {short(topic.type)} and holds no fixes; give a "
+                f"topic of {short(FIX)} or {short(NMEA)}."
+            )
+        return None, {_FIX_ROLES[topic.type]: name}
+    folder = bag.path if bag.path.is_dir() else bag.path.parent
+    for path in (folder / "gnss" / name, folder / name, Path(name)):
+        if path.is_file():
+            return path, {}
+    raise RecordingError(
+        f"{name!r} is neither a topic of {bag.path} nor a log in {folder} or of its own; it has "
+        f"{listing(bag.topics.values())}."
+    )
+
+
+def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> BagFixes:
+    """The fixes of NMEA sentences, else of NavSatFix."""
+    topic = roles.get("nmea", "")
+    sentences = readings.of(topic, Sentences)
+    notes: list[str] = []
+    if sentences is not None:
+        nmea = sentences.log()
+        if nmea.fixes:
+            log = FixLog(
+                FixColumns.of_rows(nmea.fixes), tuple(f"{topic}: {n}." for n in nmea_notes(nmea))
+            )
+            return BagFixes(log, topic, None, sentences.sha256(), topic)
+        if nmea.undated and "fix" not in roles:
+            raise GnssError(
+                f"{bag.path}: {topic} has {nmea.undated} positions but no valid RMC or ZDA "
+                "sentence, which alone give their date; let the receiver write RMC besides GGA."
+            )
+        notes.append(f"{topic}: no sentence gives a dated position.")
+    topic = roles.get("fix", "")
+    found = readings.of(topic, Fixes)
+    if found is None:
+        notes.append("No topic with fixes; give a log with --gnss FILE.")
+        return BagFixes(FixLog(FixColumns.of([]), tuple(notes)))
+    fixes = found.columns(readings.times_ns(bag, topic))
+    said = readings.of(f"{topic}{DETAILS}", Texts)
+    if said is not None:
+        fixes = said.details.added_to(fixes)
+    return BagFixes(FixLog(fixes, tuple(notes)), topic, None, found.sha256(), topic)
+
+
+def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:
+    """Gyro and wheels, and remarks. The axes of the IMU are `imu_axes` if these are others than
+    the usual, else those of the static transforms, else of the name of its frame."""
+    bag, readings = content.bag, content.readings
+    notes: list[str] = []
+    gyro = wheels = None
+    topic = content.roles.get("imu", "")
+    turns = readings.of(topic, Turns)
+    if turns is not None and turns.places:
+        row, told = _upwards(content, imu_axes)
+        rates = -_rate(turns.rates_rad_s(), row)
+        series, lost = in_order(*readings.series(bag, topic, turns.places, rates))
+        gyro = Gyro(*series) if len(series.time_ns) else None
+        notes += [*_lost(topic, lost), f"{topic}: {told}."]
+    topic = content.roles.get("odometry", "")
+    speeds = readings.of(topic, Speeds)
+    if speeds is not None and speeds.places:
+        told_mps = readings.series(bag, topic, speeds.places, speeds.speeds_mps())
+        series, lost = in_order(*told_mps)
+        wheels = WheelSpeed(*series) if len(series.time_ns) else None
+        notes += _lost(topic, lost)
+    return Motion(gyro=gyro, wheels=wheels), tuple(notes)
+
+
+def _upwards(content: Content, axes: str) -> tuple[Float64, str]:
+    """What of an IMU's three rates is that about the vertical, upwards, and how that is known."""
+    if axes == AXES:
+        frame = content.frame_id("imu")
+        row = vertical_row(frame, content.transforms)
+        if row is not None:
+            return row, "axes by the static transforms"
+        if is_optical(frame):
+            axes = _OPTICAL_AXES
+    return np.array(
+        [up for _, _, up in directions(axes)], dtype=np.float64
+    ), f"axes taken as {axes}"
+
+
+def _rate(rates: Float64, row: Float64) -> Float64:
+    """The rate about an axis; an axis that is one of the IMU's own gives its very numbers."""
+    own = int(np.abs(row).argmax())
+    if np.count_nonzero(row) == 1 and abs(row[own]) == 1.0:
+        return np.asarray(rates[:, own] * row[own], dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # such a rate is none, and left out
+        return np.asarray(rates @ row, dtype=np.float64)
+
+
+def _lost(topic: str, lost: int) -> list[str]:
+    if not lost:
+        return []
+    return [f"{topic}: {lost} messages without a time or value, or repeated, skipped."]
+
+
+def as_drive(content: Content) -> Drive:
+    """The drive without its frames and its own motion."""
+    path, settings, fixes = content.path, content.settings, content.fixes
+    return Drive(
+        path=path,
+        name=settings.name or (path.resolve().name if path.is_dir() else path.stem),
+        log=fixes.log,
+        gnss_source=fixes.source,
+        gnss_path=fixes.path,
+        gnss_hash=fixes.sha256,
+        datum_hint=settings.datum or content.readings.datum(),
+        notes=content.notes(),
+    )

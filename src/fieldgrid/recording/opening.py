@@ -1,0 +1,68 @@
+"""One way to open a drive, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry, logs
+from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.drive import Drive, Recording
+from fieldgrid.recording.format import find_format, formats, register_format
+from fieldgrid.recording.mounting import Mounting
+from fieldgrid.recording.options import DriveOptions
+
+for _format in (
+    logs.FORMAT,
+    bag.FORMAT,
+    folder.FORMAT,
+    euroc.FORMAT,
+    kitti_odometry.FORMAT,
+    kitti.FORMAT,
+):
+    register_format(_format)
+
+
+def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
+    """The drive at a path: a recording, a bag, a folder without images, or a GNSS log alone.
+
+    Use it as a context manager. :meth:`~fieldgrid.recording.Drive.recording` gives it as one with
+    frames. What is wrong is a RecordingError, a GnssError or a ConfigError that says what to do.
+    """
+    path = Path(path)
+    try:
+        if not (path.is_file() or path.is_dir()):
+            what = "is neither a file nor a folder" if path.exists() else "does not exist"
+            raise RecordingError(
+                f"{path} {what}; give the folder of a recording, a bag, or a GNSS log."
+            )
+        found = find_format(path)
+        if found is not None:
+            return replace(found.open(path, options or DriveOptions()), kind=found.name)
+    except OSError as problem:
+        raise RecordingError(
+            f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."
+        ) from problem
+    kinds = "; ".join(f"{one.looks_for} ({one.name})" for one in formats())
+    raise RecordingError(f"{path} is no recording; looked for {kinds}; give one of these.")
+
+
+def open_recording(
+    path: str | Path,
+    gnss: str | Path | None = None,
+    columns: Columns | None = None,
+    *,
+    topics: Mapping[str, str] | None = None,
+    mounting: str | Path | Mounting | None = None,
+    image_time_offset_ns: int | None = None,
+) -> Recording:
+    """:func:`open_drive` of a drive that must have frames, with the options by name."""
+    own = mounting if isinstance(mounting, Mounting | None) else Path(mounting)
+    drive = open_drive(path, DriveOptions(gnss, columns, topics or {}, own, image_time_offset_ns))
+    try:
+        return drive.recording()
+    except BaseException:
+        drive.close()
+        raise
