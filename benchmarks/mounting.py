@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,9 +18,9 @@ from benchmarks import EXAMPLE
 from benchmarks.odometry import ROAD, ROAD_FIRST
 from benchmarks.rectified import VINEYARD
 from fieldgrid.mounting import Measured, MountEstimate, estimate_mount
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import Recording, open_recording
 from fieldgrid.rig import Mount
-from tests.mounting.drives import Drive, rendered
+from tests.mounting.drives import MemoryFrames, rendered
 
 LANES = ("lane_1", "lane_2")
 """Segments of the example; between them are the headlands."""
@@ -104,13 +105,12 @@ def vineyard() -> Iterator[Value]:
         print(f"  the vehicle itself leaned by {down_deg:+.2f}° (tilt), {right_deg:+.2f}° (roll)")
 
 
-def lane_of(folder: Path, lane: str) -> Drive:
+def lane_of(folder: Path, lane: str) -> Recording:
     """The frames of one segment of the example, with all of its fixes."""
     wanted = [row["segment"] == lane for row in _truth(folder)]
     with open_recording(folder, "gnss_rtk.nmea") as drive:
         shots = [shot for shot, inside in zip(drive.frames(), wanted, strict=True) if inside]
-        log = drive.fixes()
-        return Drive(drive.rig, shots, name=lane, log=log, datum_hint=drive.datum_hint)
+        return replace(drive, name=lane, source=MemoryFrames(tuple(shots)))
 
 
 def leaned_deg(folder: Path, lane: str) -> tuple[float, float]:
