@@ -6,9 +6,9 @@ COPY requirements.lock pyproject.toml README.md LICENSE ./
 RUN pip install --no-cache-dir --require-hashes -r requirements.lock
 COPY src src
 RUN pip install --no-cache-dir --no-deps --no-build-isolation .
-RUN useradd --create-home field
+RUN useradd --create-home --home-dir /var/lib/field field
 USER field
 # The compiled kernels are kept here; mount a volume to keep them between runs.
-ENV NUMBA_CACHE_DIR=/home/field/.cache/numba
+ENV NUMBA_CACHE_DIR=/var/lib/field/.cache/numba
 WORKDIR /data
 ENTRYPOINT ["fieldgrid"]

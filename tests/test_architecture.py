@@ -16,7 +16,7 @@ PACKAGE = "fieldgrid"
 # A room is a module or a package directly under `fieldgrid`. A room may import rooms of
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
-    ("array_types", "closing", "limits"),
+    ("array_types", "choices", "closing", "limits"),
     ("documents", "errors", "quality", "geodesy", "angles", "kernel", "plane_fit", "publish"),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion"),
     ("settings",),
@@ -27,6 +27,7 @@ LAYERS = (
         "gear",
         "smoother",
         "stereo",
+        "vertical",
         "odometry",
         "ground",
         "binning",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools import check_docs
+from tools import check_docs, tables
 from tools.check_docs import Report, output_matches
 
 
@@ -184,3 +184,23 @@ def test_the_exit_status_and_the_count(tmp_path: Path, capsys: pytest.CaptureFix
     out = capsys.readouterr().out
     assert out.startswith(f"{bad}:2: ")
     assert out.endswith("2 documents: 2 blocks run, 0 skipped, 1 failures\n")
+
+
+def test_a_table_that_is_out_of_date_is_reported(tmp_path: Path) -> None:
+    document = tmp_path / "page.md"
+    document.write_text("# Page\n\n<!-- table: formats -->\n| old |\n<!-- end of table -->\n")
+    report = Report()
+    check_docs.check_document(document, tmp_path, tmp_path, report)
+    (failure,) = report.failures
+    assert (failure.line, "a table is out of date" in failure.message) == (4, True)
+    document.write_text(tables.renewed(document.read_text()))
+    assert "| `geotiff` | `.tif` `.tiff` |" in document.read_text()
+    check_docs.check_document(document, tmp_path, tmp_path, fresh := Report())
+    assert fresh.failures == []
+
+
+def test_all_tables_stand_in_a_document() -> None:
+    found = [
+        name for one in tables.documents() for _, name, _ in tables.MARKED.findall(one.read_text())
+    ]
+    assert sorted(found) == sorted(tables.TABLES)

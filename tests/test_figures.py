@@ -516,9 +516,11 @@ def test_a_figure_is_saved_in_the_format_of_its_name(tmp_path: Path) -> None:
 
 def test_an_earlier_figure_is_replaced_but_not_by_a_wrong_one(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
-    path.write_bytes(b"the old picture")
     figures.save(figures.heading([], []), path)
+    old = path.read_bytes()
+    figures.save(figures.trajectory([], []), path)
     assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.read_bytes() != old
     notes = tmp_path / "a.txt"
     notes.write_bytes(b"notes")
     with pytest.raises(ConfigError, match=r"a\.txt names no format .* \.png, \.pdf or \.svg"):

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
+from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec
-from fieldgrid.settings import BuildSettings, MatcherKind, resolve
+from fieldgrid.settings import BuildSettings, resolve
 from fieldgrid.transfer import Transfer
 
 

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-from fieldgrid.settings import MatcherKind, StereoSettings
+from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import INVALID, SearchRegion, StereoMatcher, search_region, whole_image
 from tests.scenes import paper_rig
 

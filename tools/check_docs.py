@@ -10,6 +10,8 @@ in which `examples` leads to the repository's examples:
   the next command is ``$ echo $?``, under which its exit status is shown. Other commands
   (``$ git clone``, ``$ make``) are for the reader only.
 - A block right after ``<!-- not run: reason -->`` is skipped, and counted.
+
+Tables that are made from the code (``tools/tables.py``) must be up to date.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # as a script, this file's own folder is there only
+from tools import tables  # noqa: E402
+
 COLUMNS = 100
 TIMEOUT_S = 900
 
@@ -237,6 +242,12 @@ def run_command(command: Command, document: Path, programs: Path) -> Failure | N
 def check_document(document: Path, examples: Path, programs: Path, report: Report) -> None:
     """Run a document's blocks in a temporary directory and add to the report."""
     text = document.read_text(encoding="utf-8")
+    renewed = tables.renewed(text)
+    if renewed != text:
+        lines = zip(text.splitlines(), renewed.splitlines(), strict=False)
+        line = next((k for k, (old, new) in enumerate(lines, 1) if old != new), 1)
+        told = "a table is out of date; run: .venv/bin/python tools/tables.py"
+        report.failures.append(Failure(document, line, told))
     namespace: dict[str, Any] = {"__name__": "__main__"}
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "examples").symlink_to(examples.resolve(), target_is_directory=True)

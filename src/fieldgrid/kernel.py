@@ -4,36 +4,75 @@ Compiling is paid by the first run on a machine, and most of it is not LLVM but 
 Python code, so it grows with the code and not with its speed. A kernel is therefore one function
 of plain loops over arrays that it is given; whole-array expressions, slices and reductions inside
 it cost as much again, each.
+
+Numba takes as long to import as everything else together, so it is imported when the first loop
+runs: listing the sessions of a map needs none.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from functools import update_wrapper
 from typing import Any
 
-import numba
+_COMPILING = threading.RLock()
 
-# The decorator's types do not know all of its options.
-_njit: Any = numba.njit
-_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of arrays with Numba, without the interpreter's lock.
+class Kernel:
+    """A function of arrays that is compiled with Numba when it is first called, and then runs
+    without the interpreter's lock.
 
     The machine code is kept beside the module, or where Numba keeps it for the user; on a
     vehicle with a read-only disk and no home there is no such place, and it is compiled anew
-    in each run.
+    in each run. `options` are Numba's.
     """
-    compiled: Callable[..., Any]
-    try:
-        compiled = _njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:
-        compiled = _njit(**_OPTIONS)(function)
-    return compiled
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self._function = function
+        self._options = options
+        self._compiled: Any = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result."""
+        return (self._compiled or self.compiled())(*arguments)
+
+    def compiled(self) -> Any:
+        """Numba's own function, in which other kernels are Numba's own functions too."""
+        with _COMPILING:
+            if self._compiled is None:
+                import numba
+
+                names = self._function.__globals__
+                for name in self._function.__code__.co_names:
+                    used = names.get(name)
+                    if isinstance(used, Kernel):
+                        names[name] = used.compiled()
+                try:
+                    self._compiled = numba.njit(**self._options)(self._function)
+                except RuntimeError:  # no place for the machine code
+                    options = self._options | {"cache": False}
+                    self._compiled = numba.njit(**options)(self._function)
+            return self._compiled
+
+    def cache_folder(self) -> str | None:
+        """Where the machine code is kept, None where there is no place for it."""
+        return getattr(self.compiled().stats, "cache_path", None)
 
 
-def part_of_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compile a function of arrays when it is first called."""
+    return Kernel(function, _OPTIONS | {"cache": True})
+
+
+def part_of_kernel(function: Callable[..., Any]) -> Kernel:
     """Compile a function that only kernels of the same module call, as part of them."""
-    compiled: Callable[..., Any] = _njit(no_cpython_wrapper=True, **_OPTIONS)(function)
-    return compiled
+    return Kernel(function, _OPTIONS | {"no_cpython_wrapper": True})
+
+
+@kernel
+def nothing() -> None:
+    """A kernel to ask where kernels are kept."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import errno
 import fcntl
 import glob
+import mmap
 import os
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -35,11 +36,17 @@ def writing(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
+def replacing(
+    path: Path,
+    *,
+    overwrite: bool = True,
+    ours: Callable[[Path], bool] | None = None,
+    what: str = "",
+) -> Iterator[Path]:
     """A file to write in the place of `path`: it takes that name when the block ends well, and is
     gone when it does not. Raises MapExistsError for a file that may not be overwritten,
-    MapWriteError where the disk does not take it."""
-    draft = Draft(path, overwrite=overwrite)
+    MapWriteError where the disk does not take it. `ours` and `what` are those of :class:`Draft`."""
+    draft = Draft(path, overwrite=overwrite, ours=ours, what=what)
     try:
         with writing(path):
             yield draft.file
@@ -65,11 +72,21 @@ def replacing_folder(
 class Draft:
     """A file in the making beside `target`, which is untouched until `publish`.
 
-    `advice` completes the error for a target that exists: what to do other than overwrite.
-    What a killed program left of an earlier draft of the same target is removed.
+    `advice` completes the error for a target that exists: what to do other than overwrite. A
+    target that `ours` does not recognise as `what` this program writes is never replaced: it may
+    be an image of a recording. What a killed program left of an earlier draft of the same target
+    is removed.
     """
 
-    def __init__(self, target: Path, *, overwrite: bool, advice: str = "") -> None:
+    def __init__(
+        self,
+        target: Path,
+        *,
+        overwrite: bool,
+        advice: str = "",
+        ours: Callable[[Path], bool] | None = None,
+        what: str = "",
+    ) -> None:
         self.target = target
         self._overwrite = overwrite
         self._exists = (
@@ -81,6 +98,11 @@ class Draft:
             raise MapExistsError(f"{target} is a pipe or a device; give the name of a file.")
         if os.path.lexists(target) and not overwrite:
             raise MapExistsError(self._exists)
+        if ours is not None and target.is_file() and target.stat().st_size and not ours(target):
+            raise MapExistsError(
+                f"{target} is not {what} that fieldgrid has written, so it is not replaced; give "
+                "another name, or remove it first."
+            )
         place = target.resolve()
         # With the target's ending, by which other programs tell what to write.
         self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial{place.suffix}")
@@ -210,6 +232,22 @@ class DraftFolder:
             os.close(self._held)
             self._held = -1
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def mentions(path: Path, mark: bytes) -> bool:
+    """Whether a file holds these bytes somewhere; what cannot be read does not."""
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return data.find(mark) >= 0
+    except (OSError, ValueError):  # ValueError: the file is empty
+        return False
+
+
+def refuse_input(target: Path, inputs: Iterable[Path]) -> None:
+    """Raise MapExistsError for a target that is one of the inputs of a command."""
+    for one in inputs:
+        if target.exists() and one.exists() and target.samefile(one):
+            raise MapExistsError(f"{target} is read here and never replaced; give another name.")
 
 
 def _remove_orphans(place: Path) -> None:

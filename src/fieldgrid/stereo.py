@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 
 from fieldgrid.array_types import Int16, UInt8
+from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import Rig, StereoCamera
-from fieldgrid.settings import MatcherKind, StereoSettings
+from fieldgrid.settings import StereoSettings
 
 SUBPIXELS = 16
 """Disparities are int16 in sixteenths of a pixel, as OpenCV writes them."""

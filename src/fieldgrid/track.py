@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
-from fieldgrid.errors import DatumError, MapExistsError
+from fieldgrid.errors import ConfigError, DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.pose import Estimate, PoseReport
 from fieldgrid.publish import replacing
@@ -40,8 +40,8 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
     pose at a rejected fix before the first accepted one or after the last. The file appears
     when it is complete and replaces an earlier track, but nothing else.
 
-    Raises DatumError for poses out of reach of their datum, MapExistsError for a file that is
-    no track, MapWriteError where it cannot be written.
+    Raises ConfigError for another ending, DatumError for poses out of reach of their datum,
+    MapExistsError for a file that is no track, MapWriteError where it cannot be written.
     """
     path = Path(path)
     check_reach(estimate.trajectory)
@@ -53,7 +53,10 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise MapExistsError for an existing file that is no track: it may be the log itself."""
+    """Raise ConfigError for a name that is none of a CSV, and MapExistsError for an existing file
+    that is no track: it may be the log itself."""
+    if path.suffix.lower() != ".csv":
+        raise ConfigError(f"{path} is not named as a CSV; give a name that ends in .csv.")
     if not path.is_file():
         return
     with path.open("rb") as file:

@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8, UInt64
+from fieldgrid.choices import Transfer as Transfer  # noqa: PLC0414 - users set it, and it is used here
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.settings import Transfer as Transfer  # noqa: PLC0414 - users set it, and it is used here
 from fieldgrid.trajectory import Pose
 
 AREA_SHIFT = 2

@@ -47,6 +47,16 @@ class Result(NamedTuple):
 Run = Callable[..., Result]
 
 
+DEFECTS_ALLOWED = False
+"""Set by the test of the last line of defence alone."""
+
+
+def checked(result: Result) -> Result:
+    """The result of a command, which never ends at the last line of defence."""
+    assert DEFECTS_ALLOWED or result.status != 70, result.err
+    return result
+
+
 @pytest.fixture
 def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Runs `fieldgrid ARGUMENTS...` in this process."""
@@ -59,7 +69,7 @@ def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
             status = 0
         except SystemExit as end:
             status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
-        return Result(status, *capsys.readouterr())
+        return checked(Result(status, *capsys.readouterr()))
 
     return run
 
@@ -84,6 +94,6 @@ def fieldgrid_process() -> Run:
             timeout=120,
             check=False,
         )
-        return Result(done.returncode, done.stdout, done.stderr)
+        return checked(Result(done.returncode, done.stdout, done.stderr))
 
     return run

@@ -10,8 +10,19 @@ import numpy as np
 import pytest
 import rasterio
 
-from fieldgrid.export import FORMATS, Selection
-from fieldgrid.mapfile import LAYERS, open_map
+from fieldgrid.errors import ConfigError
+from fieldgrid.export import (
+    Exported,
+    Format,
+    Selection,
+    export_map,
+    formats,
+    register,
+    unregister,
+)
+from fieldgrid.mapfile import LAYERS, MapFile, open_map
+from fieldgrid.publish import replacing
+from fieldgrid.settings import Flag, Settings, setting
 from tests.cli.conftest import Run
 from tests.export.asymmetric import write_asymmetric_map
 from tests.export.placed import faults, faults_at_centres, opened
@@ -73,8 +84,8 @@ def test_a_layer_as_of_a_session_in_another_system(
         ("OUT/x.foo", r"x\.foo ends in none of \.tif, .*; choose one of them, or give --format"),
         ("OUT/x.tif --format maps", "'maps' is no format; known are geotiff, png, kmz"),
         ("OUT/x.tif --layer depth", "'depth' is no layer of a map; known are density, count"),
-        ("OUT/x.tif --mode raw", "geotiff has no option 'mode'; it takes epsg"),
-        ("OUT/x.kmz --epsg 4326", "kmz has no option 'epsg'; it takes none"),
+        ("OUT/x.tif --format png", "x.tif is the name of a file of format geotiff, not png"),
+        ("OUT/x.zip --format isoxml", "x.zip is the name of a file, and the format isoxml is a"),
         ("OUT/x.tif --epsg 99999", "EPSG:99999 is not known"),
         ("OUT/not/x.tif", "its folder does not exist; make it first"),
         ("OUT/not/x.png", "its folder does not exist; make it first"),
@@ -92,7 +103,7 @@ def test_a_layer_as_of_a_session_in_another_system(
         ("OUT/x.tif --bounds 0 0 1e300 1e300", r"^2e\+301 x 2e\+301 cells of"),
         ("OUT/x.png --bounds 0 0 9e3 9", "A PNG of 180000 x 180 pixels is more than"),
         ("OUT/x.kmz --bounds 0 0 9e3 99", r"88 pictures, .* or cells of 0\.1 m"),
-        ("OUT/x.png --layer count", "8 bits a pixel, too few for the layer 'count'"),
+        ("OUT/x.png --layer count", "holds a layer of 8 bits, and 'count' is none; leave --layer"),
         ("OUT/x.tif --at winter", "'winter' is neither a session of .* nor a date"),
         ("OUT/x.tif --at 2019-01-01", "has no session up to 2019-01-01"),
     ],
@@ -120,20 +131,22 @@ def test_an_export_has_a_name(
 @pytest.mark.parametrize("name", ["x.tif", "x.png", "x.kmz"])
 def test_an_existing_export(name: str, fieldgrid: Run, f_map: Path, tmp_path: Path) -> None:
     out = tmp_path / name
-    out.write_bytes(b"an older one")
+    fieldgrid("export", f_map, out, "--cell", "2").output()
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     sentence = fieldgrid("export", f_map, out).sentence()
     assert "exists already; give another name, or --overwrite to replace it" in sentence
-    assert out.read_bytes() == b"an older one"
-    assert list(tmp_path.iterdir()) == [out]
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
     fieldgrid("export", f_map, out, "--overwrite").output()
-    assert out.stat().st_size > 1000
+    assert set(tmp_path.iterdir()) == set(before)
+    assert out.stat().st_size > len(before[out])
 
 
 def test_the_map_itself_is_safe(fieldgrid: Run, f_map: Path) -> None:
     before = f_map.read_bytes()
-    for name in FORMATS:
+    for name in formats():
         words = ("--format", name, "--overwrite")
-        assert "give another name" in fieldgrid("export", f_map, f_map, *words).sentence()
+        sentence = fieldgrid("export", f_map, f_map, *words).sentence()
+        assert "which no export replaces" in sentence or f"format gpkg, not {name}" in sentence
     assert f_map.read_bytes() == before
 
 
@@ -144,7 +157,7 @@ def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(
 ) -> None:
     """Every file may grow to `limit` bytes and no further, as where a quota is used up."""
     out = tmp_path / name
-    out.write_bytes(b"an older one")
+    out.write_bytes(b"")
     before = (
         "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
@@ -160,25 +173,109 @@ def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(
     # What libraries print themselves comes before.
     assert done.err.splitlines()[-1].startswith("fieldgrid: ")
     assert "disk" in done.err.splitlines()[-1]
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
-        (name, b"an older one")
-    ]
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, b"")]
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("x.tif --mode raw", "value for --mode: the format geotiff takes --epsg"),
+        ("x.kmz --epsg 4326", "value for --epsg: the format kmz takes no option of this kind"),
+        ("x.yaml --min-area 3", "the format nav2 takes --free-up-to, --obstacle-above"),
+    ],
+)
+def test_options_of_other_formats(
+    flags: str, message: str, fieldgrid: Run, f_map: Path, tmp_path: Path
+) -> None:
+    name, *words = flags.split()
+    usage = fieldgrid("export", f_map, tmp_path / name, *words).usage()
+    assert message in " ".join(usage.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_option_of_every_format_counts_or_is_refused(
+    fieldgrid: Run, f_map: Path, tmp_path: Path
+) -> None:
+    """No option is ignored: a format that does not declare one refuses it."""
+    flags = {
+        one.flag.name: one.flag
+        for known in formats().values()
+        for one in known.declared()
+        if one.flag is not None
+    }
+    for name, known in formats().items():
+        taken = {one.flag.name for one in known.declared() if one.flag is not None}
+        for flag in flags:
+            words = [flag, "1"]
+            result = fieldgrid("export", f_map, tmp_path / "no" / f"x{known.endings[0]}", *words)
+            assert result.status == (1 if flag in taken else 2), (name, flag, result)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_help_lists_what_there_is(fieldgrid: Run) -> None:
     text = fieldgrid("export", "--help").output()
-    for name, known in FORMATS.items():
+    for name, known in formats().items():
         (line,) = (line for line in text.splitlines() if line.split()[:1] == [name])
         assert all(ending in line for ending in known.endings)
-    words = re.sub(r"\s", "", text)
-    assert "|".join(LAYERS) in words
-    for known in FORMATS.values():
-        for option in known.options:
-            flag = option.removesuffix("_m2").removesuffix("_m").replace("_", "-")
-            assert f"--{flag} " in text
+        assert known.says in line
+        for one in known.declared():
+            assert one.flag is not None
+            (told,) = re.findall(rf"^  {one.flag.name} .*?(?=\n  -|\n\n)", text, re.DOTALL | re.M)
+            assert name in told
+    layers = ", ".join(dict.fromkeys(("density", *LAYERS)))
+    assert f"Layers of a map: {layers}." in " ".join(text.split())
 
 
 def test_a_selection_is_the_same_in_python(f_map: Path) -> None:
     with open_map(f_map) as universal:
         assert Selection(layer="max").sessions(universal) == ["spring", "summer"]
         assert Selection(at="spring").sessions(universal) == ["spring"]
+
+
+# --- formats of others
+
+
+def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run) -> None:
+    """All that a format needs stands in one place: the options, the help line, the writer."""
+
+    class CountOptions(Settings):
+        above: int = setting(100, "density above which cells count", flag=Flag("--above", "N"))
+
+    def write_count(
+        universal: MapFile,
+        path: Path,
+        selection: Selection,
+        options: CountOptions,
+        *,
+        overwrite: bool,
+    ) -> Exported:
+        """Write how many cells are above a density."""
+        view = selection.view(universal)
+        count = int(np.count_nonzero(view.observed & (view.density > options.above)))
+        with replacing(path, overwrite=overwrite) as file:
+            file.write_text(f"{count}\n")
+        return Exported((path,), (("cells", str(count)),))
+
+    before = dict(formats())
+    try:
+        register(Format("count", (".count",), "how many cells", write_count, CountOptions))
+        assert list(formats()) == [*before, "count"]
+        with open_map(f_map) as universal:
+            export_map(universal, tmp_path / "a.count", options={"above": 254})
+            with pytest.raises(ConfigError, match="count has no option 'mode'; it takes above"):
+                export_map(universal, tmp_path / "b.count", options={"mode": 1})
+        text = fieldgrid("export", "--help").output()
+        assert re.search(r"^ +count +\.count +how many cells$", text, re.MULTILINE)
+        told = "--above N Density above which cells count (count) [default: 100]."
+        assert told in " ".join(text.split())
+        told = fieldgrid("export", f_map, tmp_path / "c.count", "--above", "0").output()
+        assert int((tmp_path / "c.count").read_text()) > int((tmp_path / "a.count").read_text())
+        assert re.search(r"^format +count$", told, re.MULTILINE)
+        refused = fieldgrid("export", f_map, tmp_path / "d.count", "--epsg", "25830")
+        assert "the format count takes --above" in refused.usage()
+        for name, ending in (("count", ".other"), ("other", ".COUNT".lower()), ("tiff", ".tif")):
+            with pytest.raises(ConfigError, match="registered already"):
+                register(Format(name, (ending,), "again", write_count))
+    finally:
+        unregister("count")
+    assert dict(formats()) == before

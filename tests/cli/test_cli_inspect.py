@@ -80,7 +80,7 @@ def test_a_log_alone(fieldgrid: Run) -> None:
     assert told["kind"] == "GNSS log"
     assert told["fixes"]["accepted"] == 437
     assert told["findings"][0]["code"] == "no-images"
-    assert told["findings"][0]["stops_build"] is True
+    assert told["findings"][0]["severity"] == "error"
 
 
 def test_a_figure(fieldgrid: Run, few: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -66,7 +67,39 @@ def test_a_session_is_removed_and_restored(fieldgrid: Run, path: Path) -> None:
     assert "is not removed" in fieldgrid("sessions", path, "--restore", "two_lanes").sentence()
     assert "no session 'x'" in fieldgrid("sessions", path, "--restore", "x").sentence()
     both = fieldgrid("sessions", path, "--restore", "x", "--remove", "y").usage()
-    assert "exclude each other" in both
+    assert "value for --remove: give it without --restore" in both
+
+
+def test_a_session_gets_another_name(fieldgrid: Run, path: Path) -> None:
+    with open_map(path) as universal:
+        before = universal.sessions()[0].digest
+        cells = universal.read().density
+    rows = fieldgrid("sessions", path, "--rename", "two_lanes", "lanes, June").output()
+    assert "lanes, June" in rows
+    assert "two_lanes" not in rows
+    assert "sound" in fieldgrid("verify", path).output()
+    with open_map(path) as universal:
+        (info,) = universal.sessions()
+        assert (info.name, info.digest) == ("lanes, June", before)
+        np.testing.assert_array_equal(universal.read().density, cells)
+        assert {frame.session for frame in universal.frames()} == {"lanes, June"}
+    with closing(sqlite3.connect(path)) as database:
+        for layer in ("trajectory", "frame_position", "footprint"):
+            named = database.execute(f"SELECT DISTINCT session FROM {layer}").fetchall()
+            assert named == [("lanes, June",)]
+    fieldgrid("sessions", path, "--remove", "lanes, June").output()
+    fieldgrid("sessions", path, "--rename", "lanes, June", "b").output()
+    fieldgrid("sessions", path, "--restore", "b").output()
+    assert "sound" in fieldgrid("verify", path).output()
+    for new, message in (("", "cannot be called ''"), ("b\x1b", r"cannot be called 'b\x1b'")):
+        assert message in fieldgrid("sessions", path, "--rename", "b", new).sentence()
+    assert "no session 'c'" in fieldgrid("sessions", path, "--rename", "c", "d").sentence()
+
+
+def test_a_name_that_is_taken(fieldgrid: Run, path: Path, make_drive: MakeDrive) -> None:
+    fieldgrid("build", make_drive("b"), "-o", path, "--append").output()
+    sentence = fieldgrid("sessions", path, "--rename", "b", "two_lanes").sentence()
+    assert "has a session 'two_lanes' already" in sentence
 
 
 def test_sessions_as_json_say_what_made_them(fieldgrid: Run, two_lanes_map: Path) -> None:
@@ -151,12 +184,12 @@ def test_another_datum_is_refused_with_the_way_out(
 
 
 def test_query(fieldgrid: Run, two_lanes_map: Path) -> None:
-    text = fieldgrid("query", two_lanes_map, "--", "-5.1", "55.3").output()
+    text = fieldgrid("query", two_lanes_map, "-5.1", "55.3").output()
     first, header, *rows = text.splitlines()
     assert first.startswith("cell -5.100 55.300 -5.050 55.350 (west south east north): density ")
     assert header.split()[:4] == ["session", "frame", "density", "cells"]
     assert {row.split()[0] for row in rows} == {"two_lanes"}
-    result = json.loads(fieldgrid("query", two_lanes_map, "--json", "--", "-5.1", "55.3").output())
+    result = json.loads(fieldgrid("query", two_lanes_map, "-5.1", "55.3", "--json").output())
     assert len(result["contributions"]) == len(rows)
     for one in result["contributions"]:
         assert Path(one["images"][0]).parts[-2:] == ("left", f"{one['frame_id']}.jpg")

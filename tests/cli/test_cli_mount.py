@@ -71,6 +71,11 @@ def test_a_recording_without_mounting_gets_one(fieldgrid: Run, make_drive: MakeD
         assert written[key] == pytest.approx(truth, abs=most)
         assert written[key] == pytest.approx(document[key]["value"], abs=0.01)
         assert abs(document[key]["value"] - truth) < 3.0 * document[key]["sigma"]
+    ahead = document["camera_ahead_of_rear_axle_m"]
+    if ahead is not None:
+        axle = written["camera_mid_from_rear_axle_ground_flu_m"]
+        assert axle[0] == pytest.approx(ahead["value"], abs=0.01)
+        assert axle[2] == written["camera_height_above_ground_m"]
     with open_recording(drive) as recording:  # which was what the build lacked
         assert recording.rig.mount.tilt_deg == written["camera_tilt_down_deg"]
         assert recording.rig.antenna.forward_m == -0.45

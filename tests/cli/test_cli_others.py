@@ -13,9 +13,8 @@ from typing import Any
 
 import cv2
 import pytest
-import typer
 
-from fieldgrid.cli import app
+from fieldgrid.cli.commands import COMMANDS, load
 from fieldgrid.mapfile import open_map
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
@@ -26,7 +25,7 @@ READERS = ["show", "export", "evaluate", "sessions", "verify", "query", "diff", 
 
 
 def commands() -> dict[str, Any]:
-    return dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    return {name: load(name) for name in COMMANDS}
 
 
 # --- the command line itself
@@ -62,6 +61,9 @@ def test_an_example_of_help_is_understood(fieldgrid: Run) -> None:
         text = re.sub(r"\n {6}(?=--)", " ", text)  # an example that was wrapped
         for example in re.findall(rf"^ {{4,}}fieldgrid {name} (.+)", text, re.MULTILINE):
             result = fieldgrid(name, *example.split())
+            if name == "info":  # needs no file
+                assert result.status == 0
+                continue
             assert result.status == 1, (example, result)
             # `inspect` says what is wrong as a finding, which is its output.
             said = result.out if name == "inspect" else result.sentence()
@@ -71,7 +73,7 @@ def test_an_example_of_help_is_understood(fieldgrid: Run) -> None:
 def test_without_a_command_there_is_help(fieldgrid: Run) -> None:
     result = fieldgrid()
     assert result.status == 2
-    assert "Commands:" in result.out + result.err
+    assert "Drives:" in result.out + result.err
 
 
 def test_version(fieldgrid: Run) -> None:
@@ -207,7 +209,7 @@ def test_a_row_is_a_line_whatever_the_names(
 @pytest.mark.parametrize("figure", ["sheet", "grid", "trajectory", "heading"])
 def test_each_figure(figure: str, fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.png"
-    crop = ["--bounds", "-10", "50", "0", "60"]
+    crop = ["--bounds", "-10", "50", "0", "60"] if figure in ("sheet", "grid") else []
     text = fieldgrid("show", two_lanes_map, "-o", out, "--figure", figure, *crop).output()
     assert text == f"figure {out}\n"
     picture = cv2.imread(str(out))

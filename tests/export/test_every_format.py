@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sqlite3
 import subprocess
 import sys
+import zipfile
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
+import zarr
+from mcap.writer import Writer
+from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
-from fieldgrid.export import FORMATS, Selection, export_map
+from fieldgrid.export import Selection, export_map, formats
+from fieldgrid.figures import heading, save
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, open_map
+from tests.conftest import TWO_LANES
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 
 # A file may grow to so many bytes only: a disk that fills up, for every library alike.
@@ -21,7 +34,7 @@ FULL = """
 import json, resource, signal, sys
 from pathlib import Path
 from fieldgrid.errors import FieldgridError
-from fieldgrid.export import FORMATS, export_map
+from fieldgrid.export import export_map
 from fieldgrid.mapfile import open_map
 
 path, folder, limit = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
@@ -53,7 +66,7 @@ print(json.dumps(result))
 
 
 def name_of(key: str) -> str:
-    return f"out{FORMATS[key].endings[0]}"
+    return f"out{formats()[key].endings[0]}"
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +81,7 @@ def universal(path: Path) -> MapFile:
 
 @pytest.fixture(scope="module")
 def on_a_full_disk(path: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    names = {key: name_of(key) for key in FORMATS}
+    names = {key: name_of(key) for key in formats()}
     folder = tmp_path_factory.mktemp("disk")
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(path), str(folder), "700", json.dumps(names)],
@@ -81,7 +94,7 @@ def on_a_full_disk(path: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     return found
 
 
-@pytest.mark.parametrize("key", FORMATS)
+@pytest.mark.parametrize("key", formats())
 def test_a_disk_that_fills_up(on_a_full_disk: dict[str, list[Any]], key: str) -> None:
     error, message, left = on_a_full_disk[key]
     assert error == "MapWriteError", message
@@ -91,7 +104,7 @@ def test_a_disk_that_fills_up(on_a_full_disk: dict[str, list[Any]], key: str) ->
     assert left == []
 
 
-@pytest.mark.parametrize("key", FORMATS)
+@pytest.mark.parametrize("key", formats())
 def test_what_is_there_stays_unless_told_otherwise(
     universal: MapFile, tmp_path: Path, key: str
 ) -> None:
@@ -110,7 +123,7 @@ def test_what_is_there_stays_unless_told_otherwise(
     assert sorted(tmp_path.iterdir()) == listed
 
 
-@pytest.mark.parametrize("key", FORMATS)
+@pytest.mark.parametrize("key", formats())
 def test_bad_requests(universal: MapFile, tmp_path: Path, key: str) -> None:
     out = tmp_path / name_of(key)
     for selection, message in (
@@ -125,3 +138,60 @@ def test_bad_requests(universal: MapFile, tmp_path: Path, key: str) -> None:
     with pytest.raises(FieldgridError, match="folder does not exist"):
         export_map(universal, tmp_path / "nowhere" / out.name, format=key)
     assert list(tmp_path.iterdir()) == []
+
+
+PICTURE = np.zeros((8, 8), dtype=np.uint8)
+
+
+def written_by_others(path: Path) -> None:
+    """A file, or a folder, of the same kind that is not ours."""
+    match "".join(path.suffixes):
+        case ".png" | ".tif":
+            cv2.imwrite(str(path), PICTURE)
+        case ".gpkg":
+            with closing(sqlite3.connect(path)) as database:
+                database.execute("create table roads (id)")
+                database.commit()
+        case ".kmz" | ".shp.zip" | ".npz":
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.writestr("doc.kml", "<kml/>")
+        case ".mcap":
+            with path.open("wb") as file:
+                writer = Writer(file)
+                writer.start(library="a robot")
+                writer.finish()
+        case ".rosbag2":
+            with RosbagsWriter(path, version=8):
+                pass
+        case ".zarr":
+            zarr.open_group(path, mode="w", zarr_format=2).create_array("a", shape=(2,), dtype="u1")
+        case "":
+            path.mkdir()
+            (path / "TASKDATA.XML").write_text("<a/>")
+            (path / "TLG00001.bin").write_text("work")
+        case ".parquet":
+            pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), path)
+        case _:
+            path.write_text('{"type": "FeatureCollection", "features": []}')
+
+
+@pytest.mark.parametrize("key", formats())
+def test_what_others_have_written_is_never_replaced(
+    universal: MapFile, tmp_path: Path, key: str
+) -> None:
+    out = tmp_path / name_of(key)
+    written_by_others(out)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    with pytest.raises(MapExistsError, match="give another name"):
+        export_map(universal, out, Selection(cell_m=COARSE_M), format=key, overwrite=True)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_a_figure_replaces_figures_only(tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"x.{ending}"
+    for _ in range(2):
+        save(heading([], []), out)
+    shutil.copy(TWO_LANES / "left" / "000000.jpg", out)
+    with pytest.raises(MapExistsError, match="is not a figure that fieldgrid has written"):
+        save(heading([], []), out)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import FORMATS, Selection, export_map, format_of
+from fieldgrid.export import Selection, export_map, format_of, formats
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import LAYERS, MapFile, open_map
 from tests.mapfile.maps import drive, write_map
@@ -17,27 +17,43 @@ def universal(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
     return open_map(write_map(path, [drive(2), drive(2, heading_deg=90.0)]))
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", formats())
 def test_a_format_says_what_it_is_and_has_a_writer(name: str) -> None:
-    known = FORMATS[name]
+    known = formats()[name]
+    assert known.name == name
     assert known.endings
     assert known.says
-    assert (known.writer().__doc__ or "").startswith("Write")
+    assert (known.write.__doc__ or "").startswith("Write")
+    assert known.options()  # every option has a default
+    for one in known.declared():
+        assert one.flag is not None
+        assert one.info.description
+        assert one.usual
     for ending in known.endings:
-        assert format_of(Path(f"field/My.Map{ending.upper()}")) == name
-    assert format_of(Path("x.unknown"), name) == name
+        assert format_of(Path(f"field/My.Map{ending.upper()}")) is known
+    assert format_of(Path("unknown"), name) is known
+
+
+def test_a_flag_means_the_same_to_all_formats() -> None:
+    found: dict[str, set[tuple[object, ...]]] = {}
+    for known in formats().values():
+        for one in known.declared():
+            assert one.flag is not None
+            meaning = (one.path, one.flag, one.info.description, one.usual, one.limits)
+            found.setdefault(one.flag.name, set()).add(meaning)
+    assert {flag: len(meanings) for flag, meanings in found.items()} == dict.fromkeys(found, 1)
 
 
 def test_no_two_formats_share_an_ending() -> None:
-    endings = [ending for known in FORMATS.values() for ending in known.endings]
+    endings = [ending for known in formats().values() for ending in known.endings]
     assert len(set(endings)) == len(endings)
     for ending in endings:
         assert [one for one in endings if ending.endswith(one)] == [ending]
 
 
-def test_a_name_wins_over_an_ending_and_the_last_ending_counts() -> None:
-    assert format_of(Path("x.tif"), "png") == "png"
-    assert format_of(Path("x.png.tif")) == "geotiff"
+def test_a_name_counts_where_no_ending_does_and_the_last_ending_counts() -> None:
+    assert format_of(Path("odd.name"), "png").name == "png"
+    assert format_of(Path("x.png.tif")).name == "geotiff"
 
 
 @pytest.mark.parametrize(
@@ -46,6 +62,9 @@ def test_a_name_wins_over_an_ending_and_the_last_ending_counts() -> None:
         ("x.foo", None, r"x\.foo ends in none of \.tif"),
         ("tif", None, "tif ends in none of"),
         ("x.tif", "GeoTIFF", "'GeoTIFF' is no format; known are geotiff"),
+        ("x.tif", "png", "x.tif is the name of a file of format geotiff, not png; end it in .png"),
+        ("foo.zip", "isoxml", "foo.zip is the name of a file, and the format isoxml is a folder"),
+        ("foo.db3", "rosbag2", "ends in .rosbag2, or in nothing"),
     ],
 )
 def test_formats_that_are_none(path: str, name: str | None, message: str) -> None:
@@ -67,7 +86,7 @@ def test_no_export_replaces_a_map(universal: MapFile, tmp_path: Path) -> None:
     for target in (universal.path, other):
         before = target.read_bytes()
         with pytest.raises(MapExistsError, match="which no export replaces"):
-            export_map(universal, target, format="geotiff", overwrite=True)
+            export_map(universal, target, overwrite=True)
         assert target.read_bytes() == before
 
 

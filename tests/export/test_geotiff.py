@@ -18,6 +18,7 @@ from rasterio.warp import transform
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
 from fieldgrid.export import Selection, export_change, export_geotiff
+from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.raster import check_whole
 from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map
@@ -72,7 +73,7 @@ def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
     epsg: int, layer: str, asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     path = tmp_path / "f.tif"
-    export_geotiff(asymmetric_map, path, Selection(layer=layer), epsg=epsg)
+    export_geotiff(asymmetric_map, path, Selection(layer=layer), PlaneOptions(epsg=epsg))
     picture = opened(path)
     assert faults_at_centres(picture, layer) == []
     with rasterio.open(path) as dataset:
@@ -92,7 +93,7 @@ def test_mistakes_do_not_go_unnoticed(asymmetric_map: MapFile, tmp_path: Path) -
     assert faults(picture) == []
     for mistake, wrong in mutants(picture).items():
         assert faults(wrong), mistake
-    export_geotiff(asymmetric_map, tmp_path / "g.tif", ALL, epsg=25830)
+    export_geotiff(asymmetric_map, tmp_path / "g.tif", ALL, PlaneOptions(epsg=25830))
     projected = opened(tmp_path / "g.tif")
     for mistake, wrong in mutants(projected).items():
         if mistake != "another datum":
@@ -268,7 +269,7 @@ def test_a_cell_far_from_the_datum_is_found_in_another_system(epsg: int, tmp_pat
     east, north = 1500.05, 2200.05
     universal = open_map(write_map(tmp_path / "map.gpkg", [[one_cell(east, north, 255)]]))
     near = Selection(Bounds(east - 9.0, north - 9.0, east + 9.0, north + 9.0))
-    export_geotiff(universal, tmp_path / "p.tif", near, epsg=epsg)
+    export_geotiff(universal, tmp_path / "p.tif", near, PlaneOptions(epsg=epsg))
     with rasterio.open(tmp_path / "p.tif") as dataset:
         rows, columns = np.nonzero(dataset.read(2))
         assert 1 <= len(rows) <= 2  # a cell may hold the centres of two smaller pixels
@@ -318,6 +319,8 @@ def test_an_existing_file_is_replaced_only_when_asked(tmp_path: Path, universal:
     with pytest.raises(MapExistsError, match=r"another name, or --overwrite"):
         export_geotiff(universal, path, ALL)
     assert path.read_text() == "mine"
+    path.write_text("")
+    export_geotiff(universal, path, ALL, overwrite=True)
     export_geotiff(universal, path, ALL, overwrite=True)
     with rasterio.open(path) as dataset:
         assert dataset.count == 2
@@ -371,7 +374,7 @@ def test_systems_that_cannot_be(
     epsg: int, message: str, asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=message):
-        export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL, epsg=epsg)
+        export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL, PlaneOptions(epsg=epsg))
     assert list(tmp_path.iterdir()) == []
 
 

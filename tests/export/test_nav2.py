@@ -15,8 +15,8 @@ from PIL import Image
 
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
-from fieldgrid.export import Selection, export_map
-from fieldgrid.export.nav2 import MODES, export_nav2, greys
+from fieldgrid.export import Exported, Selection, export_map
+from fieldgrid.export.nav2 import MODES, greys
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, open_map
 from tests.export.asymmetric import (
@@ -31,6 +31,19 @@ from tests.export.asymmetric import (
     write_asymmetric_map,
 )
 from tests.export.nav2_loader import load
+
+
+def export_nav2(
+    universal: MapFile,
+    path: Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Exported:
+    return export_map(
+        universal, path, selection, format="nav2", overwrite=overwrite, options=options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -204,10 +217,16 @@ def test_a_part_outside_of_what_was_seen_is_unknown(universal: MapFile, tmp_path
     ("name", "selection", "options", "message"),
     [
         ("f.pgm", {}, {}, "does not end in .yaml"),
+        ("f.png", {}, {}, "name of a file of format png, not nav2"),
         ("f.yaml", {"layer": "count"}, {}, "'count' is none"),
-        ("f.yaml", {}, {"mode": "ternary"}, "no mode of Nav2"),
+        (
+            "f.yaml",
+            {},
+            {"mode": "ternary"},
+            "mode = 'ternary' of the format nav2 cannot be",
+        ),
         ("f.yaml", {}, {"mode": "scale", "image": "pgm"}, "give png"),
-        ("f.yaml", {}, {"image": "jpg"}, "give pgm or png"),
+        ("f.yaml", {}, {"image": "jpg"}, "input should be 'pgm' or 'png'"),
         ("f.yaml", {}, {"free_up_to": 120}, "no curve"),
         ("f.yaml", {"bounds": Bounds(50.0, 50.0, 60.0, 60.0)}, {}, "hold nothing of the map"),
         ("f.yaml", {"cell_m": 0.01}, {}, "smaller than the local cells"),

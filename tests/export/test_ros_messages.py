@@ -15,7 +15,7 @@ def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> No
         quality=np.array([4, 5, 6, 1, 2, 9, 3, 8]),
         position_sigma_m=np.array([0.02, 0.02, 0.02, np.nan, 0.02, 0.02, 0.02, 0.02]),
     )
-    fixes = [fix for _, fix in ros_messages.fixes(driven)]
+    fixes = [fix for _, fix in ros_messages.fixes(driven, driven.accepted)]
     rows = [0, 3, 5, 6]
     assert [stamp(fix.header) for fix in fixes] == driven.time_ns[rows].tolist()
     # RTK, plain, with a satellite's corrections, PPS.
@@ -23,8 +23,9 @@ def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> No
     # The sigma of row 3 is not known, so its covariance is not.
     assert [fix.position_covariance_type for fix in fixes] == [2, 0, 2, 2]
     assert not fixes[1].position_covariance.any()
-    poses = ros_messages.path(driven, 0).poses
-    assert [stamp(pose.header) for pose in poses] == driven.time_ns[[0, 3, 5]].tolist()
+    headed = np.array([0, 3, 5])
+    poses = ros_messages.path(driven, headed, 0).poses
+    assert [stamp(pose.header) for pose in poses] == driven.time_ns[headed].tolist()
 
 
 def stamp(header: object) -> int:

@@ -25,8 +25,8 @@ from rosbags.interfaces import QosDurability
 
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
-from fieldgrid.export import Selection, export_map
-from fieldgrid.export.rosbag import export_mcap, export_rosbag2, topic_names
+from fieldgrid.export import Exported, Selection, export_map
+from fieldgrid.export.rosbag import topic_names
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, create_map, open_map
 from tests.export.asymmetric import (
@@ -48,6 +48,32 @@ from tests.mapfile.maps import write_map as write_plain_map
 Messages = dict[str, list[Any]]
 LATCHED = ("/tf_static", "/datum", "/georeference", "/map", "/grid_map", "/spring/path")
 CENTIMETRE = 0.01
+
+
+def export_mcap(
+    universal: MapFile,
+    path: Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Exported:
+    return export_map(
+        universal, path, selection, format="mcap", overwrite=overwrite, options=options
+    )
+
+
+def export_rosbag2(
+    universal: MapFile,
+    path: Path,
+    selection: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Exported:
+    return export_map(
+        universal, path, selection, format="rosbag2", overwrite=overwrite, options=options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -530,7 +556,7 @@ def test_a_bag_may_be_stored_as_mcap(universal: MapFile, tmp_path: Path) -> None
     assert names == {"metadata.yaml", "part.mcap"}
     (grid,) = messages_of_bag(tmp_path / "part")["/map"]
     assert occupancy_at(grid, np.array([-2.5]), np.array([1.5])).tolist() == [100]
-    with pytest.raises(ConfigError, match="'db4' is no storage"):
+    with pytest.raises(ConfigError, match="storage = 'db4' of the format rosbag2 cannot be"):
         export_rosbag2(universal, tmp_path / "other", part, storage="db4")
 
 
@@ -566,7 +592,7 @@ def test_what_cannot_be_asked_is_one_sentence(
     message: str,
 ) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
-        export(universal, tmp_path / "out.mcap", Selection(**selection), **options)
+        export(universal, tmp_path / "out", Selection(**selection), **options)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 

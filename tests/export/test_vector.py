@@ -23,7 +23,8 @@ from hypothesis.extra import numpy as st_numpy
 
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.export.obstacles import ObstacleSettings, trace_obstacles
+from fieldgrid.export.obstacles import trace_obstacles
+from fieldgrid.export.options import ShapeOptions
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import MapFile, MapView, create_map, open_map
 from tests.export.asymmetric import (
@@ -219,7 +220,7 @@ def test_options_choose_what_is_written(universal: MapFile, tmp_path: Path) -> N
     only = exported(universal, tmp_path, "geojson", features="obstacle", obstacle_above=210)
     assert list(only) == ["obstacle"]
     assert sum(f.properties["area_m2"] for f in only["obstacle"]) == pytest.approx(15.0)
-    everything = ObstacleSettings(min_area_m2=17.0)
+    everything = ShapeOptions(min_area_m2=17.0)
     with_map = list(trace_obstacles([universal.read()], everything))
     assert [round(one.area_m2) for one in with_map] == [18]
 
@@ -246,9 +247,12 @@ def test_spring_alone(universal: MapFile, tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"features": "trees"}, "'trees' is no layer of features; known are obstacle"),
-        ({"obstacle_above": 255}, "A threshold of 255 is outside"),
-        ({"min_area_m2": -1.0}, "A least area of -1.0"),
-        ({"simplify_m": 11.0}, "simplified by 11.0 m are outside"),
+        (
+            {"obstacle_above": 255},
+            "obstacle_above = 255 of the format .* equal to 254",
+        ),
+        ({"min_area_m2": -1.0}, "min_area_m2 = -1.0 of the format .* cannot be"),
+        ({"simplify_m": 11.0}, "simplify_m = 11.0 of the format .* equal to 10"),
         ({"epsg": 4326}, "has no option 'epsg'"),
     ],
 )
@@ -257,7 +261,7 @@ def test_what_cannot_be(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         exported(universal, tmp_path, kind, **options)
-    with pytest.raises(ConfigError, match="traced from the density"):
+    with pytest.raises(ConfigError, match="traced from the density, and 'count' is none"):
         export_map(universal, tmp_path / READERS[kind][0], Selection(layer="count"))
     assert list(tmp_path.iterdir()) == []
 
@@ -319,11 +323,11 @@ def test_outlines_hold_exactly_their_cells(density: npt.NDArray[np.uint8], cut: 
         for first, part in ((0, density[:cut]), (cut, density[cut:]))
         if part.shape[0]
     ]
-    found = list(trace_obstacles(views, ObstacleSettings(simplify_m=0.0)))
+    found = list(trace_obstacles(views, ShapeOptions(simplify_m=0.0)))
     whole = list(
         trace_obstacles(
             [MapView(lattice, Window(-5, -3, 12, 9), density, seen, DATUM)],
-            ObstacleSettings(simplify_m=0.0),
+            ShapeOptions(simplify_m=0.0),
         )
     )
     assert [one[1:] for one in found] == [one[1:] for one in whole]
@@ -345,7 +349,7 @@ def test_simplified_outlines_stay_valid_when_they_are_rounded() -> None:
     density = np.where(blurred > 0.5, np.uint8(255), np.uint8(0))
     view = MapView(lattice, Window(420, -377, 160, 160), density, density >= 0, DATUM)
     found = np.array([one.outline for one in trace_obstacles([view])], dtype=np.object_)
-    coarse = ObstacleSettings(simplify_m=0.0)
+    coarse = ShapeOptions(simplify_m=0.0)
     exact = np.array([one.outline for one in trace_obstacles([view], coarse)], dtype=np.object_)
     corners = shapely.get_num_coordinates(exact).sum()
     assert shapely.get_num_coordinates(found).sum() < 0.8 * corners

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.build import build_map
+from fieldgrid.build import SessionReport, build_map
 from fieldgrid.errors import FieldgridError
 from fieldgrid.inspection import Inspection, Severity, inspect_recording
+from fieldgrid.mapfile import open_map
 from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
@@ -121,7 +122,7 @@ def test_thirty_milliseconds(drive: Make, moved_s: float, log: str) -> None:
 
 def test_two_seconds_are_an_error_without_a_gyro_too(drive: Make) -> None:
     found = inspect_recording(drive(moved_s=2.0, imu=False))
-    assert found.builds
+    assert not found.builds
     assert serious(found) == {"clock-offset"}
     assert codes(found, Severity.ERROR) == {"clock-offset"}
     assert found.clock is not None
@@ -386,13 +387,22 @@ def test_an_absurd_height(drive: Make) -> None:
 # --- beside a build
 
 
-@pytest.mark.parametrize("fault", ["none", "swapped", "zone", "truncated", "height", "gps"])
+FAULTS = ["none", "swapped", "zone", "truncated", "height", "gps", "clock", "rows"]
+ACCEPTED = {
+    "clock": "clock-offset",
+    "gps": "clock-offset",
+    "rows": "vertical-misalignment",
+    "swapped": "cameras-swapped",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
 def test_a_build_fails_where_the_inspection_says_so(
     drive: Make, tmp_path: Path, fault: str
 ) -> None:
-    moved_s = {"zone": 3600.0, "gps": 15.0}.get(fault, 0.0)
-    frames = range(24) if fault == "gps" else FEW  # neighbours: their steps tell the clock
-    folder = drive(frames=frames, moved_s=moved_s)
+    moved_s = {"zone": 3600.0, "gps": 15.0, "clock": 2.0}.get(fault, 0.0)
+    # Neighbours: their steps tell the clock.
+    folder = drive(frames=range(24) if fault in ("gps", "clock") else FEW, moved_s=moved_s)
     if fault == "swapped":
         exchange(folder)
     if fault == "truncated":
@@ -401,10 +411,29 @@ def test_a_build_fails_where_the_inspection_says_so(
         path.write_bytes(b"\xff\xd8")
     if fault == "height":
         change_mounting(folder, camera_height_above_ground_m=8.0)
+    if fault == "rows":
+        rewrite_images(folder, lambda image: np.roll(image, 3, axis=0), "right")
     found = inspect_recording(folder)
-    try:
-        build_map([folder], tmp_path / "map.gpkg", BuildSettings())
-        built = True
-    except FieldgridError:
-        built = False
-    assert found.builds == built == (fault == "none")
+    assert found.builds == (fault == "none")
+
+    def build(*accept: str) -> SessionReport:
+        settings = BuildSettings.model_validate({"checks": {"accept": accept}})
+        (report,) = build_map([folder], tmp_path / "map.gpkg", settings, overwrite=True)
+        return report
+
+    if fault == "none":
+        assert not [note for note in build().notes if "Accepted" in note]
+        return
+    code = ACCEPTED.get(fault)
+    hint = rf"; to build nevertheless, give --accept {code}\.$" if code else None
+    with pytest.raises(FieldgridError, match=hint):
+        build()
+    assert not (tmp_path / "map.gpkg").exists()
+    if fault in ("clock", "rows"):  # of the others no frame is of use
+        _, remedy = finding(found, str(code))
+        assert remedy.endswith(f"To build nevertheless, give --accept {code}.")
+        assert [note for note in build(str(code)).notes if f"Accepted {code}: " in note]
+        with open_map(tmp_path / "map.gpkg") as universal:
+            (session,) = universal.sessions()
+            kept = session.config["settings"]["checks"]
+        assert kept == {"accept": [code]}

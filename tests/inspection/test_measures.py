@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.inspection.images import misalignment
 from fieldgrid.inspection.measures import Look, blur, exposure
 from fieldgrid.localgrid import FrameGround
+from fieldgrid.vertical import misalignment
 
 SIZE_PX = (640, 480)
 
@@ -40,7 +40,7 @@ def shifts_of(seed: int, constant_px: float, per_width_px: float, wrong: float) 
 def test_misalignment_in_spite_of_wrong_matches(
     seed: int, constant_px: float, per_width_px: float, wrong: float
 ) -> None:
-    found = misalignment([look(shifts_of(seed, constant_px, per_width_px, wrong))], SIZE_PX)
+    found = misalignment([shifts_of(seed, constant_px, per_width_px, wrong)], SIZE_PX)
     assert found is not None
     columns = np.linspace(-0.5, 0.5, 201)
     expected_px = float(np.median(np.abs(constant_px + per_width_px * columns)))
@@ -51,7 +51,7 @@ def test_misalignment_in_spite_of_wrong_matches(
 
 def test_too_few_matches_tell_nothing() -> None:
     assert misalignment([], SIZE_PX) is None
-    assert misalignment([look(shifts_of(0, 5.0, 0.0, 0.0)[:20])], SIZE_PX) is None
+    assert misalignment([shifts_of(0, 5.0, 0.0, 0.0)[:20]], SIZE_PX) is None
 
 
 def test_blur_does_not_depend_on_contrast() -> None:

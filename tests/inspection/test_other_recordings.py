@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.inspection import inspect_recording, sampling
+from fieldgrid.inspection import Severity, inspect_recording, sampling
 from fieldgrid.recording import DriveOptions, open_recording
 from tests.conftest import TWO_LANES
 from tests.inspection.broken import FEW, RTK
@@ -76,7 +76,7 @@ def test_a_bag_without_a_mounting(tmp_path: Path) -> None:
     maker = Maker("mcap")
     found = inspect_recording(bag_of(tmp_path, said_of_the_example(maker), maker))
     assert not found.builds
-    (error,) = (one for one in found.findings if one.stops_build)
+    (error,) = (one for one in found.findings if one.severity is Severity.ERROR)
     assert error.code == "calibration"
     assert "fieldgrid mount" in error.remedy
 

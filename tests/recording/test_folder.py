@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from fieldgrid.errors import CalibrationError, FieldgridError, GnssError, Record
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion
-from fieldgrid.recording import Columns, Recording, open_recording
+from fieldgrid.recording import Columns, Recording, frame_table, open_recording, stored
 from fieldgrid.rig import LeverArm, Mount, StereoCamera, nose_heading_deg
 
 SharedData = Callable[[str], Path]
@@ -397,21 +399,30 @@ def test_two_calibrations_must_agree(drive: Path) -> None:
         ({"camera_height_above_ground_m": None}, "lacks camera_height_above_ground_m"),
         ({"camera_tilt_down_deg": None}, "lacks camera_tilt_down_deg"),
         ({"gnss_antenna_from_camera_mid_flu_m": None}, "a forgotten lever arm misplaces"),
-        ({"gnss_antenna_from_camera_mid_flu_m": [1, 2]}, r"is \[1, 2\], not \[forward, left, up\]"),
-        ({"gnss_antenna_from_camera_mid_flu_m": [1, 2, "3"]}, "is '3'; give a number"),
+        (
+            {"gnss_antenna_from_camera_mid_flu_m": [1, 2]},
+            r"is \[1, 2\]; measure it and give",
+        ),
+        (
+            {"gnss_antenna_from_camera_mid_flu_m": [1, 2, "3"]},
+            "is '3', which is no",
+        ),
         ({"gnss_antenna_from_camera_mid_flu_m": [450, 0, 0]}, "beyond 30 m"),
         ({"camera_height_above_ground_m": 265}, "camera height of 265"),
-        ({"camera_height_above_ground_m": float("nan")}, "is nan; give a number"),
-        ({"camera_tilt_down_deg": True}, "is True; give a number"),
+        (
+            {"camera_height_above_ground_m": float("nan")},
+            "is nan, which is no number; measure",
+        ),
+        ({"camera_tilt_down_deg": True}, "is True, which is no number"),
         ({"camera_roll_deg": 90}, "camera roll of 90"),
         (
             {"camera_tilt_deg": 15.0},
-            "'camera_tilt_deg' is no key of a mounting; known are camera_h",
+            "'camera_tilt_deg' is not a setting; known are camera_h.* For remarks",
         ),
         ({"heading_offset_deg": 700}, "heading offset of 700.0° is beyond 360°"),
         ({"heading_offset_deg": None, "heading_convention": "ccw"}, "heading_convention is 'ccw'"),
-        ({"imu_axes": "fru"}, "imu_axes 'fru' is not where the three axes of an IMU point"),
-        ({"imu_axes": 3}, "imu_axes '3' is not where"),
+        ({"imu_axes": "fru"}, "imu_axes is 'fru', which .* give where x, y and z of the IMU point"),
+        ({"imu_axes": 3}, "imu_axes is 3, which"),
         ({"stereo_baseline_m": 0.203}, r"stereo_baseline_m is 0\.203, but the calibration says"),
     ],
 )
@@ -552,20 +563,26 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
             "'speed' is not a setting; known are name, image_time_offset_s, frames, calib",
         ),
         ("name = 3", "name is 3; give a text"),
-        ("gnss = 3", "the columns are 3; give a table"),
-        ("[gnss]\ncolumns = 3", "the columns are 3; give a table"),
+        ("gnss = 3", r"gnss is 3; give a table \[gnss\]"),
+        ("[gnss]\ncolumns = 3", r"columns is 3; give a table \[gnss\.columns\]"),
         ("[gnss]\nlog = 'a'", "'log' is not a setting; known are columns"),
         ("[gnss.columns]\nlat = 3", "Columns: lat is 3; give a column name"),
         ("[gnss.columns]\nlatt = 'a'", "Columns: 'latt' cannot be mapped; known are time, lat"),
-        ("image_time_offset_s = '1'", "image_time_offset_s holds '1'; give a number"),
-        ("image_time_offset_s = nan", "image_time_offset_s holds .*; give a number"),
-        ("image_time_offset_s = true", "image_time_offset_s holds True; give a number"),
-        ("image_time_offset_s = 90000", "image_time_offset_s = 90000 is beyond a day"),
-        ("datum = 3", r"\[datum\] needs lat_deg, lon_deg, height_m"),
-        ("[datum]\nlat_deg = 1\nlon_deg = 2", r"\[datum\] needs"),
+        ("image_time_offset_s = '1'", "image_time_offset_s is '1', which is no number"),
+        ("image_time_offset_s = nan", "image_time_offset_s is NaN, which is no number; give"),
+        ("image_time_offset_s = true", "image_time_offset_s is True, which is no number"),
+        (
+            "image_time_offset_s = 90000",
+            "image_time_offset_s is 90000; give .* at most a day",
+        ),
+        ("datum = 3", r"datum is 3; give a table \[datum\]"),
+        ("[datum]\nlat_deg = 1\nlon_deg = 2", "lacks height_m; give the height above"),
         ("[datum]\nlat_deg=1\nlon_deg=2\nheight_m=3\nh=1", "'h' is not a setting"),
         ("[datum]\nlat_deg=99\nlon_deg=2\nheight_m=3", "99.0 and longitude 2.0 are not on Earth"),
-        ("[datum]\nlat_deg='a'\nlon_deg=2\nheight_m=3", "the datum holds 'a'; give a number"),
+        (
+            "[datum]\nlat_deg='a'\nlon_deg=2\nheight_m=3",
+            "lat_deg is .a., which is no number",
+        ),
     ],
 )
 def test_settings_that_cannot_be(text: str, message: str, drive: Path) -> None:
@@ -577,7 +594,7 @@ def test_settings_that_cannot_be(text: str, message: str, drive: Path) -> None:
     ("text", "message"),
     [
         ("{", "is not JSON"),
-        ('{"ltp_origin": {"lat_deg": 1}}', "ltp_origin needs lat_deg, lon_deg, ellipsoid_height_m"),
+        ('{"ltp_origin": {"lat_deg": 1}}', "ltp_origin lacks lon_deg; give"),
         (
             '{"ltp_origin": {"lat_deg": 1, "lon_deg": 999, "ellipsoid_height_m": 3}}',
             "are not on Earth",
@@ -622,3 +639,26 @@ def test_the_reference_example_is_read(shared_data: SharedData) -> None:
     assert recording.notes == ()
     left, right = next(recording.frames()).images()
     assert left.shape == right.shape == (480, 640)
+
+
+def test_a_table_of_many_frames_is_bounded(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = drive / "frames.csv"
+    header, *rows = table.read_text().splitlines()
+    lines = [f"{k:06d}{rows[0][rows[0].index(',') :]}" for k in range(20_000)]
+    table.write_text("\n".join([header, *lines]))
+    monkeypatch.setattr(frame_table, "MAX_FRAMES", 10_000)
+    tracemalloc.start()
+    try:
+        fails(drive, r"frames\.csv lists more than 10000 frames; split it into several")
+        assert tracemalloc.get_traced_memory()[1] < 600 * 10_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_missing_images_are_counted_up_to_a_limit(
+    drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.rmtree(drive / "right")
+    fails(drive, r"\d+ of \d+ images are missing")
+    monkeypatch.setattr(stored, "_MOST_MISSING", 2)
+    fails(drive, r"2 or more of \d+ images are missing")

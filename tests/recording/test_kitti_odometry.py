@@ -176,8 +176,8 @@ def write(path: Path, text: str) -> None:
     ("file", "text", "message"),
     [
         ("recording.toml", "", r"counts from 0, .* add recording\.toml with \[start\] utc_s"),
-        ("recording.toml", "[start]\nutc_s = 5\n", "utc_s = 5 is no time after 1980"),
-        ("recording.toml", "[start]\nutc_s = 'x'\n", "utc_s holds 'x'; give a number"),
+        ("recording.toml", "[start]\nutc_s = 5\n", "utc_s is 5; give the UTC of the first frame"),
+        ("recording.toml", "[start]\nutc_s = 'x'\n", "utc_s is 'x', which is no number"),
         ("times.txt", "0\n1\n", "3 left and 3 right images for 2 times"),
         ("times.txt", "0\nnan\n2\n", "a time that is no second from the start"),
         ("times.txt", "0\n1\n-2\n", "a time that is no second from the start"),

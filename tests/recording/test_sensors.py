@@ -261,12 +261,15 @@ def test_the_settings_choose_the_sensor(sensor: str, kind: type, tmp_path: Path)
     [
         ('sensor = "radar"', "sensor is 'radar'; give one of stereo, depth, disparity, cloud"),
         ("[depth]\nscale_px = 2", "'scale_px' is not a setting; known are scale_m, baseline_m"),
-        ("[depth]\nscale_m = -1", "scale_m is -1.0; give a number above 0"),
-        ("[depth]\nscale_m = 0", "scale_m is 0.0; give a number above 0"),
-        ("[depth]\nscale_m = 'x'", "scale_m holds 'x'; give a number"),
+        ("[depth]\nscale_m = -1", "scale_m is -1; give a number above 0"),
+        ("[depth]\nscale_m = 0", "scale_m is 0; give a number above 0"),
+        ("[depth]\nscale_m = 'x'", "scale_m is 'x', which is no number; give"),
         ("[depth]\nscale_m = 1\n[disparity]\nscale_px = 1", "both .depth. and .disparity."),
-        ("[cloud]\naxes = 'fru'", "axes are 'fru'; give where x, y and z of the clouds point"),
-        ("[cloud]\npoints_per_sr = nan", "points_per_sr holds"),
+        (
+            "[cloud]\naxes = 'fru'",
+            "axes is 'fru', which .*; give where x, y and z of the",
+        ),
+        ("[cloud]\npoints_per_sr = nan", "points_per_sr is NaN, which is no number"),
         ("depth = 3", "give a table .depth."),
     ],
 )

@@ -12,13 +12,15 @@ from itertools import islice
 
 import numpy as np
 
-from fieldgrid.build.poses import no_ground
+from fieldgrid.build.poses import Doubted, no_ground
 from fieldgrid.build.report import SessionReport
-from fieldgrid.errors import CalibrationError
+from fieldgrid.choices import Doubt
+from fieldgrid.errors import CalibrationError, FieldgridError
 from fieldgrid.odometry import features
 from fieldgrid.recording import Frame, Recording
 from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
 from fieldgrid.settings import BuildSettings
+from fieldgrid.vertical import SHIFT_ERROR_PX, misalignment, vertical_shifts
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
 """Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
@@ -36,28 +38,57 @@ HINT_SHARE = 0.05
 """Ground that is missing in more of the frames than this deserves a remark."""
 
 
-def check_cameras(recording: Recording, report: SessionReport, ground: int, every: int) -> None:
-    """Raise CalibrationError when a drive that was perceived is not of its calibration's cameras.
+def doubted_cameras(
+    recording: Recording, report: SessionReport, ground: int, every: int
+) -> Doubted | None:
+    """That a drive which was perceived is not of its calibration's cameras.
 
     `ground` counts the frames in which the ground was found.
     """
     frames = len(range(0, recording.frame_count, every))
     is_pair = isinstance(recording.rig.sensor, StereoCamera)
     if is_pair and 2 * ground < frames and swapped(recording, frames, every):
-        raise CalibrationError(
+        error = CalibrationError(
             f"The pairs of {recording.name} show depth only with left and right exchanged, so the "
             "two are swapped, or the calibration is of other cameras; exchange the two folders or "
             "the two columns of frames.csv, or give the calibration of these cameras."
         )
+        return Doubted(Doubt.CAMERAS_SWAPPED, error)
     tried = report.camera_steps + report.camera_refusals
     blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
     if blind and ground < GROUND_SHARE * frames:
-        raise CalibrationError(
+        error = CalibrationError(
             f"Only {ground} of {frames} frames of {recording.name} show the ground, and only "
             f"{report.camera_steps} of {tried} steps of the camera can be told from them, so the "
             "images do not fit the calibration; give that of these cameras, and look whether the "
             "pairs are rectified, of one moment, and not swapped left and right."
         )
+        return Doubted(Doubt.CAMERAS_UNFIT, error)
+    return None
+
+
+def doubted_rows(recording: Recording, every: int) -> Doubted | None:
+    """That the rows of pairs do not match, by some of the frames; nothing is raised for frames that
+    cannot be read, which comes later."""
+    if not isinstance(recording.rig.sensor, StereoCamera):
+        return None
+    camera = recording.rig.sensor
+    frames = len(range(0, recording.frame_count, every))
+    shifts = []
+    for frame in _probes(recording, frames, every):
+        try:
+            shifts.append(vertical_shifts(*frame.images(), camera))
+        except FieldgridError:
+            continue
+    found = misalignment(shifts, (camera.width_px, camera.height_px))
+    if found is None or found.residual_px <= SHIFT_ERROR_PX:
+        return None
+    error = CalibrationError(
+        f"The right images of {recording.name} lie {found.median_px:+.1f} pixels lower than the "
+        f"left ones ({found.matches} matches in {len(shifts)} pairs), and rows must match to match "
+        "pixels; calibrate the pair anew, or give the rectification that belongs to these images."
+    )
+    return Doubted(Doubt.VERTICAL_MISALIGNMENT, error)
 
 
 def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:

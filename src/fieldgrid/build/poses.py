@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
-from fieldgrid.errors import ConfigError, GnssError
+from fieldgrid.choices import Doubt
+from fieldgrid.errors import ConfigError, FieldgridError, GnssError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
@@ -62,6 +64,10 @@ def estimate_trajectory(
     return estimate_drive(recording, settings, datum, steps).trajectory
 
 
+MISPLACED_M = 0.25
+"""A clock that moves the drive by more than this makes a wrong map: it is the paper's cell."""
+
+
 def cell_budget(rig: Rig, settings: BuildSettings) -> Budget:
     """How far off a cell may be where the local grid's farthest points land."""
     asked = settings.pose.cell_budget_m
@@ -104,19 +110,50 @@ def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
     )
 
 
-def check_clock(recording: Recording, estimate: Estimate) -> None:
-    """Raise GnssError when the images are certainly not of the times that they are stamped."""
-    clock = estimate.report.clock
-    if clock is None or not clock.is_certain or abs(clock.offset_s) <= WIDEST_S:
-        return
+class Doubted(NamedTuple):
+    """What stops a build unless it is accepted."""
+
+    doubt: Doubt
+    error: FieldgridError
+
+
+def settle(doubted: Doubted | None, settings: BuildSettings) -> tuple[str, ...]:
+    """A note about a doubt that the settings accept, none where there is no doubt; else its error
+    is raised, and says how to accept it."""
+    if doubted is None:
+        return ()
+    if doubted.doubt in settings.checks.accept:
+        return (f"Accepted {doubted.doubt}: {doubted.error}",)
+    sentence = str(doubted.error).removesuffix(".")
+    raise type(doubted.error)(f"{sentence}; to build nevertheless, give --accept {doubted.doubt}.")
+
+
+def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
+    """That the images are certainly not of the times that they are stamped, by so much that the
+    map would be wrong."""
+    clock, trajectory = estimate.report.clock, estimate.trajectory
+    if clock is None or not clock.is_certain:
+        return None
+    speed_mps = usual_speed_mps(trajectory)
+    far_m = abs(clock.offset_s) * speed_mps
+    if far_m <= MISPLACED_M and abs(clock.offset_s) <= WIDEST_S:
+        return None
     whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
-    why = explanation(clock.offset_s, int(estimate.trajectory.time_ns[0]))
-    raise GnssError(
+    why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
+    error = GnssError(
         f"The images of {recording.name} are stamped {-clock.offset_s:+.2f} s ± "
         f"{clock.sigma_s:.2f} s against the fixes, as {clock.steps} steps of the camera show"
-        f"{f' ({why})' if why else ''}; give --time-offset {whole_s:.3f}, or image_time_offset_s "
-        "in recording.toml."
+        f"{f' ({why})' if why else ''}, and at {speed_mps:.1f} m/s that is {far_m:.2f} m; give "
+        f"--time-offset {whole_s:.3f}, or image_time_offset_s in recording.toml."
     )
+    return Doubted(Doubt.CLOCK_OFFSET, error)
+
+
+def usual_speed_mps(trajectory: Trajectory) -> float:
+    """The median speed of a drive while it moves."""
+    speed = np.abs(trajectory.speed_mps[trajectory.accepted])
+    moving = speed[speed > 0.1]
+    return float(np.median(moving)) if moving.size else 0.0
 
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:

@@ -19,17 +19,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.build.doubt import camera_notes, check_cameras, sensor_notes
+from fieldgrid.build.doubt import camera_notes, doubted_cameras, doubted_rows, sensor_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.perception import CameraMotion, follows_camera, perceive
 from fieldgrid.build.poses import (
-    check_clock,
     check_images,
     check_poses,
+    doubted_clock,
     estimate_drive,
     estimate_trajectory,
     no_ground,
     none_usable,
+    settle,
 )
 from fieldgrid.build.report import Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
@@ -38,6 +39,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
 from fieldgrid.motion import Steps
+from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -78,12 +80,13 @@ def add_recording(
     # Before the first image is read: the map itself would ask after the last one.
     check_cell_sizes(universal.cell_m, gridder.spec.cell_m)
     check_names([report.session], [info.name for info in universal.sessions()])
+    report.notes += settle(doubted_rows(recording, every), settings)
     with StageFile.temporary(universal.path) as staged:
         look = trajectory is None and follows_camera(recording.rig, settings)
         perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
         steps = perceiving(staged, report, odometry=look)
         found = sum(entry.ground_found for entry in staged.entries)
-        check_cameras(recording, report, found, every)
+        report.notes += settle(doubted_cameras(recording, report, found, every), settings)
         if trajectory is None:
             trajectory = _estimated(recording, settings, universal.datum, steps, report)
         else:
@@ -170,7 +173,7 @@ def _estimated(
     report.notes += estimate.report.notes
     report.fixes = len(estimate.fix_row)
     report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-    check_clock(recording, estimate)
+    report.notes += settle(doubted_clock(recording, estimate), settings)
     check_poses(recording, estimate.trajectory)
     return estimate.trajectory
 
@@ -285,6 +288,8 @@ def build_map(
     not come to be and an existing one stays as it was, but for the sessions already appended.
     """
     check_output(out, append=append, overwrite=overwrite)
+    if not append:
+        refuse_input(out, paths)
     with ExitStack() as open_things:
         recordings = [
             open_things.enter_context(open_drive(path, options)).recording() for path in paths

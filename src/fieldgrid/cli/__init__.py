@@ -1,7 +1,7 @@
 """The command line: parse, call one function of the library, print its result.
 
 Data goes to stdout, everything else to stderr. Exit status 0 is success, 1 a problem with the
-data, 2 a wrong use of the command.
+data, 2 a wrong use of the command, 70 a defect of this program.
 """
 
 from __future__ import annotations
@@ -18,47 +18,22 @@ import typer
 # which then wait for each other, four times as long as one thread takes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from fieldgrid.cli import (
-    build,
-    convert,
-    diff,
-    evaluate,
-    export,
-    inspect,
-    merge,
-    mount,
-    query,
-    repair,
-    sessions,
-    show,
-    track,
-    verify,
-)
+from fieldgrid.cli.commands import CONTEXT, Commands
+from fieldgrid.cli.output import log_cost, printable
 from fieldgrid.errors import FieldgridError
 
 app = typer.Typer(
     name="fieldgrid",
+    cls=Commands,
     help="One map in metres east and north from a stereo camera and a GNSS receiver.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings=CONTEXT,
 )
-app.command("inspect")(inspect.command)
-app.command("track")(track.command)
-app.command("build")(build.command)
-app.command("mount")(mount.command)
-app.command("convert")(convert.command)
-app.command("sessions")(sessions.command)
-app.command("show")(show.command)
-app.command("export")(export.command)
-app.command("evaluate")(evaluate.command)
-app.command("diff")(diff.command)
-app.command("query")(query.command)
-app.command("merge")(merge.command)
-app.command("verify")(verify.command)
-app.command("repair")(repair.command)
+
+_LONGEST = 2000
+"""Letters of a message: a file may hold a name of a megabyte."""
 
 
 def _version(wanted: bool) -> None:
@@ -80,11 +55,15 @@ def main() -> None:
     """Run the command line; the entry point of the `fieldgrid` script."""
     # A polite request to end unwinds like an error, so that nothing half-written stays.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    # A name that is no UTF-8 can still be printed.
+    sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        app()
+        try:
+            app(prog_name="fieldgrid")
+        finally:
+            log_cost()
     except FieldgridError as error:
-        print(f"fieldgrid: {error}", file=sys.stderr)
-        sys.exit(1)
+        _end(str(error), 1)
     except BrokenPipeError:
         # The reader of our stdout has gone (a pager, head): not a problem worth a message.
         sys.stderr.close()
@@ -92,5 +71,24 @@ def main() -> None:
     except OSError as error:
         # What no part of the library could foresee: a disk that fills up under a cache, say.
         what = error.filename or "a file"
-        print(f"fieldgrid: {what}: {error.strerror or error}; check the disk.", file=sys.stderr)
-        sys.exit(1)
+        _end(f"{what}: {error.strerror or error}; check the disk.", 1)
+    except MemoryError:
+        _end("The memory is full; give smaller --bounds, a larger --cell or fewer --jobs.", 1)
+    except Exception as error:  # noqa: BLE001 - the last line of defence
+        from fieldgrid.cli.defect import describe
+
+        cause: BaseException | None = error
+        while cause is not None:
+            # A request to end that arrives in compiled code comes back as an error of another kind.
+            if isinstance(cause, SystemExit):
+                sys.exit(cause.code)
+            cause = cause.__cause__
+
+        _end(describe(error), 70)
+
+
+def _end(message: str, status: int) -> None:
+    if len(message) > _LONGEST:
+        message = f"{message[: _LONGEST // 2]} [...] {message[-_LONGEST // 2 :]}"
+    print(f"fieldgrid: {printable(message)}", file=sys.stderr)
+    sys.exit(status)

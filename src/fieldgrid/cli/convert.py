@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import output, progress, recording_options
-
-if TYPE_CHECKING:
-    from fieldgrid.convert import Converted
+from fieldgrid.cli import options, output, progress
+from fieldgrid.cli.drive_options import Drive
 
 
 def command(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.")],
-    gnss: recording_options.Gnss = None,
-    topic: recording_options.Topic = None,
-    mounting: recording_options.MountingFile = None,
-    time_offset: recording_options.TimeOffset = None,
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.mcap")],
+    drive: Drive,
     images: Annotated[
         str,
         typer.Option(
             metavar="raw|compressed|none",
             help="Images as pixels, as the JPEG or PNG files that they are, or not at all; raw "
-            "pairs are rectified.",
+            "pairs are rectified [default: compressed].",
+            show_default=False,
         ),
     ] = "compressed",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing file.")
-    ] = False,
-    as_json: recording_options.AsJson = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write what was understood of a drive as one MCAP, for Foxglove and ROS 2.
 
@@ -49,20 +43,15 @@ def command(
         )
     if out.suffix.lower() != ".mcap":
         raise typer.BadParameter(f"{out.name} does not end in .mcap", param_hint="OUT.mcap")
-    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as show:
         converted = convert_recording(
-            recording, out, options, images=images, overwrite=overwrite, progress=show
+            recording, out, drive.options(), images=images, overwrite=overwrite, progress=show
         )
     if as_json:
         output.print_json(converted.as_dict())
-    else:
-        _print(converted)
-
-
-def _print(converted: Converted) -> None:
+        return
     rows = [(topic, str(count)) for topic, count in converted.topics.items()]
-    output.print_table(("topic", "messages"), rows, title=f"convert {converted.recording}")
+    output.report_table(("topic", "messages"), rows, title=f"convert {converted.recording}")
     for note in converted.notes:
-        print(f"note: {note}")
-    print(f"mcap {converted.path}")
+        output.report_line(f"note: {note}")
+    output.report_line(f"mcap {converted.path}")

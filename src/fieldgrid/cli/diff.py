@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import output, parse
+from fieldgrid.cli import options, output
 
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    map_: options.MapArgument,
     from_: Annotated[
         str, typer.Option("--from", metavar="SESSION|DATE", help="What was known by then.")
     ],
@@ -22,36 +22,34 @@ def command(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="A picture (.png) or a layer (.tif)."),
     ] = None,
-    cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
-    ] = None,
-    bounds: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Crop, metres east and north."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing layer.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    cell: options.Cell = None,
+    bounds: options.BoundsValues = None,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare what drives up to one date knew with what later ones found, cell by cell.
 
-    In each cell the latest drive that observed it counts, on either side. Examples:
+    In each cell the latest drive that observed it counts, on either side.
+
+    Examples:
 
         fieldgrid diff vineyard.gpkg --from june-03 --to june-17 -o change.png
 
         fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30
     """
+    is_layer = out is not None and out.suffix.lower() in {".tif", ".tiff"}
+    if overwrite and not is_layer:
+        raise typer.BadParameter("it is for a layer, --out FILE.tif", param_hint="--overwrite")
     from fieldgrid.lattice import check_inside
     from fieldgrid.mapfile import MEANING, open_map
 
-    crop = parse.bounds(bounds)
+    crop = options.bounds(bounds)
     with open_map(map_) as universal:
         if crop is not None:
             check_inside(crop, universal.bounds)
         view = universal.diff(from_, to, crop, cell)
     if out is not None:
-        if out.suffix.lower() in {".tif", ".tiff"}:
+        if is_layer:
             from fieldgrid.export import export_change
 
             export_change(view, out, overwrite=overwrite)
@@ -80,4 +78,4 @@ def command(
         title=f"{', '.join(view.after)} against {', '.join(view.before)}",
     )
     if out is not None:
-        print(f"{'layer' if out.suffix.lower() in {'.tif', '.tiff'} else 'figure'} {out}")
+        output.print_line(f"{'layer' if is_layer else 'figure'} {out}")

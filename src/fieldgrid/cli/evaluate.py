@@ -7,23 +7,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import output
+from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
     from fieldgrid.evaluation import Evaluation, Group
 
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="A truth folder.")],
+    map_: options.MapArgument,
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="A folder with the truth.")],
     min_pixels: Annotated[
         int,
         typer.Option(
-            min=1, metavar="N", help="A truth cell is observable from N pixels in the drive."
+            min=1,
+            metavar="N",
+            help="A truth cell is observable from N pixels [default: 100].",
+            show_default=False,
         ),
     ] = 100,
     frames: Annotated[bool, typer.Option("--frames", help="Print each frame's errors.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare a map with surveyed or simulated truth: obstacles, free space, poses.
 
@@ -61,7 +64,7 @@ def _print_scores(result: Evaluation) -> None:
     ]
     output.print_table(("", *(group.name for group in groups)), rows)
     if result.unmatched_frames:
-        print(f"{result.unmatched_frames} frames of the map are not in this truth")
+        output.print_line(f"{result.unmatched_frames} frames of the map are not in this truth")
 
 
 def _tolerance_rows(score: str, groups: tuple[Group, ...]) -> list[tuple[str, ...]]:

@@ -2,104 +2,87 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import output, parse
+from fieldgrid.cli import options, output
+from fieldgrid.cli.settings_flags import by_flag, flag_option, flag_values
+from fieldgrid.settings import Declared, Flag
 
 if TYPE_CHECKING:
-    from fieldgrid.export import Exported
+    from fieldgrid.export import Exported, Format
+
+_FORMAT = "Format"
+Given = dict[Flag, tuple[str, Any]]
+
+
+class FormatFlags:
+    """The flags of the options of all formats; the command gets what was given: the option and
+    its value, by flag."""
+
+    @cached_property
+    def _flags(self) -> dict[Flag, list[Declared]]:
+        found = by_flag(one for known in _formats().values() for one in known.declared())
+        return {flag: settings[:1] for flag, settings in found.items()}
+
+    def parameters(self) -> Iterable[inspect.Parameter]:
+        """An option a flag, with the formats that take it."""
+        for flag, settings in self._flags.items():
+            takers = ", ".join(
+                known.name
+                for known in _formats().values()
+                if any(one.flag == flag for one in known.declared())
+            )
+            yield flag_option(flag, settings, _FORMAT, f" ({takers})")
+
+    def value(self, given: Mapping[str, Any]) -> Given:
+        """What was given."""
+        values = flag_values(self._flags, given)
+        return {one.flag: (one.path[-1], value) for one, value in values if one.flag is not None}
 
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Its ending says the format.")],
+    map_: options.MapArgument,
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A file or folder; its ending says the format.")
+    ],
+    *,
     format_: Annotated[
         str | None,
-        typer.Option("--format", metavar="NAME", help="Where the ending does not say it."),
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="Where the ending does not say it.",
+            rich_help_panel=_FORMAT,
+            autocompletion=lambda: list(_formats()),
+        ),
     ] = None,
+    given: Annotated[Given, FormatFlags()],
     layer: Annotated[
-        str,
-        typer.Option(
-            metavar="LAYER",
-            help="density|count|variance|max|sessions|persistence|height|peak|seen_share.",
-        ),
-    ] = "density",
-    bounds: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Crop, metres east and north."),
-    ] = None,
-    cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
-    ] = None,
-    at: Annotated[
-        str | None, typer.Option(metavar="SESSION|DATE", help="The map as of then.")
-    ] = None,
-    epsg: Annotated[
-        int | None,
-        typer.Option(metavar="CODE", help="Reproject to this system (geotiff, png)."),
-    ] = None,
-    mode: Annotated[
-        str | None, typer.Option(metavar="trinary|scale|raw", help="Of the grey values (nav2).")
-    ] = None,
-    image: Annotated[
-        str | None, typer.Option(metavar="pgm|png", help="Kind of the picture (nav2).")
-    ] = None,
-    free_up_to: Annotated[
-        int | None,
-        typer.Option(metavar="0..255", help="Density up to which a cell is free (nav2, ROS)."),
-    ] = None,
-    obstacle_above: Annotated[
-        int | None,
-        typer.Option(
-            metavar="0..254", help="Density above which it is an obstacle (nav2, ROS, vectors)."
-        ),
-    ] = None,
-    cost_shape: Annotated[
-        float | None,
-        typer.Option(metavar="POWER", help="How costs rise between them (nav2, ROS)."),
-    ] = None,
-    features: Annotated[
         str | None,
         typer.Option(
-            metavar="A,B", help="obstacle, trajectory, pose, footprint; or all (vectors)."
+            metavar="LAYER",
+            help="Which layer of the map [default: density].",
+            rich_help_panel=options.PART,
+            autocompletion=lambda: list(_layers()),
         ),
     ] = None,
-    min_area: Annotated[
-        float | None, typer.Option(metavar="M2", help="Leave out smaller obstacles (vectors).")
-    ] = None,
-    simplify: Annotated[
-        float | None, typer.Option(metavar="M", help="Straighten outlines by up to (vectors).")
-    ] = None,
-    storage: Annotated[
-        str | None, typer.Option(metavar="mcap|sqlite3", help="Of the bag (rosbag2).")
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing file or folder.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    bounds: options.BoundsValues = None,
+    cell: options.Cell = None,
+    at: options.At = None,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write a map for another program; what comes out is whole, or nothing is changed.
 
-    Formats, by their names and endings:
+    {formats}
 
-    \b
-      geotiff    .tif .tiff      cloud-optimised GeoTIFF
-      png        .png            picture with a world file
-      kmz        .kmz            overlay and trajectories for Google Earth
-      geojson    .geojson .json  obstacles, trajectory, poses, footprints in WGS84
-      gpkg       .gpkg           the same as a GeoPackage in the map's plane
-      shapefile  .shp.zip        the same as shapefiles, zipped or in a folder
-      isoxml     taskdata        ISO 11783-10 task data, a folder
-      nav2       .yaml .yml      Nav2 map: YAML, picture and georeference
-      mcap       .mcap           MCAP for Foxglove: grids, paths, fixes, GeoJSON
-      rosbag2    .rosbag2        ROS 2 bag, a folder
-      csv        .csv            a row a cell as CSV
-      parquet    .parquet        a row a cell as Parquet
-      npz        .npz            arrays for NumPy
-      zarr       .zarr           a Zarr store for xarray
+    Layers of a map: {layers}.
 
     Examples:
 
@@ -114,29 +97,56 @@ def command(
 
     if str(out) == "-":
         raise typer.BadParameter("it is the name of a file or a folder", param_hint="OUT")
-    name = format_of(out, format_)
-    selection = Selection(parse.bounds(bounds), cell, layer, at)
-    options = {
-        "epsg": epsg,
-        "mode": mode,
-        "image": image,
-        "free_up_to": free_up_to,
-        "obstacle_above": obstacle_above,
-        "cost_shape": cost_shape,
-        "features": features,
-        "min_area_m2": min_area,
-        "simplify_m": simplify,
-        "storage": storage,
-    }
+    chosen = format_of(out, format_)
+    _refuse_others(chosen, given)
+    selection = Selection(options.bounds(bounds), cell, layer or "density", at)
     with open_map(map_) as universal:
         done = export_map(
-            universal, out, selection, format=name, overwrite=overwrite, options=options
+            universal,
+            out,
+            selection,
+            format=chosen.name,
+            overwrite=overwrite,
+            options=dict(given.values()),
         )
     if as_json:
-        output.print_json(_as_dict(map_, name, done))
+        output.print_json(_as_dict(map_, chosen.name, done))
         return
     written = [(path.name, _size(_bytes(path))) for path in done.paths]
-    output.print_table(("", ""), [("format", name), *done.rows, *written])
+    output.report_table(("", ""), [("format", chosen.name), *done.rows, *written])
+
+
+def help_text(text: str) -> str:
+    """The help, with the formats and layers that there are."""
+    rows = [(one.name, " ".join(one.endings), one.says) for one in _formats().values()]
+    width, wider = (max(len(row[k]) for row in rows) for k in (0, 1))
+    table = "\n".join(f"  {name:{width}}  {end:{wider}}  {says}" for name, end, says in rows)
+    listed = f"Formats, by their names and endings:\n\n\b\n{table}"
+    return text.format(formats=listed, layers=", ".join(_layers()))
+
+
+def _formats() -> Mapping[str, Format]:
+    from fieldgrid.export import formats
+
+    return formats()
+
+
+def _layers() -> Iterable[str]:
+    from fieldgrid.mapfile import LAYERS
+
+    return dict.fromkeys(("density", *LAYERS))
+
+
+def _refuse_others(chosen: Format, given: Given) -> None:
+    """A usage error for an option that the format does not take."""
+    taken = [one.flag for one in chosen.declared() if one.flag is not None]
+    for flag in given:
+        if flag not in taken:
+            names = ", ".join(one.name for one in taken)
+            raise typer.BadParameter(
+                f"the format {chosen.name} takes {names or 'no option of this kind'}",
+                param_hint=flag.name,
+            )
 
 
 def _as_dict(map_: Path, name: str, done: Exported) -> dict[str, Any]:

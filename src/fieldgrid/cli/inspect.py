@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import output, progress, recording_options
+from fieldgrid.cli import options, output, progress
+from fieldgrid.cli.drive_options import Drive
 
 if TYPE_CHECKING:
     from fieldgrid.inspection import Inspection
     from fieldgrid.inspection.streams import StreamSummary
 
-_PICTURES = (".png", ".svg", ".pdf")
 _MOST_QUALITIES = 3
 
 
@@ -22,15 +22,10 @@ def command(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
-    gnss: recording_options.Gnss = None,
-    topic: recording_options.Topic = None,
-    mounting: recording_options.MountingFile = None,
-    time_offset: recording_options.TimeOffset = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
-    ] = None,
-    config: recording_options.Config = None,
-    as_json: recording_options.AsJson = False,
+    drive: Drive,
+    figure: options.Figure = None,
+    config: options.Config = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Show what is in a recording and what would go wrong with it; exit 1 if a build would fail.
 
@@ -43,16 +38,12 @@ def command(
 
         fieldgrid inspect june-03.mcap --json
     """
-    if figure is not None and figure.suffix.lower() not in _PICTURES:
-        raise typer.BadParameter(
-            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
-        )
+    options.check_figure(figure)
     from fieldgrid.inspection import inspect_recording
     from fieldgrid.settings import resolve
 
-    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as tell:
-        found = inspect_recording(recording, resolve(config, {}), options, tell=tell)
+        found = inspect_recording(recording, resolve(config, {}), drive.options(), tell=tell)
     if figure is not None:
         _draw(found, figure)
     if as_json:
@@ -77,16 +68,17 @@ def _print(found: Inspection, figure: Path | None) -> None:
         output.print_table(("", ""), rows, title=f"inspect {found.name}")
     if found.streams:
         columns = ("stream", "kind", "used as", "count", "rate", "longest gap", "jitter")
-        print()
+        output.print_line("")
         output.print_table(columns, [_stream_row(stream) for stream in found.streams])
-    print()
+    output.print_line("")
     for finding in found.findings:
         remedy = f" {finding.remedy}" if finding.remedy else ""
-        print(f"{finding.severity.value} {finding.code}: {finding.message}{remedy}")
+        severity = output.severity(finding.severity.value)
+        print(f"{severity} {finding.code}: {output.printable(finding.message + remedy)}")
     verdict = "a build goes through" if found.builds else "a build would fail"
-    print(f"inspect {found.path or found.name}: {verdict}")
+    output.print_line(f"inspect {found.path or found.name}: {verdict}")
     if figure is not None:
-        print(f"figure {figure}")
+        output.print_line(f"figure {figure}")
 
 
 def _drive_rows(found: Inspection) -> Iterator[tuple[str, str]]:

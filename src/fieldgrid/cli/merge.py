@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fieldgrid.cli import options, output
+
 
 def command(
-    maps: Annotated[list[Path], typer.Argument(metavar="MAP.gpkg...", help="Of one datum.")],
+    maps: Annotated[list[Path], typer.Argument(metavar="MAP.gpkg...", help="Maps of one datum.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="NEW.gpkg", help="The new map.")],
     cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Universal cell [the first map's].")
+        float | None, typer.Option(metavar="M", help="Universal cell [default: the first map's].")
     ] = None,
     transfer: Annotated[
         str | None,
-        typer.Option(metavar="centre|area", help="Local to universal cells [the first map's]."),
+        typer.Option(
+            metavar="centre|area", help="How values go to cells [default: as in the first map]."
+        ),
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing map.")
-    ] = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Make one new map of all sessions of some maps; of one map, a copy without removed ones.
 
@@ -38,11 +42,17 @@ def command(
             f"{transfer!r} is neither centre nor area", param_hint="--transfer"
         )
     rule = None if transfer is None else Transfer(transfer)
-    for merged in merge_maps(maps, out, cell_m=cell, transfer=rule, overwrite=overwrite):
+    done = merge_maps(maps, out, cell_m=cell, transfer=rule, overwrite=overwrite)
+    if as_json:
+        sessions = [{**asdict(one), "source": str(one.source)} for one in done]
+        output.print_json({"map": str(out), "sessions": sessions})
+        return
+    for merged in done:
+        where = f"{merged.source}: session {merged.was}"
         if merged.twin is not None:
-            print(f"{merged.source}: session {merged.was} is in it already as {merged.twin}")
+            output.report_line(f"{where} is in it already as {merged.twin}")
         elif merged.name != merged.was:
-            print(f"{merged.source}: session {merged.was}, now called {merged.name}")
+            output.report_line(f"{where}, now called {merged.name}")
         else:
-            print(f"{merged.source}: session {merged.was}")
-    print(f"map {out}")
+            output.report_line(where)
+    output.report_line(f"map {out}")

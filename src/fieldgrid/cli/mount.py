@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import output, progress, recording_options
+from fieldgrid.cli import options, output, progress
+from fieldgrid.cli.drive_options import Drive
 from fieldgrid.errors import FieldgridError
 
 if TYPE_CHECKING:
     from fieldgrid.mounting import MountEstimate
     from fieldgrid.mounting.estimate import Compared
-
-_PICTURES = (".png", ".svg", ".pdf")
 
 _NAMES = {
     "camera_height_above_ground_m": ("height above ground", 3, "m"),
@@ -28,7 +27,8 @@ _NAMES = {
 
 
 def command(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording.")],
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING")],
+    drive: Drive,
     write: Annotated[
         bool, typer.Option("--write", help="Write it to the recording's mounting.json.")
     ] = False,
@@ -40,19 +40,13 @@ def command(
             "from the middle between its cameras). No drive tells that.",
         ),
     ] = None,
-    gnss: recording_options.Gnss = None,
-    topic: recording_options.Topic = None,
-    mounting: recording_options.MountingFile = None,
-    time_offset: recording_options.TimeOffset = None,
     every: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Take every N-th frame [about a metre apart]."),
+        typer.Option(min=1, metavar="N", help="Take every N-th frame [default: a metre apart]."),
     ] = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
-    ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, max=256, help="Threads [one a core].")] = None,
-    as_json: recording_options.AsJson = False,
+    figure: options.Figure = None,
+    jobs: options.Jobs = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Estimate height, tilt, roll and yaw of the sensor from the drive alone.
 
@@ -64,18 +58,14 @@ def command(
 
         fieldgrid mount june-03 --write --antenna -0.45 0.12 0.35
     """
-    if figure is not None and figure.suffix.lower() not in _PICTURES:
-        raise typer.BadParameter(
-            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
-        )
+    options.check_figure(figure)
     if antenna is not None and not write:
         raise typer.BadParameter("it is for --write", param_hint="--antenna")
     from fieldgrid.mounting import estimate_mount, write_estimate
 
-    options = recording_options.given(gnss, topic, mounting, time_offset)
     with progress.counting("frames") as show:
         estimate = estimate_mount(
-            recording, options, every=every, jobs=jobs or os.cpu_count(), progress=show
+            recording, drive.options(), every=every, jobs=jobs or os.cpu_count(), progress=show
         )
     if figure is not None:
         _draw(estimate, figure)
@@ -122,18 +112,18 @@ def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -
     wrong = [one for one in compared.values() if one.disagrees]
     for one in wrong:
         name, digits, unit = _NAMES[one.key]
-        print(
+        output.print_line(
             f"disagrees: {name} is stated as {one.stated:.{digits}f} {unit}, which is "
             f"{abs(one.sigmas):.1f} sigma off"
         )
     if compared and not wrong:
-        print("what is stated agrees with the drive")
+        output.print_line("what is stated agrees with the drive")
     for note in estimate.notes:
-        print(f"note: {note}")
+        output.print_line(f"note: {note}")
     if written is not None:
-        print(f"mounting {written}")
+        output.print_line(f"mounting {written}")
     if figure is not None:
-        print(f"figure {figure}")
+        output.print_line(f"figure {figure}")
 
 
 def _row(key: str, estimate: MountEstimate, compared: Compared | None) -> tuple[str, ...]:

@@ -1,27 +1,95 @@
-"""How results look: one table, or one JSON object, on stdout."""
+"""How results look: one table, or one JSON object, on stdout.
+
+What a command was asked for is printed always. What it tells of its work (`report_*`) is not with
+`--quiet`. Texts of others, such as the name of a session, cannot move the cursor.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import math
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from inspect import Parameter
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+import typer
+
+from fieldgrid.cli.groups import option
+
+_COLOURS = {"error": "31", "warning": "33"}
+
+_quiet = False
+
+log = logging.getLogger("fieldgrid")
 
 
-def print_json(value: dict[str, Any]) -> None:
+class _Verbosity:
+    """`--quiet` and `--verbose`, which every command has."""
+
+    def parameters(self) -> Iterable[Parameter]:
+        quiet = typer.Option("--quiet", "-q", help="Print no progress and no report.")
+        verbose = typer.Option(
+            "--verbose", "-v", help="Say what is done and how long it takes, on stderr."
+        )
+        return option("quiet", bool, False, quiet), option("verbose", bool, False, verbose)
+
+    def value(self, given: Mapping[str, Any]) -> None:
+        global _quiet
+        _quiet = given["quiet"]
+        log.handlers.clear()
+        log.setLevel(logging.INFO if given["verbose"] else logging.WARNING)
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(relativeCreated)7.0f ms  %(message)s"))
+        log.addHandler(handler)
+        log.info("fieldgrid %s", " ".join(sys.argv[1:]))
+
+
+VERBOSITY = _Verbosity()
+
+
+def log_cost() -> None:
+    """With `--verbose`, what the command has taken."""
+    if log.isEnabledFor(logging.INFO):
+        import resource
+
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        memory_mb = used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+        seconds = used.ru_utime + used.ru_stime
+        log.info("%.1f s of processor time, %.0f MB of memory at most", seconds, memory_mb)
+
+
+def shows_progress() -> bool:
+    """Whether somebody watches a progress line."""
+    return sys.stderr.isatty() and not _quiet
+
+
+def print_json(value: Mapping[str, Any]) -> None:
     """One JSON object to stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
+def print_line(text: str) -> None:
+    """A line that was asked for."""
+    print(printable(text))
+
+
+def report_line(text: str) -> None:
+    """A line about the work."""
+    if not _quiet:
+        print_line(text)
+
+
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
     """A plain table to stdout; all but the first column are aligned to the right."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(
-        title=Text(title) if title else None,
+        title=Text(printable(title)) if title else None,
         title_justify="left",
         title_style="",
         box=None,
@@ -32,11 +100,30 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title:
     for k, column in enumerate(columns):
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     # Off a terminal nothing limits the width, and a folded name could not be read back.
     width = None if sys.stdout.isatty() else 1000
     console = Console(file=sys.stdout, highlight=False, width=width)
     console.print(table)
+
+
+def report_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
+    """A table about the work."""
+    if not _quiet:
+        print_table(columns, rows, title=title)
+
+
+def severity(word: str) -> str:
+    """The word in the colour of its severity, where a terminal shows colours."""
+    wanted = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+    if word not in _COLOURS or not wanted or os.environ.get("TERM") == "dumb":
+        return word
+    return f"\x1b[{_COLOURS[word]}m{word}\x1b[0m"
+
+
+def printable(text: str) -> str:
+    """The text with control characters escaped, as they come from names of files and sessions."""
+    return "".join(one if one.isprintable() or one == " " else repr(one)[1:-1] for one in text)
 
 
 def known(value: float) -> float | None:

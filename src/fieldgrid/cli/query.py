@@ -8,30 +8,34 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import output
+from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
     from fieldgrid.mapfile import Contribution, MapFile, Provenance
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
 
+# A number below zero is no option.
+CONTEXT = {"ignore_unknown_options": True}
+
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    map_: options.MapArgument,
     place: Annotated[
         list[str],
-        typer.Argument(metavar="E N | LAT,LON", help="Metres east and north, or degrees."),
+        typer.Argument(
+            metavar="E N | LAT,LON",
+            help="Metres east and north, or degrees with a comma between; both may be negative.",
+        ),
     ],
-    cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    cell: options.Cell = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Tell which sessions and frames a cell's value comes from, and what each said.
 
     Examples:
 
-        fieldgrid query vineyard.gpkg -- -5.1 55.3
+        fieldgrid query vineyard.gpkg -5.1 55.3
 
         fieldgrid query vineyard.gpkg 41.6505,-4.7201 --json
     """
@@ -46,7 +50,8 @@ def command(
         return
     west, south, east, north = found.bounds
     value = "not observed" if found.density is None else f"density {found.density}"
-    print(f"cell {west:.3f} {south:.3f} {east:.3f} {north:.3f} (west south east north): {value}")
+    where = f"{west:.3f} {south:.3f} {east:.3f} {north:.3f} (west south east north)"
+    output.print_line(f"cell {where}: {value}")
     if found.contributions:
         output.print_table(_COLUMNS, [_row(one) for one in found.contributions])
 
@@ -56,6 +61,9 @@ _COLUMNS = ("session", "frame", "density", "cells", "heading °", "sigma °", "s
 
 def _numbers(text: str) -> tuple[float, float, bool]:
     """The two numbers, and whether they are latitude and longitude."""
+    for part in text.split():
+        if part.startswith("-") and not re.match(r"-[\d.]", part):
+            raise typer.BadParameter(f"There is no option {part}")
     match = re.fullmatch(rf"({_NUMBER})(\s*,\s*|\s+)({_NUMBER})", text.strip())
     if not match:
         raise typer.BadParameter(
@@ -85,7 +93,8 @@ def _row(one: Contribution) -> tuple[str, ...]:
         f"{one.pose.heading_deg:.1f}",
         f"{one.pose.heading_sigma_deg:.2f}",
         f"{one.pose.position_sigma_m:.3f}",
-        ", ".join(Path(image).name for image in one.images),
+        # With the folder: the images of a pair often have one name.
+        ", ".join("/".join(Path(image).parts[-2:]) for image in one.images),
     )
 
 

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fieldgrid.cli import options, output
+
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    map_: options.MapArgument,
     upgrade: Annotated[
         bool,
         typer.Option("--upgrade", help="Only bring a map of an older format to the present one."),
     ] = False,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Threads [all cores].")
-    ] = None,
+    jobs: options.Jobs = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Rebuild the tiles, pictures and layers of a map from its stored frames.
 
-    The frames themselves, poses included, are not changed. Examples:
+    The frames themselves, poses included, are not changed.
+
+    Examples:
 
         fieldgrid repair vineyard.gpkg
 
@@ -28,10 +30,15 @@ def command(
     """
     from fieldgrid.mapfile import open_map
 
+    done = "repaired"
     with open_map(map_, writable=True) as universal:
-        if upgrade:
-            done = universal.upgrade()
-            print(f"{'upgraded' if done else 'of the present format already:'} {map_}")
-            return
-        universal.repair(jobs)
-    print(f"repaired {map_}")
+        if not upgrade:
+            universal.repair(jobs)
+        elif universal.upgrade():
+            done = "upgraded"
+        else:
+            done = "of the present format already:"
+    if as_json:
+        output.print_json({"map": str(map_), "done": done.rstrip(":")})
+    else:
+        output.report_line(f"{done} {map_}")

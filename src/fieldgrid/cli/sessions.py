@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import output
+from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
     from fieldgrid.mapfile import MapFile, SessionInfo, Transform
 
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    map_: options.MapArgument,
     remove: Annotated[
         str | None, typer.Option(metavar="NAME", help="Take a session out; its evidence stays.")
     ] = None,
@@ -30,9 +30,13 @@ def command(
             "replaces an earlier shift, 0,0 undoes it.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    rename: Annotated[
+        tuple[str, str] | None,
+        typer.Option(metavar="NAME NEW", help="Give a session another name."),
+    ] = None,
+    as_json: options.AsJson = False,
 ) -> None:
-    """List the drives that a map was made from; take one out, put it back, or shift it.
+    """List the drives that a map was made from; remove, restore, shift or rename one.
 
     Examples:
 
@@ -40,13 +44,14 @@ def command(
 
         fieldgrid sessions vineyard.gpkg --remove june-17
 
+        fieldgrid sessions vineyard.gpkg --rename june-17 june-17-second-pass
+
         fieldgrid sessions vineyard.gpkg --shift june-17 0.12,-0.31,0.2
     """
-    changes = [value for value in (remove, restore, shift) if value is not None]
+    given = {"--remove": remove, "--restore": restore, "--shift": shift, "--rename": rename}
+    changes = [flag for flag, value in given.items() if value is not None]
     if len(changes) > 1:
-        raise typer.BadParameter(
-            "--remove, --restore and --shift exclude each other", param_hint="--remove"
-        )
+        raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
     move = None if shift is None else (shift[0], _parsed(shift[1]))
     from fieldgrid.mapfile import open_map
 
@@ -56,6 +61,8 @@ def command(
             universal.remove_session(remove)
         if restore is not None:
             universal.restore_session(restore)
+        if rename is not None:
+            universal.rename_session(*rename)
         if move is not None:
             universal.set_transform(move[0], *move[1])
         infos = universal.sessions()

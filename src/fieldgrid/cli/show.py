@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import parse
+from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,26 +30,30 @@ class Kind(StrEnum):
     HEADING = "heading"
 
 
+_OF_ALL = {"map_", "out", "figure", "at", "session", "as_json", "quiet", "verbose"}
+"""The parameters that count for every figure; the others are of the universal grid."""
+
+
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
+    ctx: typer.Context,
+    map_: options.MapArgument,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png", help="PNG, PDF or SVG.")],
     figure: Annotated[Kind, typer.Option(help="Which of the paper's figures.")] = Kind.SHEET,
-    cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Cell size, not under the local cells'.")
-    ] = None,
-    bounds: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Crop, metres east and north."),
-    ] = None,
-    at: Annotated[
-        str | None, typer.Option(metavar="SESSION|DATE", help="The map as of then.")
-    ] = None,
+    cell: options.Cell = None,
+    bounds: options.BoundsValues = None,
+    at: options.At = None,
     session: Annotated[
         str | None, typer.Option(metavar="SESSION", help="Only this session.")
     ] = None,
     averaging: Annotated[
-        str, typer.Option(metavar="mean|paper", help="How values meet in a cell.")
+        str,
+        typer.Option(
+            metavar="mean|paper",
+            help="How values that meet in a cell are combined [default: mean].",
+            show_default=False,
+        ),
     ] = "mean",
+    as_json: options.AsJson = False,
 ) -> None:
     """Draw a map: universal grid, trajectory with grid positions, heading against time.
 
@@ -59,14 +63,20 @@ def command(
 
         fieldgrid show vineyard.gpkg -o row.png --figure grid --cell 0.25 --bounds -20 40 0 60
     """
+    if figure in (Kind.TRAJECTORY, Kind.HEADING):
+        why = f"the figure {figure} shows no cells; leave it out"
+        options.refuse_given(ctx, _OF_ALL, why)
     from fieldgrid.figures import save
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:
         chosen = _sessions(universal, at, session)
-        drawn = _draw(universal, figure, cell, parse.bounds(bounds), chosen, averaging, map_.stem)
+        drawn = _draw(universal, figure, cell, options.bounds(bounds), chosen, averaging, map_.stem)
     save(drawn, out)
-    typer.echo(f"figure {out}")
+    if as_json:
+        output.print_json({"map": str(map_), "figure": str(out)})
+    else:
+        output.report_line(f"figure {out}")
 
 
 def _sessions(universal: MapFile, at: str | None, session: str | None) -> list[str]:

@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import output, parse, recording_options
+from fieldgrid.cli import options, output
+from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.settings_flags import SettingsFlags
+from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
     from fieldgrid.build.tracking import TrackedDrive
     from fieldgrid.settings import BuildSettings
     from fieldgrid.track import Spread, TrackSummary
 
-_PICTURES = (".png", ".svg", ".pdf")
+_LOG = "A GNSS log alone"
 _MOST_REASONS = 6
 
 
@@ -23,36 +26,47 @@ def command(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="track.csv", help="The table.")],
-    gnss: recording_options.Gnss = None,
-    topic: recording_options.Topic = None,
-    mounting: recording_options.MountingFile = None,
-    time_offset: recording_options.TimeOffset = None,
-    heading: recording_options.Heading = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="track.csv",
+            help="The table.",
+            rich_help_panel=options.OUTPUT,
+            show_default=False,
+        ),
+    ],
+    drive: Drive,
+    settings: Annotated[Overrides, SettingsFlags("pose.heading")],
     columns: Annotated[
         str | None,
-        typer.Option(metavar="KEY=COLUMN,...", help="What the columns of a table are."),
+        typer.Option(
+            metavar="KEY=COLUMN,...",
+            help="What the columns of a table are, as in lat=Breite,lon=Laenge.",
+            rich_help_panel=_LOG,
+        ),
     ] = None,
     antenna_ahead: Annotated[
         float | None,
         typer.Option(
             metavar="M",
-            help="Of a log alone: how far the antenna sits ahead of the axle that does not steer.",
+            help="How far the antenna sits ahead of the axle that does not steer.",
+            rich_help_panel=_LOG,
         ),
     ] = None,
     heading_offset: Annotated[
         float | None,
         typer.Option(
             metavar="DEG",
-            help="Of a log alone: what a recorded heading has more than the nose, clockwise.",
+            help="Recorded heading minus the vehicle's heading, clockwise.",
+            rich_help_panel=_LOG,
         ),
     ] = None,
-    datum: recording_options.DatumText = None,
-    config: recording_options.Config = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw it too: PNG, SVG or PDF.")
-    ] = None,
-    as_json: recording_options.AsJson = False,
+    datum: options.DatumText = None,
+    config: options.Config = None,
+    figure: options.Figure = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write where the vehicle was, where it pointed and how sure that is, a row a GNSS fix.
 
@@ -62,31 +76,29 @@ def command(
 
         fieldgrid track tractor.csv -o track.csv --columns lat=Breite,lon=Laenge
     """
-    if figure is not None and figure.suffix.lower() not in _PICTURES:
-        raise typer.BadParameter(
-            f"{figure.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
-        )
+    options.check_figure(figure)
     from fieldgrid.build.tracking import track_drive
+    from fieldgrid.publish import refuse_input
     from fieldgrid.rig import Carrier
     from fieldgrid.settings import resolve
     from fieldgrid.track import check_target, summarise_track, write_track
 
-    origin = parse.datum(datum)
-    options = recording_options.given(gnss, topic, mounting, time_offset, columns)
-    settings = resolve(config, {"pose": {"heading": heading}})
+    origin, opening = options.datum(datum), drive.options(columns)
+    chosen = resolve(config, settings)
     carrier = None
     if antenna_ahead is not None or heading_offset is not None:
         carrier = Carrier(antenna_ahead or 0.0, heading_offset)
     check_target(out)
-    drive = track_drive(recording, settings, options, datum=origin, carrier=carrier)
-    write_track(drive.estimate, out)
+    refuse_input(out, [recording])
+    tracked = track_drive(recording, chosen, opening, datum=origin, carrier=carrier)
+    write_track(tracked.estimate, out)
     if figure is not None:
-        _draw(drive, settings, figure)
-    summary = summarise_track(drive.estimate)
+        _draw(tracked, chosen, figure)
+    summary = summarise_track(tracked.estimate)
     if as_json:
-        _print_json(out, figure, drive, summary)
+        _print_json(out, figure, tracked, summary)
     else:
-        _print_summary(out, figure, drive, summary)
+        _report(out, figure, tracked, summary)
 
 
 def _draw(drive: TrackedDrive, settings: BuildSettings, path: Path) -> None:
@@ -111,21 +123,20 @@ def _print_json(out: Path, figure: Path | None, drive: TrackedDrive, summary: Tr
     )
 
 
-def _print_summary(
-    out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
-) -> None:
+def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary) -> None:
     rows = [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)]
-    output.print_table(("", ""), rows, title=f"track {drive.name}")
+    output.report_table(("", ""), rows, title=f"track {drive.name}")
     for count, example in summary.reasons[:_MOST_REASONS]:
-        print(f"rejected {count}: {example}")
+        output.report_line(f"rejected {count}: {example}")
     more = summary.reasons[_MOST_REASONS:]
     if more:
-        print(f"rejected {sum(count for count, _ in more)}: for {len(more)} other reasons")
+        count = sum(count for count, _ in more)
+        output.report_line(f"rejected {count}: for {len(more)} other reasons")
     for note in (*drive.notes, *summary.report.notes):
-        print(f"note: {note}")
-    print(f"track {out}")
+        output.report_line(f"note: {note}")
+    output.report_line(f"track {out}")
     if figure is not None:
-        print(f"figure {figure}")
+        output.report_line(f"figure {figure}")
 
 
 def _fix_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:

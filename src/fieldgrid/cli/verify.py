@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import output
+from fieldgrid.cli import options, output
 
 
 def command(
-    map_: Annotated[Path, typer.Argument(metavar="MAP.gpkg")],
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Threads [all cores].")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    map_: options.MapArgument,
+    jobs: options.Jobs = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Check a map: its file, its evidence against hashes, and that all else follows from it.
 
@@ -32,9 +28,9 @@ def command(
         output.print_json({"map": str(map_), "sound": health.sound, **asdict(health)})
     else:
         for line in (*health.problems, *health.notes):
-            print(line)
+            output.print_line(line)
         state = "sound" if health.sound else f"{len(health.problems)} problems"
-        print(
+        output.print_line(
             f"{map_}: {state}; {health.sessions} sessions ({health.removed} removed), "
             f"{health.frames} frames, {health.tiles} tiles"
         )

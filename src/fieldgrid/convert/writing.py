@@ -18,6 +18,7 @@ from fieldgrid.convert.drive import (
 )
 from fieldgrid.convert.frames import Images, frame_messages
 from fieldgrid.errors import ConfigError, GnssError, NoFramesError, RecordingError
+from fieldgrid.publish import refuse_input
 from fieldgrid.recording import Drive, DriveOptions, Recording, open_drive
 from fieldgrid.ros import McapWriter
 from fieldgrid.trajectory import Trajectory
@@ -72,6 +73,7 @@ def convert_recording(
         ) from None
     if not isinstance(drive, str | Path):
         return _converted(drive, out, kind, overwrite, progress)
+    refuse_input(out, [Path(drive)])
     with open_drive(drive, options) as opened:
         return _converted(opened, out, kind, overwrite, progress)
 

@@ -12,15 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.mapfile import MapFile, MapView
-from fieldgrid.publish import replacing, replacing_folder
+from fieldgrid.publish import mentions, replacing, replacing_folder
+from fieldgrid.settings import Settings
 
 
 def export_npz(
-    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write a compressed NPZ: `east_m`, `north_m`, the layers, `cell_m`, the datum, `crs_wkt`.
 
@@ -38,13 +39,16 @@ def export_npz(
         "crs_wkt": np.array(view.crs_wkt),
         **{f"datum_{name}": np.float64(value) for name, value in datum_values(view.datum).items()},
     }
-    with replacing(path, overwrite=overwrite) as file, file.open("wb") as out:
+    with (
+        replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
+        file.open("wb") as out,
+    ):
         np.savez_compressed(out, allow_pickle=False, **arrays)
     return Exported((path,), _size(view))
 
 
 def export_zarr(
-    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write a Zarr store that xarray opens, with CF's attributes for coordinates and plane.
 
@@ -65,11 +69,32 @@ def export_zarr(
     return Exported((path,), _size(view))
 
 
+def _is_npz(file: Path) -> bool:
+    return mentions(file, b"datum_lat_deg.npy")
+
+
 def _is_zarr(folder: Path) -> bool:
-    return (folder / ".zgroup").is_file() and all(
+    return mentions(folder / ".zattrs", b"datum_lat_deg") and all(
         entry.name.startswith(".z") or (entry / ".zarray").is_file() for entry in folder.iterdir()
     )
 
 
 def _size(view: MapView) -> tuple[tuple[str, str], ...]:
     return (("cells", f"{view.window.width} x {view.window.height}"),)
+
+
+register(
+    Format(
+        "npz", (".npz",), "arrays for NumPy", export_npz, readers="NumPy", limits="4·10^8 cells"
+    ),
+    Format(
+        "zarr",
+        (".zarr",),
+        "Zarr store (format 2), a folder",
+        export_zarr,
+        folder=True,
+        readers="xarray, dask",
+        extras=("tables",),
+        limits="4·10^8 cells",
+    ),
+)

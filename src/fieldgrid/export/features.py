@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.obstacles import ObstacleSettings, trace_obstacles
+from fieldgrid.export.clipping import at, stretches_inside
+from fieldgrid.export.obstacles import trace_obstacles
+from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import FrameRecord, MapFile
@@ -37,10 +39,10 @@ class FeatureLayer(NamedTuple):
 def feature_layers(
     universal: MapFile,
     selection: Selection,
-    settings: ObstacleSettings | None = None,
+    options: ShapeOptions | None = None,
     names: Sequence[str] = LAYERS,
 ) -> list[FeatureLayer]:
-    """The layers asked for, in that order, of what lies within the selection's bounds.
+    """The layers asked for, in that order, cut off at the selection's bounds.
 
     Sessions are those in the map, as of the selection's moment. Raises ConfigError for a name that
     is no layer, and when shapely is not installed.
@@ -48,38 +50,15 @@ def feature_layers(
     for name in names:
         if name not in LAYERS:
             raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
-    sessions = selection.sessions(universal)
+    sessions, area = selection.sessions(universal), selection.area(universal)
     drives = trajectories(universal, selection)
     make: dict[str, Callable[[], FeatureLayer]] = {
-        "obstacle": lambda: _obstacles(universal, selection, settings),
-        "trajectory": lambda: _lines(drives),
-        "pose": lambda: _poses(drives),
-        "footprint": lambda: _footprints(universal, sessions),
+        "obstacle": lambda: _obstacles(universal, selection, options),
+        "trajectory": lambda: _lines(drives, area),
+        "pose": lambda: _within(_poses(drives), area),
+        "footprint": lambda: _within(_footprints(universal, sessions), area),
     }
-    return [_cropped(make[name](), selection.bounds) for name in names]
-
-
-def obstacle_settings(
-    selection: Selection,
-    obstacle_above: int | None,
-    min_area_m2: float | None,
-    simplify_m: float | None,
-) -> ObstacleSettings:
-    """The settings of an export by its options, None for the usual ones.
-
-    Raises ConfigError for a selection of another layer than the density.
-    """
-    if selection.layer != "density":
-        raise ConfigError(
-            f"Features are traced from the density, not from the layer {selection.layer!r}; leave "
-            "--layer out."
-        )
-    usual = ObstacleSettings()
-    return ObstacleSettings(
-        usual.above if obstacle_above is None else obstacle_above,
-        usual.min_area_m2 if min_area_m2 is None else min_area_m2,
-        simplify_m,
-    )
+    return [make[name]() for name in names]
 
 
 def trajectories(universal: MapFile, selection: Selection) -> dict[str, Trajectory]:
@@ -90,22 +69,24 @@ def trajectories(universal: MapFile, selection: Selection) -> dict[str, Trajecto
     return {name: universal.trajectory(name) for name in names}
 
 
-def _cropped(layer: FeatureLayer, bounds: Bounds | None) -> FeatureLayer:
-    """The features that touch the bounds, whole."""
+def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
+    """The parts of polygons, and the points, that lie in the area."""
     import shapely
 
-    if bounds is None or not len(layer.geometry):
+    if area is None or not len(layer.geometry):
         return layer
-    inside = shapely.intersects(layer.geometry, shapely.box(*bounds))
-    columns = {name: values[inside] for name, values in layer.columns.items()}
-    return layer._replace(geometry=layer.geometry[inside], columns=columns)
+    cut = shapely.intersection(layer.geometry, shapely.box(*area))
+    points = layer.geometry_type == "Point"
+    kept = ~shapely.is_empty(cut) if points else shapely.area(cut) > 0.0
+    columns = {name: values[kept] for name, values in layer.columns.items()}
+    return layer._replace(geometry=cut[kept], columns=columns)
 
 
 def _obstacles(
-    universal: MapFile, selection: Selection, settings: ObstacleSettings | None
+    universal: MapFile, selection: Selection, options: ShapeOptions | None
 ) -> FeatureLayer:
     with selection.blocks(universal) as blocks:
-        found = list(trace_obstacles(blocks.views, settings))
+        found = list(trace_obstacles(blocks.views, options))
     return FeatureLayer(
         "obstacle",
         "MultiPolygon",
@@ -130,7 +111,7 @@ def _multi(outlines: list[Any]) -> npt.NDArray[np.object_]:
     )
 
 
-def _lines(drives: dict[str, Trajectory]) -> FeatureLayer:
+def _lines(drives: dict[str, Trajectory], area: Bounds | None) -> FeatureLayer:
     """A line for each stretch of a drive in one gear on which no pose was rejected."""
     import shapely
 
@@ -138,11 +119,17 @@ def _lines(drives: dict[str, Trajectory]) -> FeatureLayer:
     for name, track in drives.items():
         for first, last in _stretches(track):
             rows = slice(first, last)
-            lines.append(shapely.LineString(np.c_[track.east_m[rows], track.north_m[rows]]))
-            names.append(name)
-            gears.append(int(track.gear[first + 1]))
-            starts.append(int(track.time_ns[first]))
-            stops.append(int(track.time_ns[last - 1]))
+            places = np.c_[track.east_m[rows], track.north_m[rows]]
+            passed_s = (track.time_ns[rows] - track.time_ns[first]) / 1e9
+            for positions in stretches_inside(places[:, 0], places[:, 1], area):
+                lines.append(
+                    shapely.LineString(np.column_stack([at(v, positions) for v in places.T]))
+                )
+                passed_ns = np.rint(at(passed_s, positions) * 1e9).astype(np.int64)
+                names.append(name)
+                gears.append(int(track.gear[first + 1]))
+                starts.append(int(track.time_ns[first] + passed_ns[0]))
+                stops.append(int(track.time_ns[first] + passed_ns[-1]))
     return FeatureLayer(
         "trajectory",
         "LineString",

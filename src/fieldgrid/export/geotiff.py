@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.overviews import write_overviews
 from fieldgrid.export.raster import (
     BLOCK_PX,
@@ -18,9 +18,11 @@ from fieldgrid.export.raster import (
     creating,
     datum_tags,
     gdal,
+    is_ours,
     painted,
     plane_of,
 )
+from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MEANING, Change, ChangeView, MapFile
 from fieldgrid.publish import replacing
@@ -35,12 +37,12 @@ _LEVEL = 1
 def export_geotiff(
     universal: MapFile,
     path: str | Path,
-    selection: Selection,
+    selection: Selection | None = None,
+    options: PlaneOptions | None = None,
     *,
     overwrite: bool = False,
-    epsg: int | None = None,
 ) -> Exported:
-    """Write a layer as a cloud-optimised GeoTIFF, in the map's own plane or that of `epsg`.
+    """Write a layer as a cloud-optimised GeoTIFF, in the map's own plane or another.
 
     Of the density and of `max` every value means something: band 2 is alpha, 255 where a cell was
     observed and 0 where not. Other layers have one band, in which unobserved cells are NaN where
@@ -53,9 +55,10 @@ def export_geotiff(
     ConfigError when rasterio is not installed or for what cannot be selected, MapWriteError when
     it cannot be written.
     """
-    path = Path(path)
+    path, selection = Path(path), selection or Selection()
+    epsg = options.epsg if options is not None else None
     with (
-        replacing(path, overwrite=overwrite) as file,
+        replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
         painted(universal, path, selection, epsg) as raster,
     ):
         _copy(raster, file, write_overviews(universal, selection, raster))
@@ -73,7 +76,7 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
     meanings = {f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change}
     tags = {**datum_tags(view.datum, view.lattice), **meanings}
     scratch = Scratch(path)
-    with replacing(path, overwrite=overwrite) as file, gdal(path):
+    with replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file, gdal(path):
         try:
             plane = plane_of(view.datum, view.lattice, view.window)
             pixels = scratch.file("pixels")
@@ -122,3 +125,17 @@ def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
             ElementTree.SubElement(overview, "SourceBand").text = band.attrib["band"]
     tree.write(virtual)
     return virtual
+
+
+register(
+    Format(
+        "geotiff",
+        (".tif", ".tiff"),
+        "cloud-optimised GeoTIFF with overviews",
+        export_geotiff,
+        PlaneOptions,
+        readers="GIS, web maps",
+        extras=("gis",),
+        limits="10^10 cells",
+    )
+)

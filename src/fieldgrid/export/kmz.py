@@ -19,12 +19,14 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.clipping import at, stretches_inside
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
 from fieldgrid.publish import replacing
+from fieldgrid.settings import Settings
 
 PICTURE_PX = 2048
 """Side of a picture; larger ones are scaled down by older graphics."""
@@ -47,24 +49,17 @@ class _Place(NamedTuple):
 
 
 def export_kmz(
-    universal: MapFile, path: str | Path, selection: Selection, *, overwrite: bool = False
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write the density, or `max`, as overlays, with the drive of each session as a line.
 
     Grey is the value, and what was not observed is transparent. Both lie on the terrain of the
     viewer; the datum is in the description and, as data, in the document. Raises ConfigError for
-    a layer that 8 bits do not hold and for more than 64 pictures of 2048 x 2048 cells,
-    MapExistsError when `path` exists and may not be overwritten, MapWriteError when it cannot be
-    written.
+    more than 64 pictures of 2048 x 2048 cells, MapExistsError when `path` exists and may not be
+    overwritten, MapWriteError when it cannot be written.
     """
-    path = Path(path)
-    if LAYERS[selection.layer].dtype != "uint8":
-        raise ConfigError(
-            f"The pictures of a KMZ have 8 bits a pixel, too few for the layer "
-            f"{selection.layer!r}; export density or max, or write a GeoTIFF."
-        )
     with (
-        replacing(path, overwrite=overwrite) as file,
+        replacing(path, overwrite=overwrite, ours=_is_ours, what="a KMZ") as file,
         selection.blocks(universal) as blocks,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
@@ -93,6 +88,14 @@ def export_kmz(
         ("datum", universal.datum.described()),
     )
     return Exported((path,), rows)
+
+
+def _is_ours(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
+    except (OSError, KeyError, zipfile.BadZipFile):
+        return False
 
 
 def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
@@ -194,24 +197,24 @@ def _overlay(folder: ElementTree.Element, name: str, place: _Place, *, alone: bo
 
 
 def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
-    """A line a session; returns how many there are."""
+    """A line for each stretch of a drive in the part; returns how many there are."""
     document = root[0]
     folder = _add(document, "Folder")
     _add(folder, "name", "drives")
     count = 0
     for session in selection.sessions(universal):
-        east_m, north_m, up_m = _drive(universal, session)
-        if len(east_m) < 2:
-            continue
-        lat_deg, lon_deg, _ = universal.datum.to_geodetic(east_m, north_m, up_m)
-        placemark = _add(folder, "Placemark")
-        _add(placemark, "name", session)
-        _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
-        line = _add(placemark, "LineString")
-        _add(line, "tessellate", "1")
-        _add(line, "altitudeMode", "clampToGround")
-        _add(line, "coordinates", _coordinates(lon_deg, lat_deg))
-        count += 1
+        drive = _drive(universal, session)
+        for positions in stretches_inside(drive[0], drive[1], selection.area(universal)):
+            places = (at(values, positions) for values in drive)
+            lat_deg, lon_deg, _ = universal.datum.to_geodetic(*places)
+            placemark = _add(folder, "Placemark")
+            _add(placemark, "name", session)
+            _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
+            line = _add(placemark, "LineString")
+            _add(line, "tessellate", "1")
+            _add(line, "altitudeMode", "clampToGround")
+            _add(line, "coordinates", _coordinates(lon_deg, lat_deg))
+            count += 1
     return count
 
 
@@ -241,3 +244,16 @@ def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> Ele
 
 def _kml(name: str) -> str:
     return f"{{{_KML}}}{name}"
+
+
+register(
+    Format(
+        "kmz",
+        (".kmz",),
+        "overlay, and the drives as lines",
+        export_kmz,
+        holds=Holds.GREY,
+        readers="Google Earth",
+        limits="64 pictures of 2048 x 2048",
+    )
+)

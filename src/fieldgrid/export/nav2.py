@@ -9,20 +9,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import UInt8
-from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY, CostCurve
+from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.formats import Exported
 from fieldgrid.export.georeference import georeference
+from fieldgrid.export.options import CurveOptions
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.publish import mentions
+from fieldgrid.settings import Flag, setting
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 """The thresholds of the YAML file. With a free threshold of 0.25, which is common too, the grey
@@ -30,6 +32,7 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 
 _FREE_GREY, _UNKNOWN_GREY, _OCCUPIED_GREY = 254, 205, 0
 _RAW_UNKNOWN = 255
+_ENDINGS = (".yaml", ".yml")
 
 MODES: dict[str, tuple[str, ...]] = {
     "trinary": ("pgm", "png"),
@@ -39,32 +42,50 @@ MODES: dict[str, tuple[str, ...]] = {
 """The modes of the map server, and the pictures that can hold each; the first is the usual one."""
 
 
+class Nav2Options(CurveOptions):
+    """How the map server is to read the picture."""
+
+    mode: Literal["trinary", "scale", "raw"] = setting(
+        "trinary", "what the grey values mean", flag=Flag("--mode", "trinary|scale|raw")
+    )
+    image: Literal["pgm", "png"] | None = setting(
+        None,
+        "kind of the picture",
+        usual="pgm, of scale png",
+        flag=Flag("--image", "pgm|png"),
+    )
+
+    def picture(self) -> str:
+        """The kind of picture. ConfigError for one that cannot hold the mode."""
+        kind = MODES[self.mode][0] if self.image is None else self.image
+        if kind not in MODES[self.mode]:
+            raise ConfigError(
+                f"A Nav2 map in mode {self.mode} cannot be a picture of kind {kind!r}; "
+                f"give {' or '.join(MODES[self.mode])}."
+            )
+        return kind
+
+
 def export_nav2(
     universal: MapFile,
-    path: str | Path,
-    selection: Selection | None = None,
+    path: Path,
+    selection: Selection,
+    options: Nav2Options,
     *,
-    overwrite: bool = False,
-    mode: str = "trinary",
-    image: str | None = None,
-    free_up_to: int = FREE_UP_TO,
-    obstacle_above: int = OBSTACLE_ABOVE,
-    cost_shape: float = 1.0,
+    overwrite: bool,
 ) -> Exported:
     """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`.
 
-    The curve of `free_up_to`, `obstacle_above` and `cost_shape` (see `CostCurve`) makes an
-    occupancy of the density. `trinary` keeps free and obstacle; doubt is read back as unknown.
-    `scale` and `raw` keep each of 0..100 and unknown exactly. `image` is pgm or png, the usual one
-    of the mode when not given. The picture's first row is the northernmost; x is east, y is
-    north, in metres from the datum.
+    The curve of the options makes an occupancy of the density. `trinary` keeps free and obstacle;
+    doubt is read back as unknown. `scale` and `raw` keep each of 0..100 and unknown exactly. The
+    picture's first row is the northernmost; x is east, y is north, in metres from the datum.
 
     The files appear when all are complete, the YAML file last. Raises ConfigError for what cannot
     be asked, MapExistsError, MapWriteError.
     """
-    path, selection = Path(path), selection or Selection()
-    kind = _checked(path, selection, mode, image)
-    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    if path.suffix.lower() not in _ENDINGS:
+        raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
+    mode, kind, curve = options.mode, options.picture(), options.curve()
     view = selection.view(universal)
     occupancy = curve.occupancy(view.layer(selection.layer), view.observed)
     picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
@@ -81,28 +102,10 @@ def export_nav2(
             path: _text_writer(_yaml(view, picture.name, mode)),
         },
         overwrite=overwrite,
+        ours=lambda file: mentions(file.with_suffix(".georef.json"), b'"fieldgrid_georeference"'),
+        what="a Nav2 map",
     )
     return Exported((paths[-1], *paths[:-1]), (("mode", mode), *_counted(view, occupancy)))
-
-
-def _checked(path: Path, selection: Selection, mode: str, image: str | None) -> str:
-    """The kind of picture; ConfigError for what cannot be asked."""
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
-    if selection.layer not in ("density", "max"):
-        raise ConfigError(
-            f"A Nav2 map is made of a density, and {selection.layer!r} is none; take the layer "
-            "density or max, or another format."
-        )
-    if mode not in MODES:
-        raise ConfigError(f"{mode!r} is no mode of Nav2's map server; give {', '.join(MODES)}.")
-    kind = MODES[mode][0] if image is None else image.lower()
-    if kind not in MODES[mode]:
-        raise ConfigError(
-            f"A Nav2 map in mode {mode} cannot be a picture of kind {image!r}; "
-            f"give {' or '.join(MODES[mode])}."
-        )
-    return kind
 
 
 def greys(mode: str) -> UInt8:
@@ -169,3 +172,17 @@ def _counted(view: MapView, occupancy: npt.NDArray[np.int8]) -> tuple[tuple[str,
         ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
         ("free, in doubt, obstacle, unknown", f"{free}, {doubt}, {occupied}, {unknown}"),
     )
+
+
+register(
+    Format(
+        "nav2",
+        _ENDINGS,
+        "Nav2 map: YAML, picture, georeference",
+        export_nav2,
+        Nav2Options,
+        Holds.OCCUPANCY,
+        readers="Nav2's map server",
+        limits="4·10^8 cells",
+    )
+)

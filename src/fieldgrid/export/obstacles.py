@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.errors import ConfigError
-from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.export.options import ShapeOptions
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapView
 
@@ -25,27 +25,6 @@ MAX_CELLS = 50_000_000
 
 _AREA_SHARE = 0.05
 """An outline is simplified only if its area stays as it is, but for this share."""
-
-
-class ObstacleSettings(NamedTuple):
-    """Cells of a density above `above` are obstacles; of fewer than `min_area_m2` together they are
-    left out. Outlines may be moved by up to `simplify_m`, None for a cell."""
-
-    above: int = OBSTACLE_ABOVE
-    min_area_m2: float = 0.0
-    simplify_m: float | None = None
-
-    def checked(self) -> ObstacleSettings:
-        """The settings, once it is sure that they can be."""
-        if not 0 <= self.above <= 254:
-            raise ConfigError(f"A threshold of {self.above} is outside 0..254; 100 is the paper's.")
-        if not 0.0 <= self.min_area_m2 < 1e9:
-            raise ConfigError(f"A least area of {self.min_area_m2} m² is none; give 0 or more.")
-        if self.simplify_m is not None and not 0.0 <= self.simplify_m <= 10.0:
-            raise ConfigError(
-                f"Outlines simplified by {self.simplify_m} m are outside 0..10 m; a cell is usual."
-            )
-        return self
 
 
 class Obstacle(NamedTuple):
@@ -67,23 +46,23 @@ class _Cells(NamedTuple):
 
 
 def trace_obstacles(
-    views: Iterable[MapView], settings: ObstacleSettings | None = None
+    views: Iterable[MapView], options: ShapeOptions | None = None
 ) -> Iterator[Obstacle]:
     """The obstacles in views of one lattice that do not overlap, from the south-west.
 
     Cells that touch by a side or a corner are one obstacle. Raises ConfigError when there are too
     many, or when shapely or rasterio is not installed.
     """
-    settings = (settings or ObstacleSettings()).checked()
+    options = options or ShapeOptions()
     _require_libraries()
-    lattice, cells = _collect(views, settings.above)
+    lattice, cells = _collect(views, options.obstacle_above)
     if lattice is None:
         return
     for part in _components(cells):
         area_m2 = len(part.i) * lattice.cell_m**2
-        if area_m2 >= settings.min_area_m2:
+        if area_m2 >= options.min_area_m2:
             yield Obstacle(
-                _outline(part, lattice, settings.simplify_m),
+                _outline(part, lattice, options.simplify_m),
                 area_m2,
                 float(part.density.mean()),
                 int(part.density.max()),

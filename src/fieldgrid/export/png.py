@@ -6,8 +6,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.export.formats import Exported
-from fieldgrid.export.raster import Plane, Raster, layout_of, painted
+from fieldgrid.export.options import PlaneOptions
+from fieldgrid.export.raster import Plane, Raster, is_ours, painted
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.mapfile import MapFile
@@ -23,28 +24,24 @@ _LEVEL = 1
 
 def export_png(
     universal: MapFile,
-    path: str | Path,
+    path: Path,
     selection: Selection,
+    options: PlaneOptions,
     *,
-    overwrite: bool = False,
-    epsg: int | None = None,
+    overwrite: bool,
 ) -> Exported:
     """Write the density, or `max`, as PNG: grey is the value, alpha 255 where a cell was observed.
 
     Beside it come a world file (.pgw: the pixels' sides, and the centre of the upper left one),
     the system as .prj, and a .png.aux.xml in which GDAL and QGIS find both again, with the tags of
-    the GeoTIFF. Raises ConfigError for a layer that 8 bits do not hold and for a picture that
-    usual programs do not open; other errors as in `export_geotiff`.
+    the GeoTIFF. Raises ConfigError for a picture that usual programs do not open; other errors as
+    in `export_geotiff`.
     """
-    path = Path(path)
-    if not layout_of(selection.layer).alpha:
-        raise ConfigError(
-            f"A PNG has 8 bits a pixel, too few for the layer {selection.layer!r}; export density "
-            "or max, or write a GeoTIFF."
-        )
     with ExitStack() as stack:
         picture = _Picture(
-            stack.enter_context(painted(universal, path, selection, epsg, check=_check_size))
+            stack.enter_context(
+                painted(universal, path, selection, options.epsg, check=_check_size)
+            )
         )
         stack.callback(picture.discard)
         paths = write_together(
@@ -55,6 +52,8 @@ def export_png(
                 path: picture.write_pixels,
             },
             overwrite=overwrite,
+            ours=is_ours,
+            what="a PNG",
         )
     return Exported((paths[-1], *paths[:-1]), picture.raster.rows)
 
@@ -105,3 +104,18 @@ def _check_size(plane: Plane) -> None:
             f"({MAX_SIDE_PX} a side, {MAX_PIXELS / 1e6:.0f} million); give smaller bounds or a "
             "larger cell, or write a GeoTIFF."
         )
+
+
+register(
+    Format(
+        "png",
+        (".png",),
+        "picture with a world file",
+        export_png,
+        PlaneOptions,
+        Holds.GREY,
+        readers="GIS, any viewer",
+        extras=("gis",),
+        limits="65535 a side, 2^30 pixels",
+    )
+)

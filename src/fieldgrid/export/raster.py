@@ -22,9 +22,10 @@ from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView, OverviewBlock
-from fieldgrid.publish import Draft
+from fieldgrid.publish import Draft, mentions
 
 BLOCK_PX = 512
+_TAG = b"FIELDGRID_DATUM_LAT_DEG"
 CACHE_MB = 96
 """What GDAL may keep of the pixels in memory."""
 
@@ -237,6 +238,11 @@ def _block_end(dataset: Any, block: str, domain: str, band: int, level: int | No
     if offset is None:
         return 0
     return int(offset) + int(dataset.get_tag_item(f"BLOCK_SIZE_{block}", domain, band, level))
+
+
+def is_ours(file: Path) -> bool:
+    """Whether a raster, or what lies beside it, has our tags."""
+    return mentions(file, _TAG) or mentions(file.with_name(f"{file.name}.aux.xml"), _TAG)
 
 
 def datum_tags(datum: Datum, lattice: Lattice) -> dict[str, str]:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.angles import yaw_from_heading_rad
-from fieldgrid.array_types import AnyArray, Bool, Float32
+from fieldgrid.array_types import AnyArray, Bool, Float32, Int64
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum, geodetic_to_ecef
 from fieldgrid.mapfile import MapView
@@ -91,9 +91,8 @@ def grid_map(view: MapView, layers: Mapping[str, AnyArray], time_ns: int) -> Any
     )
 
 
-def path(track: Trajectory, time_ns: int) -> Any:
-    """nav_msgs/Path of the accepted poses that have a heading; each has its own time."""
-    rows = np.flatnonzero(track.accepted & np.isfinite(track.heading_deg))
+def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
+    """nav_msgs/Path of some rows that have a heading; each has its own time."""
     yaw_rad = yaw_from_heading_rad(track.heading_deg[rows])
     poses = [
         pose_stamped(
@@ -106,13 +105,13 @@ def path(track: Trajectory, time_ns: int) -> Any:
     return new("nav_msgs/Path", header=header_of(time_ns, MAP), poses=poses)
 
 
-def fixes(track: Trajectory) -> Iterator[tuple[int, Any]]:
-    """The time in ns and the sensor_msgs/NavSatFix of each accepted row that a fix gave.
+def fixes(track: Trajectory, wanted: Bool) -> Iterator[tuple[int, Any]]:
+    """The time in ns and the sensor_msgs/NavSatFix of each wanted row that a fix gave.
 
     The positions are those of the vehicle's grid origin, not of its antenna. The height's
     variance is not estimated; twice the horizontal sigma is usual.
     """
-    rows = np.flatnonzero(track.accepted & (track.quality != Quality.ESTIMATED))
+    rows = np.flatnonzero(wanted & (track.quality != Quality.ESTIMATED))
     places = track.datum.to_geodetic(track.east_m[rows], track.north_m[rows], track.up_m[rows])
     for k, lat_deg, lon_deg, height_m in zip(rows, *places, strict=True):
         time_ns, sigma_m = int(track.time_ns[k]), float(track.position_sigma_m[k])

@@ -12,20 +12,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from fieldgrid.array_types import Bool, Int64
 from fieldgrid.cost import CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import foxglove_messages, ros_messages
 from fieldgrid.export.features import trajectories
-from fieldgrid.export.formats import Exported
 from fieldgrid.export.georeference import georeference
+from fieldgrid.export.options import CurveOptions
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.vector import geojson_text
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
-from fieldgrid.lattice import Lattice
+from fieldgrid.export.vector import FeatureOptions, geojson_text
+from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.ros import BagFolderWriter, McapWriter
 from fieldgrid.ros.gnss import datum_message
 from fieldgrid.ros.messages import text
+from fieldgrid.settings import Flag, setting
 from fieldgrid.trajectory import Trajectory
 
 MAX_CELLS = 25_000_000
@@ -45,15 +49,21 @@ class _Stamped(NamedTuple):
     latched: bool
 
 
+class BagOptions(CurveOptions):
+    """How a bag is stored."""
+
+    storage: Literal["sqlite3", "mcap"] = setting(
+        "sqlite3", "storage of the bag", flag=Flag("--storage", "sqlite3|mcap")
+    )
+
+
 def export_mcap(
     universal: MapFile,
-    path: str | Path,
-    selection: Selection | None = None,
+    path: Path,
+    selection: Selection,
+    options: CurveOptions,
     *,
-    overwrite: bool = False,
-    free_up_to: int = FREE_UP_TO,
-    obstacle_above: int = OBSTACLE_ABOVE,
-    cost_shape: float = 1.0,
+    overwrite: bool,
 ) -> Exported:
     """Write a part of a map as one `.mcap` file for Foxglove.
 
@@ -61,17 +71,15 @@ def export_mcap(
     the obstacles and trajectories as GeoJSON. Raises ConfigError for a part of more than 25
     million cells, and when the schemas of Foxglove, pyogrio or shapely are not installed.
     """
-    path, selection = Path(path), selection or Selection()
     foxglove_messages.check_installed()
-    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    curve = options.curve()
     view, tracks = _read(universal, selection)
     start_ns = _start_ns(universal, tracks)
     shapes = geojson_text(
         universal,
         path,
         Selection(selection.bounds, selection.cell_m, at=selection.at),
-        features="obstacle,trajectory",
-        above=curve.obstacle_above,
+        FeatureOptions(features="obstacle,trajectory", obstacle_above=options.obstacle_above),
     )
     with McapWriter(path, overwrite=overwrite) as writer:
         for topic, raw in (
@@ -79,48 +87,35 @@ def export_mcap(
             ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
         ):
             writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
-        count = _write(writer, view, tracks, curve, selection.layer, start_ns)
+        count = _write(writer, view, tracks, curve, selection, start_ns)
     return Exported((path,), _rows(view, count + 2))
 
 
 def export_rosbag2(
     universal: MapFile,
-    path: str | Path,
-    selection: Selection | None = None,
+    path: Path,
+    selection: Selection,
+    options: BagOptions,
     *,
-    overwrite: bool = False,
-    free_up_to: int = FREE_UP_TO,
-    obstacle_above: int = OBSTACLE_ABOVE,
-    cost_shape: float = 1.0,
-    storage: str = "sqlite3",
+    overwrite: bool,
 ) -> Exported:
     """Write a part of a map as a ROS 2 bag, a folder that `ros2 bag play` plays to Nav2.
 
-    /map is a nav_msgs/OccupancyGrid, by the curve of `free_up_to`, `obstacle_above` and
-    `cost_shape` (see `CostCurve`); /grid_map has the density, count, variance and persistence of
-    each cell. There are a path and fixes of each session, the datum as a fix, as the transform
-    from `earth` to `map` and as JSON. `storage` is sqlite3 or mcap. The folder appears when it is
+    /map is a nav_msgs/OccupancyGrid, by the curve of the options; /grid_map has the density, count,
+    variance and persistence of each cell. There are a path and fixes of each session, the datum as
+    a fix, as the transform from `earth` to `map` and as JSON. The folder appears when it is
     complete. Raises ConfigError for a part of more than 25 million cells.
     """
-    path, selection = Path(path), selection or Selection()
-    if storage not in ("sqlite3", "mcap"):
-        raise ConfigError(f"{storage!r} is no storage of a ROS 2 bag; give sqlite3 or mcap.")
-    curve = CostCurve(free_up_to, obstacle_above, cost_shape)
+    curve = options.curve()
     view, tracks = _read(universal, selection)
     start_ns = _start_ns(universal, tracks)
-    kind: Literal["sqlite3", "mcap"] = "mcap" if storage == "mcap" else "sqlite3"
-    with BagFolderWriter(path, storage=kind, overwrite=overwrite) as writer:
-        count = _write(writer, view, tracks, curve, selection.layer, start_ns)
+    with BagFolderWriter(path, storage=options.storage, overwrite=overwrite) as writer:
+        count = _write(writer, view, tracks, curve, selection, start_ns)
     return Exported((path,), _rows(view, count))
 
 
 def _read(universal: MapFile, selection: Selection) -> tuple[MapView, dict[str, Trajectory]]:
     """The view with the layers of the grid map, and the trajectories of the sessions in it."""
-    if selection.layer not in ("density", "max"):
-        raise ConfigError(
-            f"A bag's occupancy is made of a density, and {selection.layer!r} is none; take the "
-            "layer density or max: the grid map holds others beside it."
-        )
     _check_size(universal, selection)
     view = selection.view(universal, GRID_MAP_LAYERS)
     tracks = trajectories(universal, selection)
@@ -158,19 +153,25 @@ def _write(
     view: MapView,
     tracks: dict[str, Trajectory],
     curve: CostCurve,
-    layer: str,
+    selection: Selection,
     start_ns: int,
 ) -> int:
     """Write the ROS messages; their number."""
     count = 0
-    for one in _messages(view, tracks, curve, layer, start_ns):
+    area = None if selection.bounds is None else view.bounds
+    for one in _messages(view, tracks, curve, selection.layer, start_ns, area):
         writer.write(one.topic, one.message, one.time_ns, latched=one.latched)
         count += 1
     return count
 
 
 def _messages(
-    view: MapView, tracks: dict[str, Trajectory], curve: CostCurve, layer: str, start_ns: int
+    view: MapView,
+    tracks: dict[str, Trajectory],
+    curve: CostCurve,
+    layer: str,
+    start_ns: int,
+    area: Bounds | None,
 ) -> Iterator[_Stamped]:
     """All messages in the order of their times, one in memory at a time."""
     datum = view.datum
@@ -186,10 +187,32 @@ def _messages(
     yield _Stamped("/grid_map", ros_messages.grid_map(view, layers, start_ns), start_ns, True)
     names = topic_names(tracks)
     for name, track in tracks.items():
-        yield _Stamped(f"/{names[name]}/path", ros_messages.path(track, start_ns), start_ns, True)
+        for number, rows in enumerate(_runs(track, area), 1):
+            topic = f"/{names[name]}/path{'' if number == 1 else f'_{number}'}"
+            yield _Stamped(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
     for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
-        for time_ns, fix in ros_messages.fixes(track):
+        for time_ns, fix in ros_messages.fixes(track, track.accepted & _inside(track, area)):
             yield _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
+
+
+def _inside(track: Trajectory, area: Bounds | None) -> Bool:
+    if area is None:
+        return np.ones(len(track), dtype=np.bool_)
+    east, north = track.east_m, track.north_m
+    in_columns = (east >= area.west_m) & (east <= area.east_m)
+    return in_columns & (north >= area.south_m) & (north <= area.north_m)
+
+
+def _runs(track: Trajectory, area: Bounds | None) -> Iterator[Int64]:
+    """The rows of a path for each time that the drive is in the area."""
+    rows = np.flatnonzero(track.accepted & np.isfinite(track.heading_deg))
+    inside = _inside(track, area)[rows]
+    if area is None:
+        yield rows
+        return
+    for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(inside)) + 1):
+        if len(part) and inside[part[0]]:
+            yield rows[part]
 
 
 def topic_names(sessions: dict[str, Any]) -> dict[str, str]:
@@ -215,3 +238,29 @@ def _rows(view: MapView, messages: int) -> tuple[tuple[str, str], ...]:
         ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
         ("messages", str(messages)),
     )
+
+
+register(
+    Format(
+        "mcap",
+        (".mcap",),
+        "ROS 2 messages, and two of Foxglove's own",
+        export_mcap,
+        CurveOptions,
+        Holds.OCCUPANCY,
+        readers="Foxglove",
+        extras=("foxglove", "gis"),
+        limits="2.5·10^7 cells",
+    ),
+    Format(
+        "rosbag2",
+        (".rosbag2",),
+        "ROS 2 bag: occupancy, grid map, paths, fixes",
+        export_rosbag2,
+        BagOptions,
+        Holds.OCCUPANCY,
+        folder=True,
+        readers="`ros2 bag play` to Nav2, RViz",
+        limits="2.5·10^7 cells",
+    ),
+)

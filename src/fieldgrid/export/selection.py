@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, check_inside
+from fieldgrid.lattice import Bounds, Lattice, check_inside
 from fieldgrid.mapfile import LAYERS, Blocks, MapFile, MapView, OverviewBlock, in_drive_order
 
 
@@ -36,6 +36,13 @@ class Selection:
             check_inside(self.bounds, universal.bounds)
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
+
+    def area(self, universal: MapFile) -> Bounds | None:
+        """The ground that the cells of the part cover, None for all that there is."""
+        if self.bounds is None:
+            return None
+        lattice = Lattice(universal.cell_m if self.cell_m is None else self.cell_m)
+        return lattice.bounds(lattice.window(self.bounds))
 
     @contextmanager
     def blocks(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Blocks]:

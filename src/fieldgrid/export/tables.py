@@ -18,12 +18,13 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
-from fieldgrid.publish import replacing
+from fieldgrid.publish import mentions, replacing
+from fieldgrid.settings import Settings
 
 _ROWS = 1 << 16
 """Rows that are formatted at a time: 64 k of text are some MB."""
@@ -35,7 +36,7 @@ Table = dict[str, AnyArray]
 
 
 def export_csv(
-    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write the observed cells as CSV, and their metadata as `PATH-metadata.json` (CSVW)."""
     beside = path.with_name(path.name + "-metadata.json")
@@ -55,12 +56,17 @@ def export_csv(
                     out.write(lines)
         _refuse_empty(rows, path)
 
-    write_together({beside: write_metadata, path: write_cells}, overwrite=overwrite)
+    write_together(
+        {beside: write_metadata, path: write_cells},
+        overwrite=overwrite,
+        ours=lambda file: mentions(beside, b"http://www.w3.org/ns/csvw"),
+        what="a CSV",
+    )
     return Exported((path, beside), (("cells", str(rows)),))
 
 
 def export_parquet(
-    universal: MapFile, path: Path, selection: Selection, *, overwrite: bool = False
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write the observed cells as Parquet. Raises ConfigError when pyarrow is not installed."""
     try:
@@ -72,7 +78,15 @@ def export_parquet(
             "run: pip install 'fieldgrid[tables]'"
         ) from error
     rows = 0
-    with replacing(path, overwrite=overwrite) as file, ExitStack() as open_things:
+    with (
+        replacing(
+            path,
+            overwrite=overwrite,
+            ours=lambda file: mentions(file, b"fieldgrid"),
+            what="a Parquet table",
+        ) as file,
+        ExitStack() as open_things,
+    ):
         writer: Any = None
         for table in _tables(universal, selection):
             batch = pyarrow.table(table)
@@ -174,3 +188,22 @@ def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any
         "tableSchema": {"columns": columns},
         "notes": [notes],
     }
+
+
+register(
+    Format(
+        "csv",
+        (".csv",),
+        "a row for each observed cell",
+        export_csv,
+        readers="spreadsheets, R",
+    ),
+    Format(
+        "parquet",
+        (".parquet",),
+        "the same as Parquet",
+        export_parquet,
+        readers="pandas, DuckDB",
+        extras=("tables",),
+    ),
+)

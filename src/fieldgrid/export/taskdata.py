@@ -17,8 +17,9 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.features import FeatureLayer, feature_layers, obstacle_settings
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.features import FeatureLayer, feature_layers
+from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
@@ -66,23 +67,20 @@ def export_taskdata(
     universal: MapFile,
     path: Path,
     selection: Selection,
+    options: ShapeOptions,
     *,
-    overwrite: bool = False,
-    obstacle_above: int | None = None,
-    min_area_m2: float | None = None,
-    simplify_m: float | None = None,
+    overwrite: bool,
 ) -> Exported:
     """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA.
 
-    Options as of :func:`fieldgrid.export.vector.export_geopackage`. Raises ConfigError when isoxml
-    is not installed, and for a grid that is too large for a terminal.
+    Raises ConfigError when isoxml is not installed, and for a grid that is too large for a
+    terminal.
     """
     _require_library()
-    settings = obstacle_settings(selection, obstacle_above, min_area_m2, simplify_m)
-    layers = feature_layers(universal, selection, settings, ("obstacle", "trajectory", "footprint"))
+    layers = feature_layers(universal, selection, options, ("obstacle", "trajectory", "footprint"))
     obstacles, drives, footprints = layers
     view = selection.view(universal)
-    grid = zone_grid(view, settings.above)
+    grid = zone_grid(view, options.obstacle_above)
     field = _field(universal, obstacles, drives, footprints)
     with replacing_folder(
         path, overwrite=overwrite, ours=_is_taskdata, what="exported task data"
@@ -337,3 +335,19 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
         tasks=[task],
     )
     isoxml_to_dir(folder, document, {"GRD00001": content})
+
+
+register(
+    Format(
+        "isoxml",
+        ("taskdata",),
+        "ISO 11783-10 task data 4.3, a folder",
+        export_taskdata,
+        ShapeOptions,
+        Holds.SHAPES,
+        folder=True,
+        readers="tractor terminals, farm software",
+        extras=("isoxml",),
+        limits="5·10^7 cells of the grid",
+    )
+)

@@ -11,13 +11,18 @@ from fieldgrid.publish import Draft
 
 
 def write_together(
-    writers: Mapping[Path, Callable[[Path], None]], *, overwrite: bool
+    writers: Mapping[Path, Callable[[Path], None]],
+    *,
+    overwrite: bool,
+    ours: Callable[[Path], bool],
+    what: str,
 ) -> tuple[Path, ...]:
     """Write files by their writers, which are given the file to write, then name all of them.
 
     The last one is what a program opens, and which refers to the others: it is the last to get
     its name, and what it replaces goes first, so that nobody opens it with the files of another.
-    When one fails before the first is named, none is changed; later none is left. Raises
+    When one fails before the first is named, none is changed; later none is left. `ours` and `what`
+    tell of the last file whether it may be replaced, as a :class:`Draft` has them. Raises
     MapExistsError when one exists and may not be overwritten, MapWriteError when one cannot be
     written.
     """
@@ -25,7 +30,8 @@ def write_together(
     with ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
-            drafts.append(Draft(target, overwrite=overwrite))
+            check = ours if target == targets[-1] else None
+            drafts.append(Draft(target, overwrite=overwrite, ours=check, what=what))
             stack.callback(drafts[-1].discard)
         for draft, write in zip(drafts, writers.values(), strict=True):
             try:

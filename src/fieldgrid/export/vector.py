@@ -9,7 +9,8 @@ from __future__ import annotations
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.export.features import LAYERS, FeatureLayer, feature_layers, obstacle_settings
-from fieldgrid.export.formats import Exported
+from fieldgrid.export.features import LAYERS, FeatureLayer, feature_layers
+from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
-from fieldgrid.publish import replacing, replacing_folder
+from fieldgrid.publish import mentions, replacing, replacing_folder
+from fieldgrid.settings import Flag, setting
 
 _SHAPEFILE_NAMES = {
     "mean_density": "mean_dens",
@@ -35,30 +38,39 @@ _SHAPEFILE_NAMES = {
 """Names of columns in a shapefile, which has ten letters for one."""
 
 
+class FeatureOptions(ShapeOptions):
+    """Which features, and how obstacles become polygons."""
+
+    features: str | None = setting(
+        None,
+        "kinds of features: obstacle, trajectory, pose, footprint",
+        usual="all",
+        flag=Flag("--features", "A,B"),
+    )
+
+
 def export_geojson(
     universal: MapFile,
     path: Path,
     selection: Selection,
+    options: FeatureOptions,
     *,
-    overwrite: bool = False,
-    features: str | None = None,
-    obstacle_above: int | None = None,
-    min_area_m2: float | None = None,
-    simplify_m: float | None = None,
+    overwrite: bool,
 ) -> Exported:
     """Write one FeatureCollection in WGS84, nine decimals; the property `layer` tells features of
-    different kinds apart. Options as in :func:`export_geopackage`."""
-    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
-    with replacing(path, overwrite=overwrite) as file:
+    different kinds apart."""
+    layers = _layers(universal, selection, options)
+    ours = partial(mentions, mark=b'"name": "fieldgrid"')
+    with replacing(path, overwrite=overwrite, ours=ours, what="a GeoJSON") as file:
         _write_geojson(file, path, layers, universal.datum)
     return Exported((path,), _rows(layers))
 
 
 def geojson_text(
-    universal: MapFile, target: Path, selection: Selection, *, features: str, above: int
+    universal: MapFile, target: Path, selection: Selection, options: FeatureOptions
 ) -> str:
     """The same as text, for a message in `target`."""
-    layers = _layers(universal, selection, features, above, None, None)
+    layers = _layers(universal, selection, options)
     text = BytesIO()
     _write_geojson(text, target, layers, universal.datum)
     return text.getvalue().decode()
@@ -75,23 +87,17 @@ def export_geopackage(
     universal: MapFile,
     path: Path,
     selection: Selection,
+    options: FeatureOptions,
     *,
-    overwrite: bool = False,
-    features: str | None = None,
-    obstacle_above: int | None = None,
-    min_area_m2: float | None = None,
-    simplify_m: float | None = None,
+    overwrite: bool,
 ) -> Exported:
     """Write a GeoPackage with a layer for each kind of feature.
 
-    `features` are the layers, separated by commas: obstacle, trajectory, pose, footprint; all when
-    it is not given. Obstacles are cells of a density above `obstacle_above` (100), of at least
-    `min_area_m2` together (0), with outlines simplified by `simplify_m` (a cell). Raises
-    ConfigError for a name that is no layer, or when pyogrio is not installed.
+    Raises ConfigError for a kind that is none, or when pyogrio is not installed.
     """
-    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
+    layers = _layers(universal, selection, options)
     with (
-        replacing(path, overwrite=overwrite) as file,
+        replacing(path, overwrite=overwrite, ours=_has_datum, what="a GeoPackage") as file,
         tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
     ):
         # GDAL takes no empty file for a GeoPackage, and a draft is held as long as it is this file.
@@ -116,20 +122,16 @@ def export_shapefile(
     universal: MapFile,
     path: Path,
     selection: Selection,
+    options: FeatureOptions,
     *,
-    overwrite: bool = False,
-    features: str | None = None,
-    obstacle_above: int | None = None,
-    min_area_m2: float | None = None,
-    simplify_m: float | None = None,
+    overwrite: bool,
 ) -> Exported:
     """Write a shapefile for each kind of feature: zipped into one file, which GDAL and QGIS open,
-    when `path` ends in .zip, else into a folder. Options as in :func:`export_geopackage`; names of
-    columns are cut to ten letters."""
-    layers = _layers(universal, selection, features, obstacle_above, min_area_m2, simplify_m)
+    when `path` ends in .zip, else into a folder. Names of columns are cut to ten letters."""
+    layers = _layers(universal, selection, options)
     if path.suffix.lower() == ".zip":
         with (
-            replacing(path, overwrite=overwrite) as file,
+            replacing(path, overwrite=overwrite, ours=_is_zipped, what="a zip") as file,
             tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
         ):
             _write_shapefiles(Path(folder), path, layers, universal.datum)
@@ -158,19 +160,30 @@ def _write_shapefiles(
         )
 
 
+def _has_datum(file: Path) -> bool:
+    return mentions(file, b"FIELDGRID_DATUM_LAT_DEG")
+
+
+def _is_zipped(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return _is_shapefile(map(Path, archive.namelist()))
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 def _is_shapefiles(folder: Path) -> bool:
+    return _is_shapefile(folder.iterdir())
+
+
+def _is_shapefile(parts: Iterable[Path]) -> bool:
     endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
     # Shapefiles of other names are somebody's own.
-    return all(entry.stem in LAYERS and entry.suffix in endings for entry in folder.iterdir())
+    return all(part.stem in LAYERS and part.suffix in endings for part in parts)
 
 
 def _layers(
-    universal: MapFile,
-    selection: Selection,
-    features: str | None,
-    obstacle_above: int | None,
-    min_area_m2: float | None,
-    simplify_m: float | None,
+    universal: MapFile, selection: Selection, options: FeatureOptions
 ) -> list[FeatureLayer]:
     try:
         import pyogrio  # noqa: F401
@@ -180,9 +193,8 @@ def _layers(
             "Writing features needs pyogrio and shapely, which are not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
-    settings = obstacle_settings(selection, obstacle_above, min_area_m2, simplify_m)
-    names = LAYERS if features is None else tuple(name.strip() for name in features.split(","))
-    return feature_layers(universal, selection, settings, names)
+    names = tuple(name.strip() for name in (options.features or ",".join(LAYERS)).split(","))
+    return feature_layers(universal, selection, options, names)
 
 
 def _rows(layers: Sequence[FeatureLayer]) -> tuple[tuple[str, str], ...]:
@@ -276,3 +288,39 @@ def _write(
         raise MapWriteError(
             f"{target} could not be written ({error}); check the space on the disk."
         ) from error
+
+
+_SHARED: Any = {
+    "options": FeatureOptions,
+    "holds": Holds.SHAPES,
+    "extras": ("gis",),
+    "limits": "5·10^7 obstacle cells",
+}
+
+register(
+    Format(
+        "geojson",
+        (".geojson", ".json"),
+        "obstacles, drives, poses, footprints in WGS84",
+        export_geojson,
+        readers="GIS, web maps",
+        **_SHARED,
+    ),
+    Format(
+        "gpkg",
+        (".gpkg",),
+        "the same as a GeoPackage in the map's plane",
+        export_geopackage,
+        readers="GIS",
+        **_SHARED,
+    ),
+    Format(
+        "shapefile",
+        (".shp.zip",),
+        "the same as shapefiles, zipped or in a folder",
+        export_shapefile,
+        readers="older GIS",
+        folder=True,
+        **_SHARED,
+    ),
+)

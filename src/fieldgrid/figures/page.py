@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.publish import replacing
+from fieldgrid.publish import mentions, replacing
 
 
 def new_figure(size_in: tuple[float, float]) -> Figure:
@@ -22,8 +23,9 @@ def new_figure(size_in: tuple[float, float]) -> Figure:
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure, whole or not at all, in the format that the name ends in.
 
-    An earlier file of that name is replaced. Raises ConfigError for a name of no known format,
-    MapWriteError where it cannot be written.
+    An earlier figure of that name is replaced, but nothing else. Raises ConfigError for a name of
+    no known format, MapExistsError for a file that is no figure, MapWriteError where it cannot be
+    written.
     """
     path = Path(path)
     written = BytesIO()
@@ -33,5 +35,6 @@ def save(figure: Figure, path: str | Path) -> None:
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
         ) from error
-    with replacing(path) as draft:
+    # Every kind of figure names the library in its metadata; a photograph does not.
+    with replacing(path, ours=partial(mentions, mark=b"atplotlib"), what="a figure") as draft:
         draft.write_bytes(written.getvalue())

@@ -6,16 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fieldgrid.build.poses import MISPLACED_M, usual_speed_mps
 from fieldgrid.build.shifts import explanation
-from fieldgrid.inspection.findings import Finding, Severity, info
+from fieldgrid.choices import Doubt
+from fieldgrid.inspection.findings import Finding, error, info, warning
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.pose import ClockOffset
 from fieldgrid.pose.clock import WIDEST_S
 from fieldgrid.trajectory import Trajectory
-
-MISPLACED_M = 0.25
-"""An offset that moves the drive by more than this makes a wrong map: it is the paper's cell."""
-
 
 TURN_SIGMA_DEG, FEWEST_TURNS = 0.3, 10
 """How far the turns of a gyro and of a camera differ when their clocks agree, and how many are
@@ -60,13 +58,14 @@ def clock_findings(
 ) -> Iterator[Finding]:
     """That the images' clock is certainly off by more than `declared_ns`, the offset that image
     times have already. `fixes_off` says that the gyro goes with the images."""
-    speed_mps = _usual_speed(trajectory)
+    speed_mps = usual_speed_mps(trajectory)
     far_m = abs(clock.offset_s) * speed_mps
     whole_s = declared_ns / 1e9 + clock.offset_s
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
-    yield Finding(
-        Severity.ERROR if far_m > MISPLACED_M else Severity.WARNING,
-        "clock-offset",
+    wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S
+    tell = error if wrong else warning
+    yield tell(
+        Doubt.CLOCK_OFFSET.value,
         f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
         f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}; at {speed_mps:.1f} m/s "
         f"that is {far_m:.2f} m.",
@@ -75,13 +74,4 @@ def clock_findings(
         if fixes_off
         else f"Give --time-offset {whole_s:.3f}, or image_time_offset_s = {whole_s:.3f} in "
         "recording.toml.",
-        # The same limit as in a build, which looks at all of the frames.
-        stops_build=abs(clock.offset_s) > WIDEST_S,
     )
-
-
-def _usual_speed(trajectory: Trajectory) -> float:
-    """The median speed of a drive while it moves."""
-    speed = np.abs(trajectory.speed_mps[trajectory.accepted])
-    moving = speed[speed > 0.1]
-    return float(np.median(moving)) if moving.size else 0.0

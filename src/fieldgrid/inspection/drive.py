@@ -10,15 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fieldgrid.build.doubt import check_cameras, swapped
+from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import check_images, check_poses, estimate_drive
 from fieldgrid.build.report import SessionReport
-from fieldgrid.errors import CalibrationError
 from fieldgrid.gnss import condition
 from fieldgrid.inspection.clocks import clock_findings, clock_unknown, with_gyro
 from fieldgrid.inspection.coverage import coverage, coverage_findings
-from fieldgrid.inspection.findings import Finding, stop, warning
+from fieldgrid.inspection.findings import Finding, error, warning
 from fieldgrid.inspection.fixes import (
     fix_findings,
     pose_findings,
@@ -29,7 +28,6 @@ from fieldgrid.inspection.fixes import (
 )
 from fieldgrid.inspection.images import (
     image_findings,
-    misalignment,
     misalignment_findings,
     unread_findings,
 )
@@ -45,6 +43,7 @@ from fieldgrid.pose.placed import place
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
+from fieldgrid.vertical import misalignment
 
 GROUND_SHARE = 0.7
 """Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
@@ -116,7 +115,9 @@ def _looked(
     rows = None
     if isinstance(recording.rig.sensor, StereoCamera):
         camera = recording.rig.sensor
-        rows = misalignment(seen.looks, (camera.width_px, camera.height_px))
+        rows = misalignment(
+            [look.shifts for look in seen.looks], (camera.width_px, camera.height_px)
+        )
         findings += misalignment_findings(rows)
     if not seen.unread and looked:
         findings += _camera_findings(recording, seen, every)
@@ -136,15 +137,12 @@ def _camera_findings(recording: Recording, seen: Seen, every: int) -> Iterator[F
     ground = sum(one.refined for one in seen.grounds)
     steps = 0 if seen.steps is None else len(seen.steps.start_ns)
     report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
-    try:
-        check_cameras(recording, report, ground, every)
-    except CalibrationError as problem:
-        pair = isinstance(recording.rig.sensor, StereoCamera)
-        exchanged = pair and swapped(recording, len(seen.grounds), every)
-        yield refusal(problem, "cameras-swapped" if exchanged else "cameras-unfit")
+    doubted = doubted_cameras(recording, report, ground, every)
+    if doubted is not None:
+        yield refusal(doubted.error, doubted.doubt)
         return
     if ground == 0:
-        yield stop(
+        yield error(
             "no-ground",
             f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
             "heights above it are not known.",

@@ -5,12 +5,14 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from fieldgrid.choices import Doubt
+
 
 class Severity(StrEnum):
     """How bad a finding is.
 
-    With an error `build` fails or the map is wrong; with a warning the map is poorer than the
-    drive; the rest is for information.
+    With an error `build` makes no map, unless the error is one that can be accepted; with a
+    warning the map is poorer than the drive; the rest is for information.
     """
 
     ERROR = "error"
@@ -23,28 +25,23 @@ _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
 
 class Finding(NamedTuple):
     """One finding. `code` is short and stays what it is, for programs; `message` is a sentence
-    with the value, `remedy` another one that names the flag or the key; `stops_build` says that
-    `build` would not make a map of this drive."""
+    with the value, `remedy` another one that names the flag or the key."""
 
     severity: Severity
     code: str
     message: str
     remedy: str = ""
-    stops_build: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {**self._asdict(), "severity": self.severity.value}
+        can_accept = self.severity is Severity.ERROR and self.code in list(Doubt)
+        return {**self._asdict(), "severity": self.severity.value, "acceptable": can_accept}
 
 
 def error(code: str, message: str, remedy: str = "") -> Finding:
-    """What makes the map wrong, though one is made."""
-    return Finding(Severity.ERROR, code, message, remedy)
-
-
-def stop(code: str, message: str, remedy: str = "") -> Finding:
-    """What `build` refuses."""
-    return Finding(Severity.ERROR, code, message, remedy, stops_build=True)
+    """What stops a build."""
+    otherwise = f" To build nevertheless, give --accept {code}." if code in list(Doubt) else ""
+    return Finding(Severity.ERROR, code, message, f"{remedy}{otherwise}".strip())
 
 
 def warning(code: str, message: str, remedy: str = "") -> Finding:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
-from fieldgrid.inspection.findings import Finding, error, stop, warning
+from fieldgrid.choices import Doubt
+from fieldgrid.inspection.findings import Finding, error, warning
 from fieldgrid.inspection.looking import Unread
 from fieldgrid.inspection.measures import Look
-from fieldgrid.plane_fit import robust_plane
+from fieldgrid.vertical import SHIFT_ERROR_PX, Misalignment
 
 DARK_SHARE, DARK_MEAN = 0.5, 30.0
 """An image is dark when half of it is noise, or its mean is so low."""
@@ -31,83 +30,25 @@ EXPOSURE_RATIO = 1.25
 WORTH_SHARE = 0.2
 """A fault in fewer of the pairs than this, and in fewer than two, is chance."""
 
-SHIFT_WARN_PX, SHIFT_ERROR_PX = 0.5, 1.5
-"""Vertical misalignment: matching suffers, and matching fails."""
+SHIFT_WARN_PX = 0.5
+"""Vertical misalignment from which on matching suffers."""
 
 SCATTER_PX = 1.0
 """The shift of a pair that changes by more than this between pairs is no calibration."""
-
-FEWEST_SHIFTS = 40
-
-SHIFT_SIGMA_PX = (1e6, 30.0, 30.0)
-"""Nothing is known of the shift itself, and little of how it grows across the image: enough to
-leave it level where all matches lie on a line."""
-
-
-class Misalignment(NamedTuple):
-    """How many rows lower the right images lie, in pixels: `median_px` of all matches,
-    `residual_px` the median size of a shift that may also grow across the image;
-    `roll_deg` of the right camera against the left, `scatter_px` between the pairs, `matches`
-    how many points."""
-
-    median_px: float
-    residual_px: float
-    roll_deg: float
-    scatter_px: float
-    matches: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return self._asdict()
-
-
-def misalignment(looks: Sequence[Look], size_px: tuple[int, int]) -> Misalignment | None:
-    """The vertical misalignment of all pairs together; None with too few matches."""
-    shifts = np.concatenate([look.shifts for look in looks]) if looks else np.zeros((0, 3))
-    if len(shifts) < FEWEST_SHIFTS:
-        return None
-    width, height = size_px
-    x, y = shifts[:, 0] / width - 0.5, shifts[:, 1] / height - 0.5
-    median_px = float(np.median(shifts[:, 2]))
-
-    def cutoff(_: int, residuals: Float64) -> float:
-        return 4.0 * max(1.4826 * float(np.median(np.abs(residuals))), 0.05)
-
-    plane, _ = robust_plane(
-        x,
-        y,
-        shifts[:, 2],
-        np.ones(len(x)),
-        cutoff,
-        prior_sigma=SHIFT_SIGMA_PX,
-        start=(median_px, 0.0, 0.0),
-    )
-    # What matching meets of it, without the scatter of the matches themselves.
-    residual_px = float(np.median(np.abs(plane[0] + plane[1] * x + plane[2] * y)))
-    each = [look.shift_px for look in looks]
-    known = np.array([shift for shift in each if shift is not None])
-    off = np.abs(known - np.median(known)) if known.size else np.zeros(1)
-    return Misalignment(
-        median_px=median_px,
-        residual_px=residual_px,
-        roll_deg=float(np.degrees(np.arctan(plane[1] / width))),
-        scatter_px=1.4826 * float(np.median(off)),
-        matches=len(shifts),
-    )
 
 
 def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:
     """Frames that cannot be had, at the first of which a build ends."""
     misfits = [one for one in unread if one.misfit]
     if misfits:
-        yield stop(
+        yield error(
             "image-size",
             f"{len(misfits)} of {looked} frames that were looked at are not those of the "
             f"calibration. First: {misfits[0].problem}",
             "Give the calibration of these images: of their size, and not turned or cropped.",
         )
     elif unread:
-        yield stop(
+        yield error(
             "images-unreadable",
             f"{len(unread)} of {looked} frames that were looked at cannot be read. First: "
             f"{unread[0].problem}",
@@ -179,7 +120,9 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
     )
     remedy = "Calibrate the pair anew; give the rectification that belongs to these images."
     if found.residual_px > SHIFT_ERROR_PX:
-        yield error("vertical-misalignment", f"{told}; rows must match to match pixels.", remedy)
+        yield error(
+            Doubt.VERTICAL_MISALIGNMENT.value, f"{told}; rows must match to match pixels.", remedy
+        )
     elif found.residual_px > SHIFT_WARN_PX:
         yield warning("vertical-misalignment", f"{told}: the calibration has drifted.", remedy)
     if found.scatter_px > SCATTER_PX:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import FieldgridError, NoFramesError, RecordingError
 from fieldgrid.inspection.drive import with_fixes, with_frames
-from fieldgrid.inspection.findings import Finding, in_order, info, stop, warning
+from fieldgrid.inspection.findings import Finding, error, in_order, info, warning
 from fieldgrid.inspection.looking import Tell
 from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
@@ -42,7 +42,7 @@ def inspect_recording(
         return Inspection(str(path), "", path.name, (refusal(problem),))
     except OSError as problem:
         sentence = f"{problem.filename or path} cannot be read: {problem.strerror or problem}."
-        found = stop("recording", sentence, "Check the path, its permissions and the disk.")
+        found = error("recording", sentence, "Check the path, its permissions and the disk.")
         return Inspection(str(path), "", path.name, (found,))
 
 
@@ -69,6 +69,9 @@ def _inspected(drive: Drive, settings: BuildSettings, tell: Tell | None) -> Insp
         findings.append(refusal(problem, "no-images"))
     except RecordingError as problem:
         findings.append(refusal(problem))
+    if recording is not None and recording.frame_count == 0:
+        message = f"{drive.name} holds no frame, and a map is made of frames."
+        findings.append(error("no-images", message, "`fieldgrid track` needs none."))
     if recording is None or recording.frame_count == 0:
         found = _without_images(drive, settings, found, findings)
     else:

@@ -10,12 +10,13 @@ import numpy as np
 
 from fieldgrid.build.perception import CameraMotion, perceive, side_by_side
 from fieldgrid.errors import CalibrationError, FieldgridError
-from fieldgrid.inspection.measures import Look, blur, exposure, vertical_shifts
+from fieldgrid.inspection.measures import Look, blur, exposure
 from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, features
 from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import StereoCamera
+from fieldgrid.vertical import vertical_shifts
 
 Tell = Callable[[int, int], None]
 """Is told how many frames of how many have been looked at."""

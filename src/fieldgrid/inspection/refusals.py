@@ -12,7 +12,7 @@ from fieldgrid.errors import (
     GnssError,
     RecordingError,
 )
-from fieldgrid.inspection.findings import Finding, stop
+from fieldgrid.inspection.findings import Finding, error
 
 _CODES: tuple[tuple[type[FieldgridError], str], ...] = (
     (CalibrationError, "calibration"),
@@ -27,8 +27,8 @@ def refusal(problem: FieldgridError, code: str = "") -> Finding:
     usual = next((name for kind, name in _CODES if isinstance(problem, kind)), "recording")
     what, _, remedy = str(problem).rpartition("; ")
     if not what:
-        return stop(code or usual, str(problem), "Look at what the recording page asks for.")
-    return stop(code or usual, f"{what}.", remedy[0].upper() + remedy[1:])
+        return error(code or usual, str(problem), "Look at what the recording page asks for.")
+    return error(code or usual, f"{what}.", remedy[0].upper() + remedy[1:])
 
 
 @contextmanager

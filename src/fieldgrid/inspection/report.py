@@ -10,13 +10,13 @@ from typing import Any
 from fieldgrid.inspection.coverage import Coverage
 from fieldgrid.inspection.findings import Finding, Severity
 from fieldgrid.inspection.fixes import FixSummary, Sync
-from fieldgrid.inspection.images import Misalignment
 from fieldgrid.inspection.measures import Look
 from fieldgrid.inspection.rigs import GroundSeen, Scale
 from fieldgrid.inspection.streams import StreamSummary
 from fieldgrid.pose import ClockOffset
 from fieldgrid.rig import Rig
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.vertical import Misalignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +55,8 @@ class Inspection:
 
     @property
     def builds(self) -> bool:
-        """Whether `build` would make a map of it, as far as was looked at."""
-        return not any(finding.stops_build for finding in self.findings)
+        """Whether `build` would make a map of it, as far as was looked at, and nothing accepted."""
+        return self.count(Severity.ERROR) == 0
 
     def count(self, severity: Severity) -> int:
         """How many findings are so bad."""

@@ -26,6 +26,10 @@ _COLUMNS = {
 }
 
 
+FEATURE_LAYERS = tuple(_COLUMNS)
+"""The layers of features, each with the name of its session."""
+
+
 class _Feature(NamedTuple):
     """A row of a layer; `corners` is what its geometry is made of."""
 

@@ -173,6 +173,14 @@ class MapFile:
         with self._changing():
             revision.restore(self._connection, self.path, self._header, name)
 
+    def rename_session(self, name: str, to: str) -> None:
+        """Give a session another name; nothing else changes, its digest included.
+
+        Raises ConfigError when there is none of that name, or the new one is taken.
+        """
+        with self._changing():
+            revision.rename(self._connection, self.path, name, to)
+
     def transform(self, name: str) -> Transform:
         """The transform that puts a session into its place in the map."""
         with reading(self._connection, self.path):

@@ -11,6 +11,7 @@ from fieldgrid.errors import ConfigError, DatumError
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.records import SessionInfo
 from fieldgrid.mapfile.store import create_map, open_map
+from fieldgrid.publish import refuse_input
 from fieldgrid.transfer import Transfer
 
 
@@ -42,11 +43,13 @@ def merge_maps(
     The cells and the rule are those of the first map unless given: every frame is folded anew.
     Sessions that are the same drive, bit for bit, are taken once; different ones of one name get
     the name of their file behind it. Removed sessions stay behind. The new map appears when it
-    is complete. Raises DatumError when the maps differ in their datum.
+    is complete; it cannot take the place of one of them. Raises DatumError when the maps differ in
+    their datum.
     """
     paths = [Path(source) for source in sources]
     if not paths:
         raise ConfigError("There is no map to merge; name at least one.")
+    refuse_input(Path(out), paths)
     with ExitStack() as opened:
         maps = [opened.enter_context(open_map(path)) for path in paths]
         _check_datum(maps)

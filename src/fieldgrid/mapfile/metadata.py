@@ -67,8 +67,7 @@ def session_metadata(
     inputs: Mapping[str, Array] | None,
 ) -> SessionMetadata:
     """A session of now; ConfigError for a name, config or array that cannot be stored."""
-    if not name or not name.isprintable():
-        raise ConfigError(f"A session cannot be called {name!r}; give --name a printable one.")
+    check_name(name)
     metadata = SessionMetadata(
         name,
         trajectory,
@@ -80,6 +79,12 @@ def session_metadata(
     )
     array_rows(Kind.INPUT, metadata.inputs)
     return metadata
+
+
+def check_name(name: str) -> None:
+    """Raise ConfigError for a name that no session can have."""
+    if not name or not name.isprintable():
+        raise ConfigError(f"A session cannot be called {name!r}; give a printable name.")
 
 
 class Found(NamedTuple):

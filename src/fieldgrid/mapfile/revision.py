@@ -15,10 +15,12 @@ from fieldgrid.mapfile import derived
 from fieldgrid.mapfile.arrays import Kind
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.evidence import frames_of
+from fieldgrid.mapfile.features import FEATURE_LAYERS
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import (
     Found,
     as_json,
+    check_name,
     check_pose,
     find,
     put_arrays,
@@ -53,6 +55,20 @@ def restore(connection: sqlite3.Connection, path: Path, header: Header, name: st
         "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
     )
     _place_again(connection, path, header, found)
+
+
+def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> None:
+    """Give a session, removed or not, another name."""
+    check_name(to)
+    session_id, *_ = row_of(connection, path, name)
+    if (
+        to != name
+        and connection.execute("SELECT 1 FROM fieldgrid_session WHERE name = ?", (to,)).fetchone()
+    ):
+        raise ConfigError(f"{path} has a session {to!r} already, removed or not; give another.")
+    connection.execute("UPDATE fieldgrid_session SET name = ? WHERE id = ?", (to, session_id))
+    for layer in FEATURE_LAYERS:
+        connection.execute(f"UPDATE {layer} SET session = ? WHERE session = ?", (to, name))
 
 
 def transform(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from fieldgrid.errors import MapError
@@ -16,7 +17,7 @@ from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.mapfile.upgrade import read_as_is
-from fieldgrid.publish import Draft
+from fieldgrid.publish import Draft, mentions
 from fieldgrid.transfer import Transfer
 
 DEFAULT_CELL_M = 0.05
@@ -79,7 +80,13 @@ def create_map(
     path = Path(path)
     lattice = Lattice(DEFAULT_CELL_M if cell_m is None else cell_m)
     header = Header(datum, lattice, transfer or Transfer.CENTRE, tuple(GROUPS))
-    draft = Draft(path, overwrite=overwrite, advice="--append to add a session to it, ")
+    draft = Draft(
+        path,
+        overwrite=overwrite,
+        advice="--append to add a session to it, ",
+        ours=partial(mentions, mark=b"fieldgrid_session"),  # the name of a table
+        what="a map",
+    )
     try:
         connection = connect(draft.file, path, writable=True)
     except BaseException:

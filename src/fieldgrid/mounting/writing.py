@@ -11,7 +11,7 @@ from fieldgrid.recording import Mounting, mounting_path
 from fieldgrid.recording.mounting import read_mounting, write_mounting
 from fieldgrid.rig import LeverArm, Mount
 
-_HEIGHT_DIGITS, _ANGLE_DIGITS = 3, 2
+_HEIGHT_DIGITS, _ANGLE_DIGITS, _AXLE_DIGITS = 3, 2, 2
 
 
 def write_estimate(
@@ -51,6 +51,9 @@ def write_estimate(
         )
     else:
         mounting = Mounting(mount, antenna)
+    if estimate.axle_ahead_m is not None:
+        ahead_m = round(estimate.axle_ahead_m.value, _AXLE_DIGITS)
+        mounting = replace(mounting, rear_axle_forward_m=-ahead_m)
     write_mounting(place, mounting)
     return place
 

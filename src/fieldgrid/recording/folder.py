@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 
-from fieldgrid.errors import NoFramesError, RecordingError
-from fieldgrid.geodesy import Datum
+from fieldgrid.errors import NoFramesError
 from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames, with_motion
-from fieldgrid.recording.files import read_text
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.frame_table import TABLE
 from fieldgrid.recording.logs import find_log, with_log
@@ -19,7 +15,7 @@ from fieldgrid.recording.motion_files import AXES, read_motion
 from fieldgrid.recording.mounting import MOUNTING, read_mounting
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.sensors import CALIBRATION, has_frames, read_seen
-from fieldgrid.recording.settings_file import MAX_BYTES, SETTINGS, checked_datum, read_settings
+from fieldgrid.recording.settings_file import SETTINGS, read_session_datum, read_settings
 from fieldgrid.recording.stored import StoredFrames
 
 _SESSION = "session.json"
@@ -42,7 +38,7 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
         Drive(
             path=path,
             name=settings.name or path.resolve().name,
-            datum_hint=settings.datum or _session_datum(path / _SESSION),
+            datum_hint=settings.datum or read_session_datum(path / _SESSION),
         ),
         path,
         log_path,
@@ -86,24 +82,6 @@ def _without_frames(path: Path, options: DriveOptions, drive: Drive) -> Drive:
 def mounting_path(path: Path) -> Path:
     """Where the mounting of a plain folder is."""
     return path / CALIBRATION / MOUNTING
-
-
-def _session_datum(path: Path) -> Datum | None:
-    """The origin that `session.json` declares. Other programs write files of that name too."""
-    if not path.exists():
-        return None
-    text = read_text(path, MAX_BYTES)
-    try:
-        document = json.loads(text, parse_float=Decimal)
-    except (ValueError, ArithmeticError, RecursionError) as problem:
-        raise RecordingError(f"{path} is not JSON: {problem}; correct or remove it.") from problem
-    origin = document.get("ltp_origin") if isinstance(document, dict) else None
-    if not isinstance(origin, dict):
-        return None
-    keys = ("lat_deg", "lon_deg", "ellipsoid_height_m")
-    if not all(key in origin for key in keys):
-        raise RecordingError(f"{path}: ltp_origin needs {', '.join(keys)}; add what is missing.")
-    return checked_datum([origin[key] for key in keys], path)
 
 
 FORMAT = Format(

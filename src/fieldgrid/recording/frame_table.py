@@ -16,6 +16,9 @@ TimeOf = Callable[[Path], int]
 
 TABLE = "frames.csv"
 
+MAX_FRAMES = 500_000
+"""Half a day at ten frames a second. Each takes some 400 bytes."""
+
 
 class Layout(NamedTuple):
     """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
@@ -51,9 +54,13 @@ def read_frames(
 
 
 def _from_table(path: Path, layout: Layout) -> list[Shot]:
-    shots = []
+    shots: list[Shot] = []
     needed = ("frame_id", *layout.columns)
     for line, row in read_table(path, needed):
+        if len(shots) == MAX_FRAMES:
+            raise RecordingError(
+                f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
+            )
         where = f"{path}, line {line}"
         for column in needed:
             if not row[column]:
@@ -75,7 +82,7 @@ def _from_table(path: Path, layout: Layout) -> list[Shot]:
 def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ...]]:
     listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
     common = set.intersection(*(set(listing) for listing in listings))
-    shots = []
+    shots: list[Shot] = []
     for stem in common:
         names = [found[stem] for found in listings]
         files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))

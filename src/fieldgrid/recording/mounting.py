@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
+from pydantic import BeforeValidator, Field
+
+from fieldgrid.documents import MAX_BYTES, parse_json
 from fieldgrid.errors import CalibrationError
 from fieldgrid.publish import replacing
+from fieldgrid.recording.entries import MisfitError, Number, Table, entry, fitted
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.motion_files import AXES, check_axes
 from fieldgrid.rig import (
@@ -23,23 +27,43 @@ from fieldgrid.rig import (
 
 MOUNTING = "mounting.json"
 
-_HEIGHT = "camera_height_above_ground_m"
-_TILT = "camera_tilt_down_deg"
-_ANTENNA = "gnss_antenna_from_camera_mid_flu_m"
-_AXLE = "camera_mid_from_rear_axle_ground_flu_m"
-_ROLL, _YAW, _BASELINE = "camera_roll_deg", "camera_yaw_deg", "stereo_baseline_m"
-_OFFSET, _CONVENTION, _AXES = "heading_offset_deg", "heading_convention", "imu_axes"
-_MEANT = (
-    *(_HEIGHT, _TILT, _ROLL, _YAW, _BASELINE, _ANTENNA, _AXLE),
-    *(_OFFSET, _CONVENTION, _AXES),
-)
 # What people write for other people. Nothing of it is read, so that it cannot be wrong.
 _REMARKS = (
     *("name", "vehicle", "vehicle_frame", "camera", "camera_mid_point", "gnss_antenna", "imu"),
     *("left_camera_from_camera_mid_flu_m", "right_camera_from_camera_mid_flu_m"),
     *("note", "notes", "comment", "description", "date", "measured_by"),
 )
-_MAX_BYTES = 1 << 20
+_BASELINE = "stereo_baseline_m"
+_METRES, _DEGREES = "measure it and give a number in metres", "measure it and give degrees"
+_POINT = "give [forward, left, up] in metres"
+
+
+def _axes(value: object) -> str:
+    return check_axes(str(value))
+
+
+_Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
+
+
+class _File(Table):
+    """The keys of a mounting; points are [forward, left, up] (FLU)."""
+
+    camera_height_above_ground_m: Number = entry(_METRES)
+    camera_tilt_down_deg: Number = entry(_DEGREES)
+    camera_roll_deg: Number = entry(_DEGREES, 0.0)
+    camera_yaw_deg: Number = entry(_DEGREES, 0.0)
+    stereo_baseline_m: Number | None = entry(_METRES, None)
+    gnss_antenna_from_camera_mid_flu_m: _Point = entry(
+        f"measure it and {_POINT}, since a forgotten lever arm misplaces the whole map"
+    )
+    camera_mid_from_rear_axle_ground_flu_m: _Point | None = entry(_POINT, None)
+    heading_offset_deg: Number | None = entry(_DEGREES, None)
+    heading_convention: HeadingConvention = entry(
+        f"give one of {', '.join(get_args(HeadingConvention))}", "cw_north"
+    )
+    imu_axes: Annotated[str, BeforeValidator(_axes)] = entry(
+        "give where x, y and z of the IMU point, like flu", AXES
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,28 +123,21 @@ def read_mounting(path: Path) -> Mounting:
     and yaw are 0 when absent; height, tilt and antenna have no usual value and must be there.
     A key that is neither known nor one of the remarks is an error: it may be a misspelt one.
     """
-    document = _load(path)
-    _refuse_unknown(document, path)
-    height_m, tilt_deg = _number(document, _HEIGHT, path), _number(document, _TILT, path)
-    roll_deg = _number(document, _ROLL, path, 0.0)
-    yaw_deg = _number(document, _YAW, path, 0.0)
-    forward, left, up = _point(document, _ANTENNA, path)
-    # The axle's point is the middle of the baseline seen from it, on the ground.
-    axle_forward_m = -_point(document, _AXLE, path)[0] if _AXLE in document else None
-    convention = _convention(document, path)
-    offset_deg = _number(document, _OFFSET, path) if _OFFSET in document else None
-    baseline_m = _number(document, _BASELINE, path) if _BASELINE in document else None
-    imu_axes = _imu_axes(document, path)
+    said = _said(path, _load(path))
+    height_m = said.camera_height_above_ground_m
+    forward, left, up = said.gnss_antenna_from_camera_mid_flu_m
+    axle = said.camera_mid_from_rear_axle_ground_flu_m
     try:
-        check_offset(offset_deg)
+        check_offset(said.heading_offset_deg)
         return Mounting(
-            Mount(height_m, tilt_deg, roll_deg, yaw_deg),
+            Mount(height_m, said.camera_tilt_down_deg, said.camera_roll_deg, said.camera_yaw_deg),
             LeverArm(right_m=-left, forward_m=forward, up_m=height_m + up),
-            axle_forward_m,
-            heading_offset_deg=offset_deg,
-            heading_convention=convention,
-            imu_axes=imu_axes,
-            baseline_m=baseline_m,
+            # The axle's point is the middle of the baseline seen from it, on the ground.
+            None if axle is None else -axle[0],
+            heading_offset_deg=said.heading_offset_deg,
+            heading_convention=said.heading_convention,
+            imu_axes=said.imu_axes,
+            baseline_m=said.stereo_baseline_m,
             source=str(path),
         )
     except CalibrationError as problem:
@@ -135,98 +152,54 @@ def write_mounting(path: Path, mounting: Mounting) -> None:
     """
     document: dict[str, Any] = {}
     if path.exists():
-        read_mounting(path)
         document = _load(path)
-    mount, antenna = mounting.mount, mounting.antenna
-    document[_HEIGHT], document[_TILT] = mount.height_m, mount.tilt_deg
-    document[_ROLL], document[_YAW] = mount.roll_deg, mount.yaw_deg
+        _said(path, document)
+    mount, antenna, axle_m = mounting.mount, mounting.antenna, mounting.rear_axle_forward_m
     # Rounded to micrometres: the height was added when it was read.
     up_m = round(antenna.up_m - mount.height_m, 6)
-    document[_ANTENNA] = [antenna.forward_m, -antenna.right_m + 0.0, up_m]
-    axle_m = mounting.rear_axle_forward_m
-    if axle_m is None:
-        document.pop(_AXLE, None)
-    else:
-        left_m = document[_AXLE][1] if _AXLE in document else 0.0
-        document[_AXLE] = [-axle_m, left_m, mount.height_m]
-    _put(document, _BASELINE, mounting.baseline_m, None)
-    _put(document, _OFFSET, mounting.heading_offset_deg, None)
-    _put(document, _CONVENTION, mounting.heading_convention, "cw_north")
-    _put(document, _AXES, mounting.imu_axes, AXES)
+    _, left_m, _ = document.get("camera_mid_from_rear_axle_ground_flu_m") or (0.0, 0.0, 0.0)
+    said = _File(
+        camera_height_above_ground_m=mount.height_m,
+        camera_tilt_down_deg=mount.tilt_deg,
+        camera_roll_deg=mount.roll_deg,
+        camera_yaw_deg=mount.yaw_deg,
+        stereo_baseline_m=mounting.baseline_m,
+        gnss_antenna_from_camera_mid_flu_m=[antenna.forward_m, -antenna.right_m + 0.0, up_m],
+        camera_mid_from_rear_axle_ground_flu_m=(
+            None if axle_m is None else [-axle_m, left_m, mount.height_m]
+        ),
+        heading_offset_deg=mounting.heading_offset_deg,
+        heading_convention=mounting.heading_convention,
+        imu_axes=mounting.imu_axes,
+    )
+    usual = ("heading_convention", "imu_axes")  # said only where the file says them, or they differ
+    for key, value in said.model_dump().items():
+        if value is None:
+            document.pop(key, None)
+        elif key not in usual or key in document or value != _File.model_fields[key].default:
+            document[key] = value
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as draft:
         draft.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _put(document: dict[str, Any], key: str, value: object, usual: object) -> None:
-    """Set a key, or leave it out where it would say what is usual and nothing says it yet."""
-    if value != usual:
-        document[key] = value
-    elif usual is None:
-        document.pop(key, None)
-    elif key in document:
-        document[key] = usual
-
-
-def _refuse_unknown(document: dict[str, Any], path: Path) -> None:
-    unknown = sorted(document.keys() - {*_MEANT, *_REMARKS})
-    if unknown:
-        raise CalibrationError(
-            f"{path}: {unknown[0]!r} is no key of a mounting; known are {', '.join(_MEANT)}, and "
-            f"for remarks {', '.join(_REMARKS)}."
-        )
-
-
-def _convention(document: dict[str, Any], path: Path) -> HeadingConvention:
-    said = document.get(_CONVENTION, "cw_north")
-    known: tuple[HeadingConvention, ...] = get_args(HeadingConvention)
-    for convention in known:
-        if said == convention:
-            return convention
-    raise CalibrationError(f"{path}: {_CONVENTION} is {said!r}; give one of {', '.join(known)}.")
-
-
-def _imu_axes(document: dict[str, Any], path: Path) -> str:
-    try:
-        return check_axes(str(document.get(_AXES, AXES)))
-    except ValueError as problem:
-        raise CalibrationError(f"{path}: {_AXES} {problem}.") from problem
-
-
 def _load(path: Path) -> dict[str, Any]:
-    text = read_text(path, _MAX_BYTES, CalibrationError)
+    text = read_text(path, MAX_BYTES, CalibrationError)
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as problem:
+        document = parse_json(text)
+    except ValueError as problem:
         raise CalibrationError(f"{path} is not JSON: {problem}; correct it.") from problem
     if not isinstance(document, dict):
-        raise CalibrationError(f"{path} does not hold a JSON object with {_HEIGHT}; add one.")
+        first = next(iter(_File.model_fields))
+        raise CalibrationError(f"{path} does not hold a JSON object with {first}; add one.")
     return document
 
 
-def _number(document: dict[str, Any], key: str, path: Path, default: float | None = None) -> float:
-    if key not in document:
-        if default is None:
-            raise CalibrationError(f"{path} lacks {key}; measure it and add it.")
-        return default
-    return _finite(document[key], key, path)
-
-
-def _point(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
-    """Metres forward, left, up."""
-    if key not in document:
-        raise CalibrationError(
-            f"{path} lacks {key}, [forward, left, up] in metres; measure it, since a forgotten "
-            "lever arm misplaces the whole map."
-        )
-    value = document[key]
-    if not isinstance(value, list) or len(value) != 3:
-        raise CalibrationError(f"{path}: {key} is {value!r}, not [forward, left, up] in metres.")
-    forward, left, up = (_finite(v, key, path) for v in value)
-    return forward, left, up
-
-
-def _finite(value: object, key: str, path: Path) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
-        raise CalibrationError(f"{path}: {key} is {value!r}; give a number in metres or degrees.")
-    return float(value)
+def _said(path: Path, document: dict[str, Any]) -> _File:
+    try:
+        return fitted(_File, {key: v for key, v in document.items() if key not in _REMARKS})
+    except MisfitError as problem:
+        remarks = ""
+        if "is not a setting" in str(problem):
+            remarks = f" For remarks there are {', '.join(_REMARKS)}."
+        raise CalibrationError(f"{path}{problem}{remarks}") from problem

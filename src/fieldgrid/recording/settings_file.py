@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from pydantic import AfterValidator, BeforeValidator, ConfigDict
+
+from fieldgrid.documents import MAX_BYTES, parse_json, parse_toml
 from fieldgrid.errors import ConfigError, DatumError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.recording.columns import Columns, columns_from_mapping
+from fieldgrid.recording.entries import (
+    Exact,
+    MisfitError,
+    Number,
+    Positive,
+    Table,
+    entry,
+    fitted,
+)
 from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS, is_inside, read_text
 from fieldgrid.recording.motion_files import check_axes
 from fieldgrid.recording.options import MAX_OFFSET_S
 from fieldgrid.recording.pixels import BAYER_PATTERNS, BITS
 
 SETTINGS = "recording.toml"
-
-MAX_BYTES = 1 << 20
-
-_KNOWN = (
-    *("name", "image_time_offset_s", "frames", "calibration"),
-    *("datum", "gnss", "images", "start"),
-    *("sensor", "depth", "disparity", "cloud"),
-)
-
 
 SENSORS = ("stereo", "depth", "disparity", "cloud")
 """What a recording's frames can be."""
@@ -70,6 +71,111 @@ class Settings:
     points_per_sr: float | None = None
 
 
+def _inside(name: str) -> str:
+    if not is_inside(name):
+        raise ValueError("leads out of the recording")
+    return name
+
+
+def _axes(value: object) -> str:
+    return check_axes(str(value))
+
+
+_Path = Annotated[str, AfterValidator(_inside)]
+_TEXT = "give a text in quotes"
+_INSIDE = "give a path inside its folder, in quotes"
+_ABOVE = "give a number above 0"
+
+
+class _Datum(Table):
+    lat_deg: Number = entry("give the latitude in degrees")
+    lon_deg: Number = entry("give the longitude in degrees")
+    height_m: Number = entry("give the height above the ellipsoid in metres")
+
+
+class _Origin(Table):
+    """The datum as other programs write it, among other things."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    lat_deg: Number = entry("give the latitude in degrees")
+    lon_deg: Number = entry("give the longitude in degrees")
+    ellipsoid_height_m: Number = entry("give the height above the ellipsoid in metres")
+
+
+class _Gnss(Table):
+    columns: dict[str, Any] | None = entry("give a table [gnss.columns]", None)
+
+
+class _Images(Table):
+    rectified: bool | None = entry("give true or false", None)
+    bayer: str | None = entry(
+        f"give one of {', '.join(BAYER_PATTERNS)}, the colours of the first two pixels of the "
+        "first two rows",
+        None,
+        pattern=f"^(?:{'|'.join(BAYER_PATTERNS)})$",
+    )
+    bits: int | None = entry(
+        f"give how many of 16 bits the camera fills, {BITS[0]} to {BITS[-1]}",
+        None,
+        ge=BITS[0],
+        le=BITS[-1],
+    )
+
+
+class _Start(Table):
+    utc_s: Exact = entry(
+        "give the UTC of the first frame as seconds since 1970, a time after 1980",
+        ge=MIN_TIME_NS / 10**9,
+        le=MAX_TIME_NS / 10**9,
+    )
+    heading_deg: Number | None = entry("give the heading of the first frame in degrees", None)
+
+    def start(self) -> Start:
+        return Start(round(self.utc_s * 1_000_000_000), self.heading_deg)
+
+
+class _Depth(Table):
+    scale_m: Positive | None = entry(_ABOVE, None)
+    baseline_m: Positive | None = entry(_ABOVE, None)
+
+
+class _Disparity(Table):
+    scale_px: Positive | None = entry(_ABOVE, None)
+    baseline_m: Positive | None = entry(_ABOVE, None)
+
+
+class _Cloud(Table):
+    axes: Annotated[str | None, BeforeValidator(_axes)] = entry(
+        "give where x, y and z of the clouds point, a right-handed set of f or b, l or r, u or d, "
+        "like flu or rdf",
+        None,
+    )
+    points_per_sr: Positive | None = entry(_ABOVE, None)
+
+
+class _File(Table):
+    name: str = entry(_TEXT, "")
+    image_time_offset_s: Exact = entry(
+        "give the seconds that an image time must be moved by to be GNSS time, at most a day",
+        Decimal(0),
+        ge=-MAX_OFFSET_S,
+        le=MAX_OFFSET_S,
+    )
+    frames: _Path | None = entry(_INSIDE, None)
+    calibration: _Path | None = entry(_INSIDE, None)
+    datum: _Datum | None = entry("give a table [datum]", None)
+    gnss: _Gnss = entry("give a table [gnss.columns]", _Gnss())
+    images: _Images = entry("give a table [images]", _Images())
+    start: _Start | None = entry("give a table [start]", None)
+    sensor: Literal["stereo", "depth", "disparity", "cloud"] | None = entry(
+        f"give one of {', '.join(SENSORS)}", None
+    )
+    depth: _Depth | None = entry("give a table [depth]", None)
+    disparity: _Disparity | None = entry("give a table [disparity]", None)
+    cloud: _Cloud = entry("give a table [cloud]", _Cloud())
+
+
 def read_settings(path: Path) -> Settings:
     """The settings in a file, the defaults where there is none.
 
@@ -79,193 +185,57 @@ def read_settings(path: Path) -> Settings:
         return Settings()
     text = read_text(path, MAX_BYTES)
     try:
-        document = tomllib.loads(text, parse_float=Decimal)  # exact, for the nanoseconds
-    except (ValueError, ArithmeticError, RecursionError) as problem:
+        document = parse_toml(text, Decimal)  # exact, for the nanoseconds
+    except (ValueError, ArithmeticError) as problem:
         raise RecordingError(f"{path} is not TOML: {problem}; correct it.") from problem
-    _refuse_unknown(document, _KNOWN, path)
-    datum = document.get("datum")
-    images = _table(document, "images", ("rectified", "bayer", "bits"), path)
-    cloud = _table(document, "cloud", ("axes", "points_per_sr"), path)
-    return Settings(
-        name=_text(document, "name", path) or "",
-        image_time_offset_ns=_offset_ns(document, path),
-        datum=None if datum is None else _datum(datum, path),
-        columns=_columns(document.get("gnss", {}), path),
-        frames=_inside(document, "frames", path),
-        calibration=_inside(document, "calibration", path),
-        rectified=_rectified(images, path),
-        bayer=_bayer(images, path),
-        bits=_bits(images, path),
-        start=_start(document, path),
-        sensor=_sensor(document, path),
-        **_ranges(document, path),
-        axes=_axes(cloud, path),
-        points_per_sr=_positive(cloud, "points_per_sr", path),
-    )
-
-
-def checked_datum(values: list[object], path: Path) -> Datum:
-    """The datum of latitude, longitude, height in a file of which `path` is the name."""
-    lat_deg, lon_deg, height_m = (float(_number(v, "the datum", path)) for v in values)
     try:
-        return Datum(lat_deg, lon_deg, height_m)
-    except DatumError as problem:
+        said = fitted(_File, document)
+        columns = None if said.gnss.columns is None else columns_from_mapping(said.gnss.columns)
+        datum = None if said.datum is None else Datum(**said.datum.model_dump())
+    except MisfitError as problem:
+        raise RecordingError(f"{path}{problem}") from problem
+    except (ConfigError, DatumError) as problem:
         raise RecordingError(f"{path}: {problem}") from problem
-
-
-def _offset_ns(document: Mapping[str, Any], path: Path) -> int:
-    offset_s = _number(document.get("image_time_offset_s", 0), "image_time_offset_s", path)
-    if abs(offset_s) > MAX_OFFSET_S:
-        raise RecordingError(
-            f"{path}: image_time_offset_s = {offset_s} is beyond a day; give the seconds that "
-            "an image time must be moved by to be GNSS time."
-        )
-    return round(offset_s * 1_000_000_000)
-
-
-def _datum(table: object, path: Path) -> Datum:
-    keys = ("lat_deg", "lon_deg", "height_m")
-    if not isinstance(table, dict) or not all(key in table for key in keys):
-        raise RecordingError(f"{path}: [datum] needs {', '.join(keys)}; add what is missing.")
-    _refuse_unknown(table, keys, path)
-    return checked_datum([table[key] for key in keys], path)
-
-
-def _columns(table: object, path: Path) -> Columns | None:
-    """What `[gnss.columns]` says of the columns of the log."""
-    columns = table.get("columns") if isinstance(table, dict) else table
-    if isinstance(table, dict):
-        _refuse_unknown(table, ("columns",), path)
-    if columns is None:
-        return None
-    if not isinstance(columns, dict):
-        raise RecordingError(f"{path}: the columns are {columns!r}; give a table [gnss.columns].")
-    try:
-        return columns_from_mapping(columns)
-    except ConfigError as problem:
-        raise RecordingError(f"{path}: {problem}") from problem
-
-
-def _inside(document: Mapping[str, Any], key: str, path: Path) -> str | None:
-    name = _text(document, key, path)
-    if name is not None and not is_inside(name):
-        raise RecordingError(
-            f"{path}: {key} = {name!r} leads out of the recording; give a path inside its folder."
-        )
-    return name
-
-
-def _rectified(images: Mapping[str, Any], path: Path) -> bool | None:
-    value = images.get("rectified")
-    if value is not None and not isinstance(value, bool):
-        raise RecordingError(f"{path}: rectified is {value!r}; give true or false.")
-    return value
-
-
-def _bayer(images: Mapping[str, Any], path: Path) -> str | None:
-    value = images.get("bayer")
-    if value is not None and value not in BAYER_PATTERNS:
-        raise RecordingError(
-            f"{path}: bayer is {value!r}; give one of {', '.join(BAYER_PATTERNS)}, the colours of "
-            "the first two pixels of the first two rows."
-        )
-    return value
-
-
-def _bits(images: Mapping[str, Any], path: Path) -> int | None:
-    value = images.get("bits")
-    if value is not None and (isinstance(value, bool) or value not in BITS):
-        raise RecordingError(
-            f"{path}: bits is {value!r}; give how many of 16 bits the camera fills, "
-            f"{BITS[0]} to {BITS[-1]}."
-        )
-    return value
-
-
-def _sensor(document: Mapping[str, Any], path: Path) -> str | None:
-    value = document.get("sensor")
-    if value is not None and value not in SENSORS:
-        raise RecordingError(f"{path}: sensor is {value!r}; give one of {', '.join(SENSORS)}.")
-    return value
-
-
-def _ranges(document: Mapping[str, Any], path: Path) -> dict[str, float | None]:
-    """What `[depth]` or `[disparity]` says; a recording is of one of them."""
-    depth = _table(document, "depth", ("scale_m", "baseline_m"), path)
-    disparity = _table(document, "disparity", ("scale_px", "baseline_m"), path)
-    if depth and disparity:
+    if said.depth and said.disparity:
         raise RecordingError(
             f"{path} has both [depth] and [disparity]; leave the one that is not used out."
         )
-    return {
-        "scale": _positive(depth, "scale_m", path) or _positive(disparity, "scale_px", path),
-        "baseline_m": _positive(depth or disparity, "baseline_m", path),
-    }
+    depth, disparity = said.depth or _Depth(), said.disparity or _Disparity()
+    return Settings(
+        name=said.name,
+        image_time_offset_ns=round(said.image_time_offset_s * 1_000_000_000),
+        datum=datum,
+        columns=columns,
+        frames=said.frames,
+        calibration=said.calibration,
+        rectified=said.images.rectified,
+        bayer=said.images.bayer,
+        bits=said.images.bits,
+        start=None if said.start is None else said.start.start(),
+        sensor=said.sensor,
+        scale=depth.scale_m or disparity.scale_px,
+        baseline_m=depth.baseline_m or disparity.baseline_m,
+        axes=said.cloud.axes,
+        points_per_sr=said.cloud.points_per_sr,
+    )
 
 
-def _axes(cloud: Mapping[str, Any], path: Path) -> str | None:
-    if "axes" not in cloud:
+def read_session_datum(path: Path) -> Datum | None:
+    """The origin that `session.json` declares. Other programs write files of that name too."""
+    if not path.exists():
+        return None
+    text = read_text(path, MAX_BYTES)
+    try:
+        document = parse_json(text, Decimal)
+    except (ValueError, ArithmeticError) as problem:
+        raise RecordingError(f"{path} is not JSON: {problem}; correct or remove it.") from problem
+    origin = document.get("ltp_origin") if isinstance(document, dict) else None
+    if not isinstance(origin, dict):
         return None
     try:
-        return check_axes(str(cloud["axes"]))
-    except ValueError:
-        raise RecordingError(
-            f"{path}: axes are {cloud['axes']!r}; give where x, y and z of the clouds point, a "
-            "right-handed set of f or b, l or r, u or d, like flu or rdf."
-        ) from None
-
-
-def _positive(table: Mapping[str, Any], key: str, path: Path) -> float | None:
-    if key not in table:
-        return None
-    value = float(_number(table[key], key, path))
-    if value <= 0.0:
-        raise RecordingError(f"{path}: {key} is {value}; give a number above 0.")
-    return value
-
-
-def _start(document: Mapping[str, Any], path: Path) -> Start | None:
-    table = _table(document, "start", ("utc_s", "heading_deg"), path)
-    if not table:
-        return None
-    time_ns = round(_number(table.get("utc_s"), "utc_s", path, 10**11) * 1_000_000_000)
-    if not MIN_TIME_NS <= time_ns <= MAX_TIME_NS:
-        raise RecordingError(
-            f"{path}: utc_s = {table['utc_s']} is no time after 1980 in seconds since 1970; "
-            "give the UTC of the first frame."
-        )
-    heading = table.get("heading_deg")
-    return Start(time_ns, None if heading is None else float(_number(heading, "heading_deg", path)))
-
-
-def _table(
-    document: Mapping[str, Any], key: str, known: tuple[str, ...], path: Path
-) -> Mapping[str, Any]:
-    table = document.get(key, {})
-    if not isinstance(table, dict):
-        raise RecordingError(f"{path}: {key} is {table!r}; give a table [{key}].")
-    _refuse_unknown(table, known, path)
-    return table
-
-
-def _text(document: Mapping[str, Any], key: str, path: Path) -> str | None:
-    value = document.get(key)
-    if value is not None and not isinstance(value, str):
-        raise RecordingError(f"{path}: {key} is {value!r}; give a text in quotes.")
-    return value
-
-
-def _number(value: object, key: str, path: Path, limit: int = 10**9) -> Decimal:
-    is_number = isinstance(value, (int, Decimal)) and not isinstance(value, bool)
-    number = Decimal(value) if is_number else Decimal("nan")  # type: ignore[arg-type]
-    if not number.is_finite() or abs(number) >= limit:
-        raise RecordingError(f"{path}: {key} holds {value!r}; give a number.")
-    return number
-
-
-def _refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], path: Path) -> None:
-    unknown = sorted(table.keys() - set(known))
-    if unknown:
-        raise RecordingError(
-            f"{path}: {unknown[0]!r} is not a setting; known are {', '.join(known)}."
-        )
+        said = fitted(_Origin, origin)
+        return Datum(said.lat_deg, said.lon_deg, said.ellipsoid_height_m)
+    except MisfitError as problem:
+        raise RecordingError(f"{path}: ltp_origin{problem}") from problem
+    except DatumError as problem:
+        raise RecordingError(f"{path}: {problem}") from problem

@@ -79,6 +79,10 @@ class StoredFrames:
         return (self.kind.frame(self.folder, shot) for shot in self.shots[start:stop])
 
 
+_MOST_MISSING = 1000
+"""Missing files that are counted: where so many are missing, all may be."""
+
+
 def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") -> tuple[Shot, ...]:
     """The shots in order of time, once it is sure that they can be told apart and exist; `what`
     is what an error calls one of them."""
@@ -103,18 +107,18 @@ def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") ->
 
 
 def _check_files(shots: list[Shot], folder: Path, what: str) -> None:
-    missing = 0
-    first: RecordingError | None = None
-    for shot in shots:
-        for name in shot.files:
-            try:
-                check_regular(folder / name)
-            except RecordingError as problem:
-                missing += 1
-                first = first or problem
+    names = [name for shot in shots for name in shot.files]
+    missing, first = 0, None
+    for name in names:
+        try:
+            check_regular(folder / name)
+        except RecordingError as problem:
+            missing, first = missing + 1, first or problem
+            if missing == _MOST_MISSING:
+                break
     if first is not None:
         files = "clouds" if what == "cloud" else "images"
+        or_more = " or more" if missing == _MOST_MISSING else ""
         raise RecordingError(
-            f"{missing} of {sum(len(shot.files) for shot in shots)} {files} are missing from "
-            f"{folder}. First: {first}"
+            f"{missing}{or_more} of {len(names)} {files} are missing from {folder}. First: {first}"
         ) from first

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import dump_qos_v8
 
-from fieldgrid.publish import Draft, DraftFolder, writing
+from fieldgrid.publish import Draft, DraftFolder, mentions, writing
 from fieldgrid.ros.definitions import types
 from fieldgrid.ros.folder import is_ros2_folder
 
@@ -43,6 +43,16 @@ _LATCHED = Qos(
 _PLUGINS = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 
 
+def _is_ours(file: Path) -> bool:
+    """Whether the header of an MCAP names us as its writer: others are recordings."""
+    with file.open("rb") as opened:
+        return b"fieldgrid" in opened.read(64)
+
+
+def _is_our_folder(folder: Path) -> bool:
+    return is_ros2_folder(folder) and mentions(folder / "metadata.yaml", b"/georeference")
+
+
 class McapWriter:
     """One `.mcap` file in the making, zstd-compressed and indexed; a context manager.
 
@@ -52,7 +62,7 @@ class McapWriter:
 
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
         self._path = path
-        self._draft = Draft(path, overwrite=overwrite)
+        self._draft = Draft(path, overwrite=overwrite, ours=_is_ours, what="an MCAP")
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[tuple[str, int], int] = {}
         try:
@@ -157,7 +167,7 @@ class BagFolderWriter:
     ) -> None:
         self._path = path
         self._draft = DraftFolder(
-            path, overwrite=overwrite, ours=is_ros2_folder, what="a ROS 2 bag"
+            path, overwrite=overwrite, ours=_is_our_folder, what="a bag that fieldgrid has written"
         )
         self._connections: dict[tuple[str, str], Connection] = {}
         # The files within are named after this folder.

@@ -1,32 +1,40 @@
 """The settings of a build: defaults, over them a TOML file, over that the flags."""
 
-from fieldgrid.settings.declare import Declared, Flag, declared
+from fieldgrid.settings.declare import (
+    Declared,
+    Flag,
+    Settings,
+    declared,
+    first_problem,
+    setting,
+)
 from fieldgrid.settings.models import (
     BuildSettings,
+    CheckSettings,
     DensitySettings,
     GateLimits,
     GridSettings,
     MapSettings,
-    MatcherKind,
     PoseSettings,
     StereoSettings,
-    Transfer,
 )
 from fieldgrid.settings.resolve import Overrides, resolve
 
 __all__ = [
     "BuildSettings",
+    "CheckSettings",
     "Declared",
     "DensitySettings",
     "Flag",
     "GateLimits",
     "GridSettings",
     "MapSettings",
-    "MatcherKind",
     "Overrides",
     "PoseSettings",
+    "Settings",
     "StereoSettings",
-    "Transfer",
     "declared",
+    "first_problem",
     "resolve",
+    "setting",
 ]

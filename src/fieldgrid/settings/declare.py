@@ -10,17 +10,23 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 
 class Flag(NamedTuple):
-    """A flag that sets one number or word, or two numbers when there is a `separator`."""
+    """A flag that sets one number or word, or with a `separator` the numbers of all settings that
+    it is declared for, of which it `says` what they are together; without a `metavar`, a switch."""
 
     name: str
     metavar: str
     separator: str = ""
-    example: str = ""
+    says: str = ""
+
+    @property
+    def parameter(self) -> str:
+        """Its name as an identifier."""
+        return self.name.partition("/")[0].strip("-").replace("-", "_")
 
 
 class Settings(BaseModel):
@@ -40,6 +46,28 @@ def setting(
         json_schema_extra={"flag": flag and list(flag), "usual": usual},
         **limits,
     )
+
+
+class Problem(NamedTuple):
+    """Why values are no settings: the first place, what stands there, and why it cannot."""
+
+    place: tuple[str, ...]
+    value: Any
+    unknown: bool
+    why: str
+
+    @property
+    def name(self) -> str:
+        """The place as a settings file has it."""
+        return ".".join(self.place) or "settings"
+
+
+def first_problem(error: ValidationError) -> Problem:
+    """The first of what is wrong, in words that stand in the middle of a sentence."""
+    first = error.errors()[0]
+    why = str(first["msg"]).removeprefix("Value error, ")
+    unknown = first["type"] == "extra_forbidden"
+    return Problem(tuple(map(str, first["loc"])), first["input"], unknown, why[0].lower() + why[1:])
 
 
 class Declared(NamedTuple):
@@ -70,19 +98,19 @@ class Declared(NamedTuple):
 
     @property
     def limits(self) -> str:
-        """The range in words: "0.1 to 50", "above 0, up to 90"; nothing where there is none."""
+        """The range in words: "3 to 51", "above 0, up to 90"; nothing where there is none."""
         words = []
         for limit in self.info.metadata:
             match limit:
                 case Ge(ge=low):
-                    words.append(f"from {low}")
+                    words.append(f"from {described(low)}")
                 case Gt(gt=low):
-                    words.append(f"above {low}")
+                    words.append(f"above {described(low)}")
                 case Le(le=high):
-                    words.append(f"to {high}")
+                    words.append(f"up to {described(high)}")
                 case Lt(lt=high):
-                    words.append(f"below {high}")
-        return " ".join(words)
+                    words.append(f"below {described(high)}")
+        return ", ".join(words)
 
 
 def declared(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[Declared]:
@@ -101,4 +129,6 @@ def described(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, (frozenset, tuple)):
         return ", ".join(map(str, sorted(value)))
+    if isinstance(value, float):
+        return f"{value:g}"
     return "" if value is None else str(value)

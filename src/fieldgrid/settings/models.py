@@ -5,11 +5,11 @@ Numbers are metres, degrees, seconds, pixels or metres a second, as their names 
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from pydantic import field_validator, model_validator
 
+from fieldgrid.choices import Doubt, MatcherKind, Transfer
 from fieldgrid.errors import ConfigError
 from fieldgrid.quality import NOT_FROM_SATELLITES, Quality
 from fieldgrid.settings.declare import Flag, Settings, setting
@@ -17,23 +17,8 @@ from fieldgrid.settings.declare import Flag, Settings, setting
 if TYPE_CHECKING:
     from fieldgrid.grids import GridSpec
 
-_GRID = Flag("--grid", "WxL", "x", "6.65x14")
-_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "0.2:2.2")
-
-
-class Transfer(StrEnum):
-    """Where the value of a local cell goes."""
-
-    CENTRE = "centre"
-    AREA = "area"
-
-
-class MatcherKind(StrEnum):
-    """Which of OpenCV's matchers: from best to fastest on vegetation, sgbm, sgbm3way, bm."""
-
-    SGBM_3WAY = "sgbm3way"
-    SGBM = "sgbm"
-    BM = "bm"
+_GRID = Flag("--grid", "WxL", "x", "local grid in metres: across and ahead")
+_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "metres above the local ground that are looked at")
 
 
 class GridSettings(Settings):
@@ -270,6 +255,17 @@ class PoseSettings(Settings):
         return self.visual_odometry and self.heading == "smooth"
 
 
+class CheckSettings(Settings):
+    """What a build makes of what `inspect` calls an error."""
+
+    accept: frozenset[Doubt] = setting(
+        frozenset(),
+        f"errors of inspect that do not stop a build: {', '.join(Doubt)}",
+        usual="none",
+        flag=Flag("--accept", "CODE"),
+    )
+
+
 class BuildSettings(Settings):
     """Everything that decides what a map says; the resolved values go into it with a session."""
 
@@ -278,6 +274,7 @@ class BuildSettings(Settings):
     density: DensitySettings = DensitySettings()
     pose: PoseSettings = PoseSettings()
     map: MapSettings = MapSettings()
+    checks: CheckSettings = CheckSettings()
 
     @property
     def universal_cell_m(self) -> float:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from fieldgrid.documents import MAX_BYTES, parse_toml
 from fieldgrid.errors import ConfigError
-from fieldgrid.settings.declare import declared
+from fieldgrid.settings.declare import Problem, declared, first_problem
 from fieldgrid.settings.models import BuildSettings
 
 Overrides = Mapping[str, Mapping[str, Any]]
@@ -33,7 +33,7 @@ def resolve(path: Path | None, overrides: Overrides) -> BuildSettings:
     try:
         settings = BuildSettings.model_validate(tables)
     except ValidationError as error:
-        raise ConfigError(_sentence(error, path, flagged)) from error
+        raise ConfigError(_sentence(first_problem(error), path, flagged)) from error
     settings.grid.spec()
     return settings
 
@@ -57,18 +57,12 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"The settings file {path} is not TOML: {error}.") from error
 
 
-def _sentence(error: ValidationError, path: Path | None, flagged: set[tuple[str, str]]) -> str:
-    first = error.errors()[0]
-    place = tuple(map(str, first["loc"]))
-    name = ".".join(place) or "settings"
+def _sentence(problem: Problem, path: Path | None, flagged: set[tuple[str, str]]) -> str:
     flags = {one.path: one.flag for one in declared(BuildSettings)}
-    flag = flags.get(place[:2]) if place[:2] in flagged else None
-    where = f" in {path}" if path is not None and flag is None else ""
+    flag = flags.get(problem.place) if problem.place in flagged else None
+    where = f" in {path}" if path is not None else ""
     if flag is not None:
         where = f" ({flag.name.partition('/')[0]})"
-    if first["type"] == "extra_forbidden":
-        return f"There is no setting {name}{where}; `docs/settings.md` lists all."
-    message = str(first["msg"]).removeprefix("Value error, ")
-    return (
-        f"Setting {name} = {first['input']!r}{where} cannot be: {message[0].lower()}{message[1:]}."
-    )
+    if problem.unknown:
+        return f"There is no setting {problem.name}{where}; `docs/settings.md` lists all."
+    return f"Setting {problem.name} = {problem.value!r}{where} cannot be: {problem.why}."

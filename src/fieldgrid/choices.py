@@ -1,0 +1,30 @@
+"""What a user chooses by name. In a module that imports nothing: both the settings and the rooms
+that act on them need it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Transfer(StrEnum):
+    """Where the value of a local cell goes."""
+
+    CENTRE = "centre"
+    AREA = "area"
+
+
+class MatcherKind(StrEnum):
+    """Which of OpenCV's matchers: from best to fastest on vegetation, sgbm, sgbm3way, bm."""
+
+    SGBM_3WAY = "sgbm3way"
+    SGBM = "sgbm"
+    BM = "bm"
+
+
+class Doubt(StrEnum):
+    """What of a drive stops a build unless it is accepted, by the codes of `inspect`."""
+
+    CLOCK_OFFSET = "clock-offset"
+    VERTICAL_MISALIGNMENT = "vertical-misalignment"
+    CAMERAS_SWAPPED = "cameras-swapped"
+    CAMERAS_UNFIT = "cameras-unfit"

@@ -1,0 +1,92 @@
+"""The options of every command that opens a recording."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from fieldgrid.cli.groups import FieldsOf
+
+if TYPE_CHECKING:
+    from fieldgrid.recording import DriveOptions
+
+_PANEL = "Recording"
+_TOPIC = re.compile(r"([a-z_]+)=(\S+)")
+
+
+class DriveFlags(NamedTuple):
+    """What a user says about a recording that it leaves open, or says wrong."""
+
+    gnss: Annotated[
+        str | None,
+        typer.Option(
+            "--gnss",
+            metavar="FILE",
+            help="Which GNSS log of the recording, or the path of another.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--topic",
+            metavar="ROLE=TOPIC",
+            help="Of a bag: which topic is left, right, fix, imu and so on [default: by type "
+            "and name].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    mounting: Annotated[
+        Path | None,
+        typer.Option(
+            "--mounting",
+            metavar="FILE.json",
+            help="Where the sensor sits [default: the recording's own mounting.json].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    time_offset: Annotated[
+        float | None,
+        typer.Option(
+            "--time-offset",
+            metavar="S",
+            help="Seconds to add to image times to give GNSS time [default: the recording's own].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
+    def options(self, columns: str | None = None) -> DriveOptions:
+        """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
+        is none."""
+        from fieldgrid.recording import DriveOptions, columns_from_text
+
+        topics: dict[str, str] = {}
+        for text in self.topic or []:
+            match = _TOPIC.fullmatch(text)
+            if not match:
+                raise typer.BadParameter(
+                    f"{text!r} is not ROLE=TOPIC, as in left=/camera/left/image_raw",
+                    param_hint="--topic",
+                )
+            if match[1] in topics:
+                raise typer.BadParameter(f"{match[1]} is given twice", param_hint="--topic")
+            topics[match[1]] = match[2]
+        offset_s = self.time_offset
+        if offset_s is not None and not math.isfinite(offset_s * 1e9):  # as nanoseconds below
+            raise typer.BadParameter(
+                f"{offset_s} is no number of seconds", param_hint="--time-offset"
+            )
+        return DriveOptions(
+            self.gnss,
+            None if columns is None else columns_from_text(columns),
+            topics,
+            self.mounting,
+            None if offset_s is None else round(offset_s * 1e9),
+        )
+
+
+Drive = Annotated[DriveFlags, FieldsOf(DriveFlags)]

@@ -1,0 +1,134 @@
+"""Options that several commands share, and values that are more than one number."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fieldgrid.geodesy import Datum
+    from fieldgrid.lattice import Bounds
+
+OUTPUT, PART = "Output", "Part of the map"
+
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP.gpkg", show_default=False)]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object.", rich_help_panel=OUTPUT)
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace an older file of the same kind; never an input.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+Figure = Annotated[
+    Path | None,
+    typer.Option(
+        "--figure",
+        metavar="FILE.png",
+        help="Draw it too: PNG, SVG or PDF.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, max=256, metavar="N", help="Threads [default: one a core]."),
+]
+Cell = Annotated[
+    float | None,
+    typer.Option(
+        "--cell",
+        metavar="M",
+        help="Cell size in metres, not under the local cells' [default: the map's].",
+        rich_help_panel=PART,
+    ),
+]
+BoundsValues = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option(
+        "--bounds",
+        metavar="W S E N",
+        help="Crop: west, south, east, north in metres of the map.",
+        rich_help_panel=PART,
+    ),
+]
+At = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        metavar="SESSION|DATE",
+        help="The map as it was after this drive, or at the end of this day.",
+        rich_help_panel=PART,
+    ),
+]
+DatumText = Annotated[
+    str | None,
+    typer.Option(
+        "--datum",
+        metavar="LAT,LON,HEIGHT",
+        help="Origin of east and north [default: the recording's own, else its first accepted "
+        "fix].",
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE.toml", help="A settings file; flags override it."),
+]
+
+_PICTURES = (".png", ".svg", ".pdf")
+_NUMBER = r"[-+]?\d+(?:\.\d+)?"
+
+
+def numbers(flag: str, text: str, separator: str, form: str, example: str) -> Sequence[float]:
+    """The numbers in the text of a flag, such as 41.65,-4.72,787.4, as many as the form has parts;
+    a usage error for what is none."""
+    parts = [f"({_NUMBER})"] * (form.count(separator) + 1)
+    match = re.fullmatch(separator.join(parts), text.replace(" ", ""))
+    if not match:
+        raise typer.BadParameter(f"{text!r} is not {form}, as in {example}", param_hint=flag)
+    return [float(value) for value in match.groups()]
+
+
+def datum(text: str | None) -> Datum | None:
+    """`LAT,LON,HEIGHT`: degrees, degrees, ellipsoidal metres."""
+    if text is None:
+        return None
+    from fieldgrid.geodesy import Datum
+
+    return Datum(*numbers("--datum", text, ",", "LAT,LON,HEIGHT", "41.65,-4.72,787.4"))
+
+
+def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
+    """West, south, east, north in metres."""
+    if values is None:
+        return None
+    from fieldgrid.lattice import Bounds
+
+    return Bounds(*values)
+
+
+def check_figure(path: Path | None) -> None:
+    """A usage error for a figure that could not be written."""
+    if path is not None and path.suffix.lower() not in _PICTURES:
+        raise typer.BadParameter(
+            f"{path.name} ends in none of {', '.join(_PICTURES)}", param_hint="--figure"
+        )
+
+
+def refuse_given(ctx: typer.Context, taken: Collection[str], why: str) -> None:
+    """A usage error for the first option or argument that was given and would be ignored.
+
+    `taken` are the names of the parameters that count; `why` says what the others are at odds
+    with.
+    """
+    for one in ctx.command.params:
+        source = ctx.get_parameter_source(str(one.name))
+        if source is not None and source.name == "COMMANDLINE" and one.name not in taken:
+            hint = one.opts[0] if one.param_type_name == "option" else str(one.metavar)
+            raise typer.BadParameter(why, param_hint=hint)

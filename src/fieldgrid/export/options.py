@@ -1,0 +1,69 @@
+"""Options that several formats take. Those of one format stand beside what writes it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fieldgrid.cost import CostCurve
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.settings import Flag, Settings, setting
+
+
+def _obstacle_above() -> Any:
+    return setting(
+        OBSTACLE_ABOVE,
+        "density above which a cell is an obstacle",
+        flag=Flag("--obstacle-above", "0..254"),
+        ge=0,
+        le=254,
+    )
+
+
+class PlaneOptions(Settings):
+    """Of pictures that lie in a plane."""
+
+    epsg: int | None = setting(
+        None,
+        "reproject to this system",
+        usual="the map's own plane",
+        flag=Flag("--epsg", "CODE"),
+    )
+
+
+class CurveOptions(Settings):
+    """From density to cost: see `fieldgrid.CostCurve`."""
+
+    free_up_to: int = setting(
+        FREE_UP_TO,
+        "density up to which a cell is free",
+        flag=Flag("--free-up-to", "0..255"),
+        ge=0,
+        le=255,
+    )
+    obstacle_above: int = _obstacle_above()
+    cost_shape: float = setting(
+        1.0,
+        "how costs rise between free and obstacle; 1 is a straight line",
+        flag=Flag("--cost-shape", "POWER"),
+    )
+
+    def curve(self) -> CostCurve:
+        """The curve. ConfigError when there is none."""
+        return CostCurve(self.free_up_to, self.obstacle_above, self.cost_shape)
+
+
+class ShapeOptions(Settings):
+    """How obstacles become polygons."""
+
+    obstacle_above: int = _obstacle_above()
+    min_area_m2: float = setting(
+        0.0, "leave out smaller obstacles", flag=Flag("--min-area", "M2"), ge=0.0, lt=1e9
+    )
+    simplify_m: float | None = setting(
+        None,
+        "move outlines by up to so much to straighten them",
+        usual="a cell",
+        flag=Flag("--simplify", "M"),
+        ge=0.0,
+        le=10.0,
+    )

@@ -1,0 +1,227 @@
+"""The formats that a map is exported to, each declared once by the module that writes it.
+
+A module of another package can add one::
+
+    from fieldgrid.export import Exported, Format, register
+
+    def write(universal, path, selection, options, *, overwrite):
+        ...
+        return Exported((path,))
+
+    register(Format("mine", (".mine",), "what it is", write))
+
+and is found when its distribution has an entry point of the group `fieldgrid.formats`. The flags
+of `fieldgrid export`, its help, its errors and `docs/exports.md` follow from the declarations.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Mapping
+from enum import StrEnum
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from pydantic import ValidationError
+
+from fieldgrid.errors import ConfigError, MapError, MapExistsError
+from fieldgrid.export.selection import Selection
+from fieldgrid.mapfile import LAYERS, MapFile, read_datum
+from fieldgrid.settings import Declared, Settings, declared, first_problem
+
+_BUILT_IN = ("geotiff", "png", "kmz", "vector", "taskdata", "nav2", "rosbag", "tables", "arrays")
+"""The modules beside this one that register formats, in the order of their listing."""
+
+
+class Exported(NamedTuple):
+    """What an export has written: its files or folders, and rows (label, value) for a reader."""
+
+    paths: tuple[Path, ...]
+    rows: tuple[tuple[str, str], ...] = ()
+
+
+class Holds(StrEnum):
+    """Which layers of a map a format can hold."""
+
+    ANY = "any layer"
+    GREY = "a layer of 8 bits"
+    OCCUPANCY = "the layer density or max"
+    SHAPES = "what is traced from the density"
+
+
+class Writer(Protocol):
+    """What writes a format; `options` are an instance of the format's own."""
+
+    def __call__(
+        self,
+        universal: MapFile,
+        path: Path,
+        selection: Selection,
+        options: Any,
+        /,
+        *,
+        overwrite: bool,
+    ) -> Exported:
+        """Write the selection to `path`, whole or not at all."""
+
+
+class Format(NamedTuple):
+    """A format: its name, the endings of file names that ask for it, what it is in a few words,
+    and what writes it.
+
+    `options` are the settings that it takes, `holds` the layers that it can have; `folder` says
+    that it is a folder of files. `readers`, `extras` (of pip) and `limits` are for the documents.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    says: str
+    write: Writer
+    options: type[Settings] = Settings
+    holds: Holds = Holds.ANY
+    folder: bool = False
+    readers: str = ""
+    extras: tuple[str, ...] = ()
+    limits: str = ""
+
+    def declared(self) -> tuple[Declared, ...]:
+        """The options, each with its flag and meaning."""
+        return tuple(declared(self.options))
+
+
+_formats: dict[str, Format] = {}
+
+
+def register(*formats: Format) -> None:
+    """Add formats. ConfigError for a name or an ending that is taken."""
+    for one in formats:
+        others = [known for known in _formats.values() if set(known.endings) & set(one.endings)]
+        if one.name in _formats or others:
+            raise ConfigError(
+                f"The format {one.name} or one of its endings {', '.join(one.endings)} is "
+                "registered already; choose others."
+            )
+        _formats[one.name] = one
+
+
+def unregister(name: str) -> None:
+    """Take a format out again."""
+    del _formats[name]
+
+
+def formats() -> Mapping[str, Format]:
+    """All formats by their names: those of fieldgrid, then those of other packages."""
+    _load()
+    order = {f"fieldgrid.export.{module}": k for k, module in enumerate(_BUILT_IN)}
+    last = len(order)
+    found = sorted(_formats.values(), key=lambda one: order.get(one.write.__module__, last))
+    return {one.name: one for one in found}
+
+
+@cache
+def _load() -> None:
+    for module in _BUILT_IN:
+        importlib.import_module(f"fieldgrid.export.{module}")
+    for found in entry_points(group="fieldgrid.formats"):
+        found.load()
+
+
+def format_of(path: Path, name: str | None = None) -> Format:
+    """The format by its name, or else by the ending of a path.
+
+    ConfigError for neither, and for a path that looks like something else.
+    """
+    by_ending = [one for one in formats().values() if path.name.lower().endswith(one.endings)]
+    if name is None:
+        if not by_ending:
+            endings = ", ".join(e for known in formats().values() for e in known.endings)
+            raise ConfigError(
+                f"{path.name} ends in none of {endings}; choose one of them, or give --format."
+            )
+        return by_ending[0]
+    if name not in formats():
+        raise ConfigError(f"{name!r} is no format; known are {', '.join(formats())}.")
+    chosen = formats()[name]
+    if chosen not in by_ending:
+        if by_ending:
+            raise ConfigError(
+                f"{path.name} is the name of a file of format {by_ending[0].name}, not {name}; "
+                f"end it in {' or '.join(chosen.endings)}, or leave --format out."
+            )
+        if chosen.folder and re.fullmatch(r"\.[a-z]\w*", path.suffix.lower()):
+            raise ConfigError(
+                f"{path.name} is the name of a file, and the format {name} is a folder; give a "
+                f"name that ends in {' or '.join(chosen.endings)}, or in nothing."
+            )
+    return chosen
+
+
+def export_map(
+    universal: MapFile,
+    path: str | Path,
+    selection: Selection | None = None,
+    *,
+    format: str | None = None,
+    overwrite: bool = False,
+    options: Mapping[str, Any] | None = None,
+) -> Exported:
+    """Write a part of a map in the format that `path` ends in, or that `format` names.
+
+    The output appears when it is complete, or not at all. `options` are those of the format.
+    Raises ConfigError for what cannot be asked, MapExistsError when `path` exists and may not be
+    overwritten, MapWriteError when it cannot be written.
+    """
+    path, selection = Path(path), selection or Selection()
+    chosen = format_of(path, format)
+    checked = _checked(chosen, options or {})
+    _check_layer(chosen, selection.layer)
+    _refuse_map(path)
+    return chosen.write(universal, path, selection, checked, overwrite=overwrite)
+
+
+def _checked(chosen: Format, options: Mapping[str, Any]) -> Settings:
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        return chosen.options.model_validate(given)
+    except ValidationError as error:
+        problem = first_problem(error)
+    if problem.unknown:
+        takes = ", ".join(chosen.options.model_fields) or "none"
+        raise ConfigError(
+            f"The format {chosen.name} has no option {problem.name!r}; it takes {takes}."
+        )
+    raise ConfigError(
+        f"The option {problem.name} = {problem.value!r} of the format {chosen.name} cannot be: "
+        f"{problem.why}."
+    )
+
+
+def _check_layer(chosen: Format, layer: str) -> None:
+    fits = {
+        Holds.ANY: True,
+        Holds.GREY: LAYERS[layer].dtype == "uint8",
+        Holds.OCCUPANCY: layer in ("density", "max"),
+        Holds.SHAPES: layer == "density",
+    }
+    if not fits[chosen.holds]:
+        others = ", ".join(one.name for one in formats().values() if one.holds is Holds.ANY)
+        raise ConfigError(
+            f"The format {chosen.name} holds {chosen.holds.value}, and {layer!r} is none; leave "
+            f"--layer out, or choose one of the formats {others}."
+        )
+
+
+def _refuse_map(path: Path) -> None:
+    """Raise MapExistsError when an export would replace a map: what that has is nowhere else."""
+    if not path.is_file():
+        return
+    try:
+        read_datum(path)
+    except MapError:
+        return
+    raise MapExistsError(
+        f"{path} is a map with its evidence, which no export replaces; give another name."
+    )

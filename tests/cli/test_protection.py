@@ -1,0 +1,170 @@
+"""What nobody asked for does not happen: inputs stay, and no option is ignored."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import shutil
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fieldgrid.cli.commands import COMMANDS, load
+from tests.cli.conftest import Run
+
+MakeDrive = Callable[..., Path]
+
+
+def tree(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+# --- inputs
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("build DRIVE -o IMAGE --overwrite", "is not a map that fieldgrid has written"),
+        ("build DRIVE -o DRIVE/frames.csv --overwrite", "is not a map that fieldgrid has written"),
+        ("build DRIVE -o DRIVE --overwrite", "is read here and never replaced"),
+        ("track DRIVE -o DRIVE/frames.csv", "exists already and is no track"),
+        ("track DRIVE -o IMAGE", "give a name that ends in .csv"),
+        ("track DRIVE -o x.track", "give a name that ends in .csv"),
+        ("show MAP -o IMAGE", "is not a figure that fieldgrid has written"),
+        ("show MAP -o x.csv", "end it in .png, .pdf or .svg"),
+        ("export MAP IMAGE --format png --overwrite", "is not a PNG that fieldgrid"),
+        ("export MAP DRIVE/frames.csv --overwrite", "is not a CSV that fieldgrid has written"),
+        ("export MAP MAP --overwrite", "which no export replaces"),
+        ("merge MAP -o MAP --overwrite", "is read here and never replaced"),
+        ("merge MAP -o IMAGE --overwrite", "is not a map that fieldgrid has written"),
+        ("diff MAP --from 2000-01-01 --to june -o MAP", "end it in .png, .pdf or .svg"),
+    ],
+)
+def test_no_input_is_replaced(
+    arguments: str,
+    message: str,
+    fieldgrid: Run,
+    make_drive: MakeDrive,
+    two_lanes_map: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    drive = make_drive("june")
+    map_ = tmp_path / "field.gpkg"
+    shutil.copy(two_lanes_map, map_)
+    before = tree(tmp_path)
+    image = min((drive / "left").iterdir())
+    text = arguments.replace("DRIVE", str(drive)).replace("MAP", str(map_))
+    text = text.replace("IMAGE", str(image))
+    result = fieldgrid(*text.split())
+    assert result.status == 1, result
+    if not arguments.startswith("diff"):  # whose --from is refused first
+        assert message in result.sentence()
+    assert tree(tmp_path) == before
+
+
+def test_a_converted_drive_does_not_replace_itself(
+    fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.mcap"
+    fieldgrid("convert", make_drive(), out).output()
+    before = out.read_bytes()
+    sentence = fieldgrid("convert", out, out, "--overwrite").sentence()
+    assert sentence == f"{out} is read here and never replaced; give another name."
+    assert out.read_bytes() == before
+    fieldgrid("convert", make_drive("b"), out, "--overwrite").output()  # but it is one of ours
+
+
+def test_our_own_are_replaced(
+    fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    drive, map_ = make_drive("june"), tmp_path / "a.gpkg"
+    for _ in range(2):
+        fieldgrid("build", drive, "-o", map_, "--overwrite").output()
+        fieldgrid("merge", two_lanes_map, "-o", tmp_path / "b.gpkg", "--overwrite").output()
+        fieldgrid("track", drive, "-o", drive / "track.csv").output()
+        fieldgrid("show", map_, "-o", tmp_path / "a.png").output()
+
+
+# --- options
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_read(name: str) -> None:
+    """A parameter that the code of its command does not name would be ignored."""
+    source = ast.parse(inspect.getsource(import_module(f"fieldgrid.cli.{name}")))
+    (function,) = (
+        node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == "command"
+    )
+    arguments = [one.arg for one in (*function.args.args, *function.args.kwonlyargs)]
+    read = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+    assert [one for one in arguments if one not in read] == []
+
+
+ALWAYS = {"as_json", "quiet", "verbose", "help"}
+MODES: dict[str, tuple[str, set[str]]] = {
+    # what decides that others cannot count, and those that still do
+    "poses again": (
+        "build --repose MAP",
+        {"repose", "name", "config", "heading", "visual_odometry", "budget"},
+    ),
+    "trajectory": ("show MAP -o x.png --figure trajectory", {"out", "figure", "at", "session"}),
+    "heading": ("show MAP -o x.png --figure heading", {"out", "figure", "at", "session"}),
+    "no picture": (
+        "diff MAP --from 2000-01-01 --to june",
+        {"from_", "to", "out", "cell", "bounds"},
+    ),
+    "no file": ("mount DRIVE", {"write", "gnss", "topic", "mounting", "time_offset", "every",
+                                "figure", "jobs"}),
+    "removal": ("sessions MAP --remove june", {"remove"}),
+}  # fmt: skip
+VALUES = {
+    "cell": ["0.5"],
+    "bounds": ["0", "0", "1", "1"],
+    "every": ["2"],
+    "jobs": ["1"],
+    "max_range": ["9"],
+    "local_cell": ["0.1"],
+    "time_offset": ["1"],
+    "antenna": ["1", "2", "3"],
+    "shift": ["june", "0,0"],
+    "rename": ["june", "july"],
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_an_option_that_cannot_count_is_refused(
+    mode: str, fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    text, counting = MODES[mode]
+    map_ = tmp_path / "field.gpkg"
+    shutil.copy(two_lanes_map, map_)
+    places = {"MAP": map_, "DRIVE": make_drive()}
+    words: list[Any] = [places.get(word, word) for word in text.split()]
+    before = tree(tmp_path)
+    tried = 0
+    for one in load(words[0]).params:
+        if one.param_type_name != "option" or one.name in counting | ALWAYS:
+            continue
+        value = [] if one.is_flag else VALUES.get(str(one.name), ["x"])
+        flag = max(one.opts, key=len)
+        usage = fieldgrid(*words, flag, *value).usage()
+        assert flag in usage or "--remove" in usage, (flag, usage)
+        tried += 1
+    assert tried > 0
+    assert tree(tmp_path) == before
+
+
+def test_numbers_below_zero_are_no_options(fieldgrid: Run, two_lanes_map: Path) -> None:
+    for place in (["-6.52", "52.32"], ["-6.52", "-52"], ["-.5", "52"], ["41.65,-4.72"]):
+        text = fieldgrid("query", two_lanes_map, *place, "--cell", "0.1").output()
+        assert text.startswith("cell ")
+    same = fieldgrid("query", two_lanes_map, "--", "-6.52", "52.32").output()
+    assert same == fieldgrid("query", two_lanes_map, "-6.52", "52.32").output()
+    assert "no option --cel" in fieldgrid("query", two_lanes_map, "1", "2", "--cel", "3").usage()
+    assert "no option -x" in fieldgrid("query", two_lanes_map, "-x", "2").usage()
