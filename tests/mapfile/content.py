@@ -1,10 +1,18 @@
-"""All that a map says, for comparison: tiles, pictures, layers, extents, but no row numbers."""
+"""All that a map says, for comparison: tiles, pictures, layers, extents, but no row numbers.
+
+Tiles are compared before compression: ISA-L does not make the same bytes of the same cells each
+time.
+"""
 
 from __future__ import annotations
 
 import sqlite3
+import zlib
 from pathlib import Path
 from typing import Any
+
+import cv2
+import numpy as np
 
 _QUERIES = {
     "tiles": "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile ORDER BY 1, 2, 3, 4",
@@ -33,9 +41,23 @@ def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
     database = sqlite3.connect(path)
     try:
         return {
-            kind: database.execute(query).fetchall()
+            kind: [tuple(map(_unpacked, row)) for row in database.execute(query)]
             for kind, query in _QUERIES.items()
             if not kinds or kind in kinds
         }
     finally:
         database.close()
+
+
+def _unpacked(value: Any) -> Any:
+    """The header of a tile and its values, which follow as a zlib stream; the pixels of a picture;
+    others as they are."""
+    if not isinstance(value, bytes) or not value:
+        return value
+    if value.startswith(b"\x89PNG"):
+        return cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_UNCHANGED).tobytes()
+    head = 5 + 2 * value[0]
+    try:
+        return value[:head], zlib.decompress(value[head:])
+    except zlib.error:
+        return value
