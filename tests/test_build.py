@@ -49,7 +49,15 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.motion import Motion
-from fieldgrid.recording import Frame, Image, ImageSource, StereoFrame, Stream, open_recording
+from fieldgrid.recording import (
+    DriveOptions,
+    Frame,
+    Image,
+    ImageSource,
+    StereoFrame,
+    Stream,
+    open_recording,
+)
 from fieldgrid.settings import BuildSettings, resolve
 from fieldgrid.trajectory import Status
 from fieldgrid.transfer import Transfer
@@ -206,7 +214,7 @@ def test_the_quality_of_a_frame_is_that_of_a_fix(two_lanes_map: Path) -> None:
 def test_with_the_rough_log_every_frame_is_mapped_where_it_was(tmp_path: Path) -> None:
     """Decimetres, jumps of 1 to 6 m, a hole of 6 s: camera and batch carry over all of it."""
     out = tmp_path / "rough.gpkg"
-    (report,) = build([TWO_LANES], out, gnss="gnss_sf1.nmea")
+    (report,) = build([TWO_LANES], out, options=DriveOptions("gnss_sf1.nmea"))
     with open_map(out) as universal:
         scores = evaluate(universal, read_truth(TWO_LANES / "truth"))
     assert (report.frames, report.used, report.camera_steps) == (50, 50, 49)
@@ -222,7 +230,7 @@ def test_with_the_rough_log_and_the_paper_s_heading_no_pose_is_silently_wrong(
 ) -> None:
     """What is off is rejected and says why."""
     out = tmp_path / "rough.gpkg"
-    (report,) = build([TWO_LANES], out, gnss="gnss_sf1.nmea", settings=COURSE)
+    (report,) = build([TWO_LANES], out, options=DriveOptions("gnss_sf1.nmea"), settings=COURSE)
     with open_map(out) as universal:
         scores = evaluate(universal, read_truth(TWO_LANES / "truth"))
         records = {record.frame_id: record for record in universal.frames()}
@@ -761,7 +769,7 @@ def test_a_pose_that_was_rejected_keeps_its_reason(make_drive: MakeDrive, tmp_pa
     drive, out = make_drive(frames=[4, 5, 22]), tmp_path / "m.gpkg"
     shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
     fog(drive, "000022")
-    build([drive], out, gnss="gnss_sf1.nmea", settings=COURSE)
+    build([drive], out, options=DriveOptions("gnss_sf1.nmea"), settings=COURSE)
     with open_map(out) as universal:
         reasons = {record.frame_id: record.reason for record in universal.frames()}
     assert "accepted fix" in reasons["000022"]

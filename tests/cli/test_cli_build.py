@@ -471,7 +471,7 @@ def test_a_link_to_a_map_stays_a_link(
     ("path", "message"),
     [
         ("nowhere", r"nowhere does not exist; give the folder of a recording"),
-        ("frames.csv", r"frames\.csv is a file, and no bag; give the folder of a recording"),
+        ("frames.csv", r"frames\.csv lists the frames of a recording; give its folder\."),
         ("gnss", r"gnss is no recording; looked for one KITTI drive .*frames\.csv, or left/ and"),
     ],
 )
@@ -629,12 +629,12 @@ def test_names_of_sessions(name: str, fieldgrid: Run, make_drive: MakeDrive, out
 
 def test_a_name_that_cannot_be_printed(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
     sentence = fieldgrid("build", make_drive(), "-o", out, "--name", "a\nb").sentence()
-    assert r"cannot be called 'a\nb'; give --name a printable one" in sentence
+    assert r"cannot be called 'a\nb'; give a printable name" in sentence
     assert tree(out.parent) == {}
 
 
 def test_an_empty_name(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
-    assert "--name" in fieldgrid("build", make_drive(), "-o", out, "--name", "").sentence()
+    assert "printable name" in fieldgrid("build", make_drive(), "-o", out, "--name", "").sentence()
 
 
 @pytest.mark.parametrize("name", ["lane [north] 3", "lane [/b] 3"])

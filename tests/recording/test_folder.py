@@ -617,8 +617,8 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     )
     (tmp_path / "left").mkdir()
     fails(tmp_path, "is no recording")
-    (tmp_path / "a.mp4").write_text("")
-    fails(tmp_path / "a.mp4", "is a file, and no bag; give the folder of a recording")
+    (tmp_path / "a.mp4").write_bytes(bytes(range(32)))
+    fails(tmp_path / "a.mp4", "is no bag and no GNSS log that is known")
 
 
 # --- real data

@@ -77,7 +77,7 @@ def test_an_empty_file_is_said_to_be_empty(data: bytes, path: Path) -> None:
 @pytest.mark.parametrize("data", [b"PK\x03\x04" + bytes(range(256)), b"just words\nof a diary\n"])
 def test_what_is_no_log(data: bytes, path: Path) -> None:
     path.write_bytes(data)
-    with pytest.raises(GnssError, match=r"drive\.dat is no GNSS log that is known"):
+    with pytest.raises(GnssError, match=r"drive\.dat is no bag and no GNSS log that is known"):
         read_fix_log(path)
 
 

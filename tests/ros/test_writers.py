@@ -175,7 +175,7 @@ def test_what_exists_is_replaced_only_when_asked(
 def test_a_folder_of_other_things_is_not_replaced(name: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("mine")
-    with pytest.raises(MapExistsError, match="holds other things than a ROS 2 bag"):
+    with pytest.raises(MapExistsError, match="other things than a bag that fieldgrid has"):
         BagFolderWriter(tmp_path / "out", overwrite=True)
     assert [file.name for file in tmp_path.rglob("*")] == ["out", name]
 

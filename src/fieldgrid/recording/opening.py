@@ -11,6 +11,7 @@ from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry, logs
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording
 from fieldgrid.recording.format import find_format, formats, register_format
+from fieldgrid.recording.frame_table import TABLE
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.options import DriveOptions
 
@@ -38,6 +39,8 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
             raise RecordingError(
                 f"{path} {what}; give the folder of a recording, a bag, or a GNSS log."
             )
+        if path.name == TABLE:
+            raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
         found = find_format(path)
         if found is not None:
             return replace(found.open(path, options or DriveOptions()), kind=found.name)

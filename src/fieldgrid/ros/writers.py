@@ -50,7 +50,8 @@ def _is_ours(file: Path) -> bool:
 
 
 def _is_our_folder(folder: Path) -> bool:
-    return is_ros2_folder(folder) and mentions(folder / "metadata.yaml", b"/georeference")
+    """Whether a bag's metadata name us as its writer."""
+    return is_ros2_folder(folder) and mentions(folder / "metadata.yaml", b"written_by: fieldgrid")
 
 
 class McapWriter:
@@ -178,6 +179,7 @@ class BagFolderWriter:
                     self._inner, version=8, storage_plugin=_PLUGINS[storage]
                 )
                 self._writer.open()
+                self._writer.set_custom_data("written_by", "fieldgrid")
         except BaseException:
             self._draft.discard()
             raise
