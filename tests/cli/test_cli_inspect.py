@@ -125,7 +125,8 @@ def test_options_that_are_wrong(
 def test_options_reach_the_recording(
     fieldgrid: Run, few: Path, tmp_path: Path, command: str, options: tuple[str, ...], told: str
 ) -> None:
-    result = fieldgrid(command, few, "-o", tmp_path / "out.x", *options)
+    out = {"track": "out.csv", "build": "out.gpkg"}[command]
+    result = fieldgrid(command, few, "-o", tmp_path / out, *options)
     assert told in result.sentence()
 
 

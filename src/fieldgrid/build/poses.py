@@ -179,7 +179,7 @@ def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
     reason = reasons.most_common(1)[0][0]
     advice = "choose another log with --gnss or another --heading"
     if reason == no_ground(rig):
-        advice = "check the camera's height and tilt in the mounting"
+        advice = "check the calibration, and the camera's height and tilt in the mounting"
         if isinstance(rig.sensor, Lidar):
             advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
     return GnssError(
