@@ -818,7 +818,10 @@ def test_swapped_sides_of_a_kitti_drive_are_refused(
     ("columns", "message"),
     [
         (30, "or the calibration is of other cameras"),
-        (-40, r"no ground was found in the image, .*check the calibration, and the camera's height"),
+        (
+            -40,
+            r"no ground was found in the image, .*check the calibration, and the camera's height",
+        ),
     ],
 )
 def test_a_calibration_of_other_cameras_is_refused(
@@ -835,7 +838,9 @@ def test_a_calibration_of_other_cameras_is_refused(
     assert sorted(tmp_path.iterdir()) == [drive]
 
 
-def test_pairs_that_are_not_rectified_are_refused_unless_accepted(make_drive: MakeDrive, tmp_path: Path) -> None:
+def test_pairs_that_are_not_rectified_are_refused_unless_accepted(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
     drive = make_drive(frames=range(5, 13))
     for image in (drive / "right").iterdir():
         pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)

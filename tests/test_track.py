@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fieldgrid import publish
-from fieldgrid.errors import DatumError, MapExistsError, MapWriteError
+from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
@@ -168,18 +168,29 @@ def test_an_earlier_track_is_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"$GPGGA,1\r\n", GOLDEN[:40].encode(), b"\xff\xd8" * 300])
 def test_anything_else_is_not_replaced(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "rtk.nmea"
+    path = tmp_path / "rtk.csv"
     path.write_bytes(content)
-    with pytest.raises(MapExistsError, match=r"rtk\.nmea exists already and is no track; give"):
+    with pytest.raises(MapExistsError, match=r"rtk\.csv exists already and is no track; give"):
         write_track(estimate(), path)
     assert path.read_bytes() == content
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("place", ["", "not/t.csv"])
-def test_a_place_where_no_file_can_be(place: str, tmp_path: Path) -> None:
-    with pytest.raises(MapWriteError if place else MapExistsError, match=r"folder"):
+@pytest.mark.parametrize(
+    ("place", "error"), [("f.csv", MapExistsError), ("not/t.csv", MapWriteError)]
+)
+def test_a_place_where_no_file_can_be(
+    place: str, error: type[FieldgridError], tmp_path: Path
+) -> None:
+    (tmp_path / "f.csv").mkdir()
+    with pytest.raises(error, match=r"folder"):
         write_track(estimate(), tmp_path / place)
+    assert list(tmp_path.iterdir()) == [tmp_path / "f.csv"]
+
+
+def test_a_name_of_another_kind_of_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"t\.xyz is not named as a CSV"):
+        write_track(estimate(), tmp_path / "t.xyz")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -70,7 +70,7 @@ def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     for name in ("gnss", "imu"):
         shutil.copytree(TWO_LANES / name, folder / name)
     bare = json.loads(fieldgrid("track", folder, "-o", out, *SF1, "--json").output())
-    assert (bare["drive"], bare["gnss"]) == ("june-03", "gnss_sf1.nmea")
+    assert (bare["drive"], bare["gnss"]) == ("june-03", "gnss/gnss_sf1.nmea")
     assert bare["gyro_bias_dps"] is not None
     antenna = rows(out)
     shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
@@ -165,13 +165,15 @@ def test_a_second_track_replaces_the_first(fieldgrid: Run, out: Path) -> None:
 
 def test_a_path_that_is_not_there(fieldgrid: Run, out: Path) -> None:
     sentence = fieldgrid("track", "nowhere", "-o", out).sentence()
-    assert sentence == "nowhere does not exist; give the folder of a recording, or a GNSS log."
+    assert sentence == (
+        "nowhere does not exist; give the folder of a recording, a bag, or a GNSS log."
+    )
 
 
 def test_a_folder_that_holds_no_drive(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     (tmp_path / "photos").mkdir()
     sentence = fieldgrid("track", tmp_path / "photos", "-o", out).sentence()
-    assert "photos holds no drive: it is no recording, and has neither gnss/ nor" in sentence
+    assert "photos is no recording; looked for" in sentence
 
 
 def test_an_empty_log(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
@@ -194,23 +196,24 @@ def test_several_logs(fieldgrid: Run, out: Path) -> None:
 
 def test_a_log_in_which_nothing_can_be_picked(fieldgrid: Run, out: Path) -> None:
     sentence = fieldgrid("track", RTK, "-o", out, "--gnss", "x.nmea").sentence()
-    assert "is a log already, so 'x.nmea' cannot be picked in it" in sentence
+    assert "is a log already, in which none can be picked; leave --gnss out" in sentence
 
 
 def test_the_log_itself_is_never_replaced(fieldgrid: Run, tmp_path: Path) -> None:
-    log = tmp_path / "rtk.nmea"
+    log = tmp_path / "rtk.csv"
     shutil.copy(RTK, log)
     before = log.read_bytes()
     sentence = fieldgrid("track", log, "-o", log).sentence()
-    assert "rtk.nmea exists already and is no track" in sentence
+    assert "rtk.csv exists already and is no track" in sentence
     assert log.read_bytes() == before
     assert list(tmp_path.iterdir()) == [log]
 
 
-@pytest.mark.parametrize("place", ["not/track.csv", ""])
+@pytest.mark.parametrize("place", ["not/track.csv", "folder.csv"])
 def test_a_place_that_cannot_be_written(place: str, fieldgrid: Run, out: Path) -> None:
+    (out.parent / "folder.csv").mkdir()
     assert "folder" in fieldgrid("track", RTK, "-o", out.parent / place).sentence()
-    assert os.listdir(out.parent) == []
+    assert os.listdir(out.parent) == ["folder.csv"]
 
 
 def test_a_datum_of_another_country(fieldgrid: Run, out: Path) -> None:

@@ -12,7 +12,7 @@ from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording
 from fieldgrid.recording.format import find_format, formats, register_format
 from fieldgrid.recording.frame_table import TABLE
-from fieldgrid.recording.mounting import Mounting, read_mounting
+from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.options import DriveOptions
 
 for _format in (
@@ -43,10 +43,7 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
             raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
         found = find_format(path)
         if found is not None:
-            options = options or DriveOptions()
-            if isinstance(options.mounting, Path):  # its errors are the user's, not the drive's
-                options = replace(options, mounting=read_mounting(options.mounting))
-            return replace(found.open(path, options), kind=found.name)
+            return replace(found.open(path, options or DriveOptions()), kind=found.name)
     except OSError as problem:
         raise RecordingError(
             f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fieldgrid.errors import ConfigError, quoted
+from fieldgrid.errors import CalibrationError, ConfigError, quoted
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.mounting import Mounting, missing_mounting, read_mounting
 from fieldgrid.rig import LeverArm, Mount
@@ -79,15 +79,21 @@ class DriveOptions:
     def find_mounting(self, usual: Path, recording: Path) -> Mounting:
         """The mounting that was given, else the one at its usual place.
 
-        Raises CalibrationError when there is neither.
+        Raises CalibrationError when there is neither, ConfigError when the one that was given
+        cannot be read: a drive is fine without frames, but not without what the user asks for.
         """
         if isinstance(self.mounting, Mounting):
             return self.mounting
-        if self.mounting is None and not usual.exists():
+        if self.mounting is not None:
+            try:
+                return read_mounting(self.mounting)
+            except CalibrationError as problem:
+                raise ConfigError(str(problem)) from problem
+        if not usual.exists():
             if self.unmounted:
                 return NO_MOUNTING
             raise missing_mounting(usual, recording)
-        return read_mounting(self.mounting or usual)
+        return read_mounting(usual)
 
     def offset_or(self, own_ns: int) -> int:
         """The offset of image times that was given, else the recording's own."""
