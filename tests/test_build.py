@@ -847,7 +847,7 @@ def test_pairs_that_are_not_rectified_are_refused_unless_accepted(
         assert pixels is not None
         image.unlink()
         cv2.imwrite(str(image), np.roll(pixels, 4, axis=0))
-    with pytest.raises(CalibrationError, match="4.0 pixels lower .* --accept vertical-misalignm"):
+    with pytest.raises(CalibrationError, match=r"4\.0 pixels lower .* --accept vertical-misalignm"):
         build([drive], tmp_path / "m.gpkg")
     settings = resolve(None, {"checks": {"accept": ["vertical-misalignment"]}})
     (report,) = build([drive], tmp_path / "m.gpkg", settings=settings)

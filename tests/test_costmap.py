@@ -35,7 +35,8 @@ def view_of(density: npt.ArrayLike, observed: npt.ArrayLike, i0: int = -3, j0: i
     cells = np.array(density, dtype=np.uint8)
     seen = np.array(observed, dtype=np.bool_)
     window = Window(i0, j0, cells.shape[1], cells.shape[0])
-    return MapView(Lattice(CELL_M), window, np.where(seen, cells, 0).astype(np.uint8), seen, DATUM)
+    cells = np.where(seen, cells, 0).astype(np.uint8)
+    return MapView(Lattice(CELL_M), window, cells, seen, DATUM, is_base=True)
 
 
 @st.composite
@@ -246,7 +247,7 @@ def test_a_distance_that_equals_the_radius_is_within_it() -> None:
     cells = np.zeros((1, 60), dtype=np.uint8)
     cells[0, 0] = 255
     seen = np.ones(cells.shape, dtype=np.bool_)
-    view = MapView(Lattice(0.01), Window(0, 0, 60, 1), cells, seen, DATUM)
+    view = MapView(Lattice(0.01), Window(0, 0, 60, 1), cells, seen, DATUM, is_base=True)
     assert 0.57 / 0.01 < 57.0  # by rounding only
     costs = Costmap.from_view(view, robot_radius_m=0.57).costs[0]
     assert costs[56:].tolist() == [253, 253, 0, 0]

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import AnyArray, Bool, UInt8
+from fieldgrid.array_types import AnyArray, Bool, Float32, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 
 OCCUPIED, UNKNOWN_OCCUPANCY = 100, -1
 """Of nav_msgs/OccupancyGrid: an obstacle, and a cell of which nothing is known."""
+
+LEAST_SEEN = 0.5
+"""The share of the map's own cells that must have been seen for a larger cell to be known."""
 
 INSCRIBED, LETHAL, UNKNOWN_COST = 253, 254, 255
 """Of Nav2's costmaps: too near an obstacle, an obstacle, and a cell of which nothing is known."""
@@ -31,11 +34,16 @@ class CostCurve:
     t**shape, where t goes from 0 at `free_up_to` to 1 at the first density of an obstacle. A
     shape of 1 is a straight line; above 1 doubt is cheap until it is nearly an obstacle, below 1
     it is dear at once.
+
+    A cell that is larger than the map's own is decided by those in it, never by their mean: it is
+    an obstacle where one of them is, and unknown, if it is no obstacle, where less than the share
+    `least_seen` of them was observed.
     """
 
     free_up_to: int = FREE_UP_TO
     obstacle_above: int = OBSTACLE_ABOVE
     shape: float = 1.0
+    least_seen: float = LEAST_SEEN
 
     def __post_init__(self) -> None:
         if not 0 <= self.free_up_to <= self.obstacle_above <= 254:
@@ -48,6 +56,11 @@ class CostCurve:
             raise ConfigError(
                 f"A cost curve's shape of {self.shape} is outside 0.1..10; 1 is a straight line."
             )
+        if not 0.0 < self.least_seen <= 1.0:
+            raise ConfigError(
+                f"A least share seen of {self.least_seen} is not above 0 and up to 1; "
+                f"{LEAST_SEEN:g} asks for half of the cells."
+            )
 
     def table(self) -> npt.NDArray[np.int8]:
         """The occupancy of each density, int8 [256]."""
@@ -57,28 +70,29 @@ class CostCurve:
         free, occupied = density <= self.free_up_to, density > self.obstacle_above
         return np.select([free, occupied], [0, OCCUPIED], doubt).astype(np.int8)
 
-    def occupancy(self, density: UInt8, observed: Bool) -> npt.NDArray[np.int8]:
-        """0..100, -1 where not observed, int8 of the arrays' shape."""
-        return _looked_up(self.table(), density, observed, UNKNOWN_OCCUPANCY)
+    def occupancy(self, density: UInt8, seen: Bool | Float32) -> npt.NDArray[np.int8]:
+        """0..100, -1 where unknown, int8 of the arrays' shape.
 
-    def cost(self, density: UInt8, observed: Bool) -> UInt8:
+        `density` is the highest of the map's own cells in each cell, and `seen` the share of them
+        that was observed (`MapView.peak` and `seen_share`); where cells are the map's own, their
+        density and whether they were observed.
+        """
+        return self._looked_up(self.table(), density, seen, UNKNOWN_OCCUPANCY)
+
+    def cost(self, density: UInt8, seen: Bool | Float32) -> UInt8:
         """What Nav2's static layer makes of the occupancy, uint8 of the arrays' shape.
 
-        0 free, up to 251 in doubt, 254 an obstacle, 255 not observed: that layer with
+        0 free, up to 251 in doubt, 254 an obstacle, 255 unknown: that layer with
         `trinary_costmap: false`, `lethal_cost_threshold: 100` and `track_unknown_space: true`.
         """
         occupancy = self.table().astype(np.int64)
-        return _looked_up(
-            (occupancy * LETHAL // OCCUPIED).astype(np.uint8), density, observed, UNKNOWN_COST
-        )
+        costs = (occupancy * LETHAL // OCCUPIED).astype(np.uint8)
+        return self._looked_up(costs, density, seen, UNKNOWN_COST)
 
-
-def _looked_up(
-    table: AnyArray,
-    density: UInt8,
-    observed: Bool,
-    unknown: int,
-) -> AnyArray:
-    values = table[density]
-    values[~observed] = unknown
-    return values
+    def _looked_up(
+        self, table: AnyArray, density: UInt8, seen: Bool | Float32, unknown: int
+    ) -> AnyArray:
+        values = table[density]
+        enough = np.where(density > self.obstacle_above, seen > 0.0, seen >= self.least_seen)
+        values[~enough] = unknown
+        return values

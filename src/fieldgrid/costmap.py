@@ -18,7 +18,7 @@ from fieldgrid.cost import INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView
 
 MAX_CELLS = 100_000_000
 """Cells of a costmap: it holds 9 bytes of each, and 11 while it is made."""
@@ -103,7 +103,8 @@ class Costmap:
         cells or 40000 along a side.
         """
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        view = universal.read(bounds, cell_m, at=at)
+        is_own = cell_m is None or cell_m == universal.cell_m
+        view = universal.read(bounds, cell_m, layers=() if is_own else DECISION_LAYERS, at=at)
         return cls._of(view, curve or CostCurve(), settings)
 
     @classmethod
@@ -116,7 +117,8 @@ class Costmap:
         inflation_m: float = 0.0,
         decay_per_m: float = 3.0,
     ) -> Self:
-        """The costs of a view that was read already."""
+        """The costs of a view that was read already; where its cells are larger than the map's
+        own, with `DECISION_LAYERS`."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         return cls._of(view, curve or CostCurve(), settings)
 
@@ -124,7 +126,7 @@ class Costmap:
     def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation) -> Self:
         _check_size(view)
         costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
-        costs[1:-1, 1:-1] = curve.cost(view.density, view.observed)
+        costs[1:-1, 1:-1] = curve.cost(view.peak, view.seen_share)
         to_obstacle = _distance_cells(costs != LETHAL)
         to_unknown = _distance_cells(costs != UNKNOWN_COST)
         _inflate(costs, to_obstacle, inflation, view.lattice)

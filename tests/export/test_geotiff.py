@@ -237,7 +237,7 @@ def test_overviews_count_from_the_north_west_corner(
 def test_overviews_in_another_plane_are_those_of_the_cells(tmp_path: Path) -> None:
     path = tmp_path / "map.tif"
     with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
-        export_geotiff(source, path, Selection(), epsg=25830)
+        export_geotiff(source, path, Selection(), PlaneOptions(epsg=25830))
         with source.overviews(1) as blocks:
             own = [block.density[block.observed] for block in blocks]
     with rasterio.open(path, overview_level=0) as dataset:

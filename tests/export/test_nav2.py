@@ -192,7 +192,8 @@ def test_the_georeference_places_the_picture(universal: MapFile, tmp_path: Path)
     assert (a * 150 + b * 230 + c, d * 150 + e * 230 + f) == pytest.approx((3.5, -5.0))
     lat, lon, _ = geodetic(-4.0, 6.5)
     assert about["corners_deg"]["north_west"] == pytest.approx([float(lat), float(lon)], abs=2e-10)
-    assert about["cost_curve"] == {"free_up_to": 50, "obstacle_above": 120, "shape": 2.0}
+    curve = {"free_up_to": 50, "obstacle_above": 120, "shape": 2.0, "least_seen": 0.5}
+    assert about["cost_curve"] == curve
     assert about["crs_wkt"].startswith("PROJCRS[")
 
 

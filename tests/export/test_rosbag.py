@@ -225,7 +225,7 @@ def check_fixes(found: list[Any], session: str) -> None:
     for fix in found:
         variances = np.diag(np.array(fix.position_covariance).reshape(3, 3))
         np.testing.assert_allclose(variances, [4e-4, 4e-4, 16e-4])
-        assert (fix.position_covariance_type, fix.status.status) == (1, 2)
+        assert (fix.position_covariance_type, fix.status.status) == (2, 2)
 
 
 def check_datum(fix: Any) -> None:

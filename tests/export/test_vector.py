@@ -318,7 +318,12 @@ def test_outlines_hold_exactly_their_cells(density: npt.NDArray[np.uint8], cut: 
     lattice, seen = Lattice(0.5), np.ones((9, 12), dtype=np.bool_)
     views = [
         MapView(
-            lattice, Window(-5, -3 + first, 12, part.shape[0]), part, seen[: part.shape[0]], DATUM
+            lattice,
+            Window(-5, -3 + first, 12, part.shape[0]),
+            part,
+            seen[: part.shape[0]],
+            DATUM,
+            is_base=True,
         )
         for first, part in ((0, density[:cut]), (cut, density[cut:]))
         if part.shape[0]
@@ -326,7 +331,7 @@ def test_outlines_hold_exactly_their_cells(density: npt.NDArray[np.uint8], cut: 
     found = list(trace_obstacles(views, ShapeOptions(simplify_m=0.0)))
     whole = list(
         trace_obstacles(
-            [MapView(lattice, Window(-5, -3, 12, 9), density, seen, DATUM)],
+            [MapView(lattice, Window(-5, -3, 12, 9), density, seen, DATUM, is_base=True)],
             ShapeOptions(simplify_m=0.0),
         )
     )
@@ -347,12 +352,14 @@ def test_simplified_outlines_stay_valid_when_they_are_rounded() -> None:
     random, lattice = np.random.default_rng(3), Lattice(0.05)
     blurred = cv2.GaussianBlur(random.random((160, 160)), (0, 0), 0.6)
     density = np.where(blurred > 0.5, np.uint8(255), np.uint8(0))
-    view = MapView(lattice, Window(420, -377, 160, 160), density, density >= 0, DATUM)
+    seen = np.ones_like(density, dtype=np.bool_)
+    view = MapView(lattice, Window(420, -377, 160, 160), density, seen, DATUM, is_base=True)
     found = np.array([one.outline for one in trace_obstacles([view])], dtype=np.object_)
     coarse = ShapeOptions(simplify_m=0.0)
     exact = np.array([one.outline for one in trace_obstacles([view], coarse)], dtype=np.object_)
     corners = shapely.get_num_coordinates(exact).sum()
-    assert shapely.get_num_coordinates(found).sum() < 0.8 * corners
+    assert shapely.get_num_coordinates(found).sum() < 0.9 * corners
+    assert shapely.covers(shapely.buffer(found, 1e-9), exact).all()
 
     def rounded(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         lat, lon, _ = geodetic(places[:, 0], places[:, 1])
@@ -374,7 +381,8 @@ def test_drives_are_in_their_order_whenever_they_were_added(tmp_path: Path) -> N
 def test_the_fixture_has_obstacles_that_touch_by_a_corner_only() -> None:
     """So that the above covers it: cells that touch by corners are one obstacle of two parts."""
     density = np.array([[255, 0], [0, 255]], dtype=np.uint8)
-    view = MapView(Lattice(0.5), Window(0, 0, 2, 2), density, density >= 0, DATUM)
+    seen = np.ones_like(density, dtype=np.bool_)
+    view = MapView(Lattice(0.5), Window(0, 0, 2, 2), density, seen, DATUM, is_base=True)
     (one,) = trace_obstacles([view])
     assert len(one.outline.geoms) == 2
     assert cells()[2].observed.any()

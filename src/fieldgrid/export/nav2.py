@@ -86,14 +86,15 @@ def export_nav2(
     if path.suffix.lower() not in _ENDINGS:
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
     mode, kind, curve = options.mode, options.picture(), options.curve()
-    view = selection.view(universal)
-    occupancy = curve.occupancy(view.layer(selection.layer), view.observed)
+    view = selection.view(universal, selection.deciding(universal))
+    occupancy = curve.occupancy(view.worst(selection.layer), view.seen_share)
     picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
     about = {**georeference(view), "image": picture.name, "mode": mode, "layer": selection.layer}
     about["cost_curve"] = {
         "free_up_to": curve.free_up_to,
         "obstacle_above": curve.obstacle_above,
         "shape": curve.shape,
+        "least_seen": curve.least_seen,
     }
     paths = write_together(
         {

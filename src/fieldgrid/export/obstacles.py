@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fieldgrid.array_types import Int64, UInt8
+from fieldgrid.array_types import Float64, Int64, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.lattice import Lattice
@@ -23,8 +23,12 @@ MAX_CELLS = 50_000_000
 """Obstacle cells that are traced at once: 2.5 GB of neighbours."""
 
 
-_AREA_SHARE = 0.05
-"""An outline is simplified only if its area stays as it is, but for this share."""
+_ROUNDS = (0.75, 0.25, 0.0)
+"""Which share of the tolerance each round of leaving corners out may use; the last takes those that
+lie on a line."""
+
+_AREA_SHARE = 0.1
+"""An outline is simplified only if its area grows by no more than this share."""
 
 
 class Obstacle(NamedTuple):
@@ -50,6 +54,7 @@ def trace_obstacles(
 ) -> Iterator[Obstacle]:
     """The obstacles in views of one lattice that do not overlap, from the south-west.
 
+    A cell is an obstacle where one of the map's own in it is, and outlines enclose all of them.
     Cells that touch by a side or a corner are one obstacle. Raises ConfigError when there are too
     many, or when shapely or rasterio is not installed.
     """
@@ -85,7 +90,7 @@ def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice | None, _Cel
     rows, columns, densities, total = [], [], [], 0
     for view in views:
         lattice = view.lattice
-        j, i = np.nonzero((view.density > above) & view.observed)
+        j, i = np.nonzero((view.peak > above) & (view.seen_share > 0.0))
         total += len(i)
         if total > MAX_CELLS:
             raise ConfigError(
@@ -145,10 +150,41 @@ def _outline(cells: _Cells, lattice: Lattice, simplify_m: float | None) -> Any:
     # In cells, whose corners are whole numbers: in metres a corner may miss by rounding the edge
     # that it touches, and the outline is no longer valid once it is rounded again, to degrees.
     tolerance = 1.0 if simplify_m is None else simplify_m * lattice.cells_per_m
-    simple = shapely.simplify(outline, tolerance, preserve_topology=True)
-    # A post of few cells would lose a good part of itself.
+    # What grows together or across itself is mended, and then holds all of the cells again.
+    simple = shapely.union(shapely.make_valid(_grown(outline, tolerance)), outline)
+    # A post of few cells would gain a good part of itself.
     kept = abs(simple.area - outline.area) <= _AREA_SHARE * outline.area
     return shapely.transform(
         simple if kept and simple.is_valid else outline,
         lambda corners: (corners + np.array([i0, j0])) / lattice.cells_per_m,
     )
+
+
+def _grown(shape: Any, tolerance: float) -> Any:
+    """A shape with fewer corners that encloses it, by up to `tolerance` larger."""
+    import shapely
+
+    polygons = [
+        shapely.Polygon(
+            _without_bays(polygon.exterior, tolerance),
+            [_without_bays(hole, tolerance) for hole in polygon.interiors],
+        )
+        for polygon in getattr(shapely.orient_polygons(shape), "geoms", [shape])
+    ]
+    return polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+
+
+def _without_bays(ring: Any, tolerance: float) -> Float64:
+    """The corners of a ring, with the inside on its left, but for those where it turns right: what
+    is left out there only adds to the inside."""
+    corners = np.array(ring.coords[:-1])
+    for share in _ROUNDS:
+        before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
+        (x1, y1), (x2, y2) = (corners - before).T, (after - corners).T
+        depth = (y1 * x2 - x1 * y2) / np.maximum(np.hypot(*(after - before).T), 1e-12)
+        shallow = (depth >= 0.0) & (depth <= share * tolerance)
+        left_out = shallow & ~np.roll(shallow, 1)  # no two neighbours at once
+        if np.count_nonzero(~left_out) < 3:
+            break
+        corners = corners[~left_out]
+    return corners

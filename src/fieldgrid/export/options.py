@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid.cost import CostCurve
+from fieldgrid.cost import LEAST_SEEN, CostCurve
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.settings import Flag, Settings, setting
 
@@ -47,9 +47,15 @@ class CurveOptions(Settings):
         flag=Flag("--cost-shape", "POWER"),
     )
 
+    least_seen: float = setting(
+        LEAST_SEEN,
+        "share of the map's own cells that must be seen in a larger one that is no obstacle",
+        flag=Flag("--least-seen", "SHARE"),
+    )
+
     def curve(self) -> CostCurve:
         """The curve. ConfigError when there is none."""
-        return CostCurve(self.free_up_to, self.obstacle_above, self.cost_shape)
+        return CostCurve(self.free_up_to, self.obstacle_above, self.cost_shape, self.least_seen)
 
 
 class ShapeOptions(Settings):

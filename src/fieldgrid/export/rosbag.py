@@ -117,7 +117,7 @@ def export_rosbag2(
 def _read(universal: MapFile, selection: Selection) -> tuple[MapView, dict[str, Trajectory]]:
     """The view with the layers of the grid map, and the trajectories of the sessions in it."""
     _check_size(universal, selection)
-    view = selection.view(universal, GRID_MAP_LAYERS)
+    view = selection.view(universal, (*GRID_MAP_LAYERS, *selection.deciding(universal)))
     tracks = trajectories(universal, selection)
     for name, track in tracks.items():
         if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
@@ -179,7 +179,7 @@ def _messages(
     yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(view), ensure_ascii=False)
     yield _Stamped("/georeference", text(about), start_ns, True)
-    occupancy = curve.occupancy(view.layer(layer), view.observed)
+    occupancy = curve.occupancy(view.worst(layer), view.seen_share)
     grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
     yield _Stamped("/map", grid, start_ns, True)
     del occupancy, grid

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, UInt8
+from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import FeatureLayer, feature_layers
 from fieldgrid.export.options import ShapeOptions
@@ -79,7 +80,7 @@ def export_taskdata(
     _require_library()
     layers = feature_layers(universal, selection, options, ("obstacle", "trajectory", "footprint"))
     obstacles, drives, footprints = layers
-    view = selection.view(universal)
+    view = selection.view(universal, selection.deciding(universal))
     grid = zone_grid(view, options.obstacle_above)
     field = _field(universal, obstacles, drives, footprints)
     with replacing_folder(
@@ -165,9 +166,9 @@ _BY_SEVERITY = np.array([FREE.code, UNSEEN.code, DOUBT.code, OBSTACLE.code], dty
 
 def _severity(view: MapView, obstacle_above: int) -> UInt8:
     """0 free, 1 not observed, 2 in doubt, 3 obstacle."""
-    found = np.where(view.density > FREE_UP_TO, np.uint8(2), np.uint8(0))
-    found[view.density > obstacle_above] = 3
-    found[~view.observed] = 1
+    found = np.where(view.peak > FREE_UP_TO, np.uint8(2), np.uint8(0))
+    found[~(view.seen_share >= LEAST_SEEN)] = 1  # NaN where nothing was seen
+    found[(view.peak > obstacle_above) & (view.seen_share > 0.0)] = 3
     return found
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from fieldgrid.build import estimate_drive
-from fieldgrid.errors import FieldgridError, NoFramesError, RecordingError
+from fieldgrid.errors import CalibrationError, FieldgridError, NoFramesError, RecordingError
 from fieldgrid.inspection.drive import with_fixes, with_frames
 from fieldgrid.inspection.findings import Finding, error, in_order, info, warning
 from fieldgrid.inspection.looking import Tell
@@ -14,7 +15,7 @@ from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import rig_findings
 from fieldgrid.inspection.streams import stream_findings, summarise_stream
-from fieldgrid.recording import Drive, DriveOptions, Recording, open_drive
+from fieldgrid.recording import Drive, DriveOptions, Recording, Stream, open_drive
 from fieldgrid.settings import BuildSettings
 
 
@@ -33,11 +34,11 @@ def inspect_recording(
     """
     settings = settings or BuildSettings()
     if not isinstance(drive, str | Path):
-        return _inspected(drive, settings, tell)
+        return _inspected(drive, settings, tell, drive.streams())
     path = Path(drive)
     try:
-        with open_drive(path, options) as opened:
-            return _inspected(opened, settings, tell)
+        with open_drive(path, options) as opened, _unmounted(opened, options) as seen:
+            return _inspected(opened, settings, tell, seen.streams())
     except FieldgridError as problem:
         return Inspection(str(path), "", path.name, (refusal(problem),))
     except OSError as problem:
@@ -46,8 +47,16 @@ def inspect_recording(
         return Inspection(str(path), "", path.name, (found,))
 
 
-def _inspected(drive: Drive, settings: BuildSettings, tell: Tell | None) -> Inspection:
-    streams = drive.streams()
+def _unmounted(drive: Drive, options: DriveOptions | None) -> Drive:
+    """The same drive for what it holds: with its frames, also where no mounting is known."""
+    if not isinstance(drive.refusal, CalibrationError):
+        return drive
+    return open_drive(drive.path, replace(options or DriveOptions(), unmounted=True))
+
+
+def _inspected(
+    drive: Drive, settings: BuildSettings, tell: Tell | None, streams: Sequence[Stream]
+) -> Inspection:
     found = Inspection(
         path=str(drive.path),
         kind=drive.kind or "recording",

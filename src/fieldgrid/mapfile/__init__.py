@@ -32,9 +32,10 @@ from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
 from fieldgrid.mapfile.store import create_map, open_map, read_datum
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.verification import HealthReport
-from fieldgrid.mapfile.view import MapView
+from fieldgrid.mapfile.view import DECISION_LAYERS, MapView
 
 __all__ = [
+    "DECISION_LAYERS",
     "LAYERS",
     "MEANING",
     "Blocks",

@@ -17,6 +17,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
 from fieldgrid.layers.window import coarser
+from fieldgrid.mapfile.base_cells import peak_and_seen
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
@@ -31,7 +32,13 @@ from fieldgrid.mapfile.sources import (
 )
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.mapfile.view import MapView, check_size, empty_view, fold_as_the_paper
+from fieldgrid.mapfile.view import (
+    DECISION_LAYERS,
+    MapView,
+    check_size,
+    empty_view,
+    fold_as_the_paper,
+)
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes, mean_density
 
@@ -58,7 +65,14 @@ class Request(NamedTuple):
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     """The view, by the shortest way that gives the same bits."""
-    view = empty_view(request.lattice, request.window, header.datum, request.beyond_density)
+    multiple = multiple_of(header.lattice, request.lattice)
+    view = empty_view(
+        request.lattice,
+        request.window,
+        header.datum,
+        request.beyond_density,
+        is_base=multiple == 1,
+    )
     if request.averaging is Averaging.PAPER:
         if request.beyond_density:
             raise ConfigError(
@@ -68,7 +82,6 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
         _check_cells(request.lattice, frames)
         fold_as_the_paper(view, frames)
         return view
-    multiple = multiple_of(header.lattice, request.lattice)
     level = _picture_level(evidence, header, request, multiple)
     if level is not None:
         _draw_pictures(view, evidence, header, level)
@@ -83,6 +96,15 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
 
     for _ in in_order(fill, chunks(request.window, factor)):
         pass
+    if multiple is None and not set(DECISION_LAYERS).isdisjoint(view.layers):
+        window = header.lattice.window(view.bounds)
+        own = request._replace(lattice=header.lattice, window=window, layers=())
+        base = read_view(evidence, header, own)
+        for name, values in zip(
+            DECISION_LAYERS, peak_and_seen(base, view.lattice, view.window), strict=True
+        ):
+            if name in view.layers:
+                view.layers[name][...] = values
     return view
 
 

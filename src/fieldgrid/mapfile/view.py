@@ -19,6 +19,9 @@ from fieldgrid.transfer import PaperFold, footprint
 MAX_CELLS = 400_000_000
 """Cells that a view may have: 800 MB of density and mask."""
 
+DECISION_LAYERS = ("peak", "seen_share")
+"""What decides whether a cell that is larger than the map's own is free, by those in it."""
+
 BLOCK_CELLS = 2048
 """Side of the block that is folded at a time, so that its sums take 64 MB at most."""
 
@@ -28,7 +31,8 @@ class MapView:
     """A window of a map: 3D density, uint8 [rows north, columns east], row 0 in the south.
 
     0 with `observed` is free ground; without, nothing is known of the cell. `layers` has what
-    else was asked for, by name, in arrays of the same shape.
+    else was asked for, by name, in arrays of the same shape. `is_base` when the cells are the
+    map's own.
     """
 
     lattice: Lattice
@@ -37,6 +41,7 @@ class MapView:
     observed: Bool
     datum: Datum
     layers: Mapping[str, AnyArray] = field(default_factory=dict)
+    is_base: bool = False
 
     @property
     def bounds(self) -> Bounds:
@@ -68,12 +73,16 @@ class MapView:
     @property
     def peak(self) -> UInt8:
         """The highest mean density of the map's own cells in each cell; of the layer `peak`."""
-        return self.layer("peak")
+        return self.density if self.is_base else self.layer("peak")
 
     @property
     def seen_share(self) -> Float32:
         """The share of the map's own cells in each that were seen; of the layer `seen_share`."""
-        return self.layer("seen_share")
+        return self.observed.astype(np.float32) if self.is_base else self.layer("seen_share")
+
+    def worst(self, layer: str = "density") -> AnyArray:
+        """What a layer says at its worst in each cell: of the density `peak`."""
+        return self.peak if layer == "density" else self.layer(layer)
 
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
@@ -122,7 +131,12 @@ def _axis(axis: str, direction: str) -> dict[str, str]:
 
 
 def empty_view(
-    lattice: Lattice, window: Window, datum: Datum, layers: Sequence[str] = ()
+    lattice: Lattice,
+    window: Window,
+    datum: Datum,
+    layers: Sequence[str] = (),
+    *,
+    is_base: bool = False,
 ) -> MapView:
     """A view in which nothing has been observed, to be filled in place."""
     check_size(lattice, window)
@@ -131,7 +145,7 @@ def empty_view(
     arrays = {
         name: np.full(window.shape, LAYERS[name].nodata or 0, LAYERS[name].dtype) for name in layers
     }
-    return MapView(lattice, window, density, observed, datum, arrays)
+    return MapView(lattice, window, density, observed, datum, arrays, is_base)
 
 
 def check_size(lattice: Lattice, window: Window) -> None:
