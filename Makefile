@@ -10,7 +10,7 @@ SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check docs dist bench crash accuracy heading fuzz format lock clean
+.PHONY: help demo test check docs page dist bench crash accuracy heading fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -33,6 +33,12 @@ check: .venv/installed ## Check style, types, and the code and commands in the d
 docs: .venv/installed ## Build the documentation site into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	$(PY) tools/docs_site.py build/site
+
+page: page/node_modules/.package-lock.json ## Build the viewer's page (needs npm); what is built is committed
+	cd page && npm run --silent build
+
+page/node_modules/.package-lock.json: page/package-lock.json
+	cd page && npm ci --silent --no-audit --no-fund
 
 dist: .venv/installed build/uv/bin/uv ## Build the wheel and the sdist, and check them as a stranger meets them
 	@rm -rf dist

@@ -17,13 +17,14 @@ import numpy.typing as npt
 from benchmarks import EXAMPLE
 from benchmarks.rectified import VINEYARD
 from fieldgrid.build.perception import visual_odometry
-from fieldgrid.gnss import condition
-from fieldgrid.motion import Gyro, Motion, Steps
-from fieldgrid.pose import ClockOffset
+from fieldgrid.motion import Motion, Steps
+from fieldgrid.pose import ClockOffset, conditioned
+from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.clock import clock_offset
-from fieldgrid.pose.placed import Placed, datum_of, place
+from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig
+from fieldgrid.settings import PoseSettings
 
 LATE_S = (0.0, 0.03, -0.5, 2.0, -6.0, 18.0, -18.0)
 """By how much images are stamped late; 18 s is what GPS time is off UTC, 2 s is just near by."""
@@ -102,13 +103,17 @@ def _drive(name: str, folder: Path, parts: dict[str, tuple[str, ...]]) -> Iterat
         with open_recording(folder, f"gnss_{log}.nmea") as drive:
             gyro, rig = drive.motion().gyro, drive.rig
             fixes = drive.fixes().in_order()
-        verdicts = condition(fixes)
-        placed = place(fixes, verdicts, datum_of(fixes, verdicts))
+        accepted = conditioned(fixes, PoseSettings()).accepted
+        alone = {
+            turns: smooth_drive(accepted, fixes.time_ns, Motion(gyro if turns else None), rig)
+            for turns in (True, False)
+        }
         for part, beginnings in parts.items():
             inside = times_ns[[segment.startswith(beginnings) for segment in segments]]
             some = within(steps, inside)
-            for turns in (gyro, None):
-                told = tell(placed, some, turns, rig)
+            for turns, without_camera in alone.items():
+                known = Motion(gyro if turns else None, steps=some)
+                told = tell(without_camera, accepted, known, rig)
                 yield Line(
                     f"{name}, {part}", log, "yes" if turns else "no", len(some.start_ns), told
                 )
@@ -121,11 +126,14 @@ def within(steps: Steps, times_ns: npt.NDArray[np.int64]) -> Steps:
 
 
 def tell(
-    placed: Placed, steps: Steps, gyro: Gyro | None, rig: Rig
+    drive: Drive, fixes: AcceptedFixes, motion: Motion, rig: Rig
 ) -> tuple[ClockOffset | None, ...]:
     """What is told of each of the clocks; the gyro goes with the fixes."""
+    steps = motion.steps
+    assert steps is not None
     return tuple(
-        clock_offset(placed, Motion(gyro=gyro, steps=late(steps, late_s)), rig) for late_s in LATE_S
+        clock_offset(drive, fixes, motion._replace(steps=late(steps, late_s)), rig)
+        for late_s in LATE_S
     )
 
 

@@ -165,6 +165,7 @@ class Harm(NamedTuple):
     noise_m: float = 0.0
     bias_m: float = 0.0
     hole_s: float = 0.0
+    every_s: float = 20.0
     quality: int | None = None
     quantum_deg: float = 0.0
 
@@ -188,12 +189,16 @@ HARMS = (
     Harm("bias 0.5 m, 5 Hz, 3 cm, DGPS", 5.0, 0.03, 0.5, quality=2),
     Harm("holes of 3 s every 20 s", hole_s=3.0),
     Harm("holes of 8 s every 20 s", hole_s=8.0),
+    Harm("holes of 8 s every 10 s", hole_s=8.0, every_s=10.0),
+    Harm("holes of 8 s every 10 s, 1 Hz", 1.0, hole_s=8.0, every_s=10.0),
+    Harm("holes of 4 s every 6 s, 5 Hz", 5.0, hole_s=4.0, every_s=6.0),
+    Harm("holes of 12 s every 15 s", hole_s=12.0, every_s=15.0),
     Harm("holes of 8 s, 2 Hz, 5 cm", 2.0, 0.05, hole_s=8.0),
     Harm("4 decimals of a minute, 5 Hz", 5.0, quantum_deg=1e-4 / 60, quality=2),
     Harm("5 decimals of a minute", quantum_deg=1e-5 / 60),
 )
 
-_EVERY_S, _BIAS_S = 20.0, 60.0
+_BIAS_S = 60.0
 _M_A_DEGREE = 111_200.0
 
 
@@ -211,7 +216,7 @@ def harmed(log: Log, harm: Harm, seed: int = 1) -> Log:
         slots = np.floor(since_s[rows] * harm.rate_hz)
         rows = rows[np.concatenate([[True], np.diff(slots) > 0])]
     if harm.hole_s:
-        rows = rows[since_s[rows] % _EVERY_S > harm.hole_s]
+        rows = rows[since_s[rows] % harm.every_s > harm.hole_s]
     thin = log._replace(
         **{name: getattr(log, name)[rows] for name in Log._fields if name != "name"}
     )

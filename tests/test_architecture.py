@@ -17,8 +17,11 @@ PACKAGE = "fieldgrid"
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
     ("array_types", "choices", "closing", "limits"),
-    ("documents", "errors", "quality", "geodesy", "angles", "kernel", "plane_fit", "publish"),
-    ("fixes", "lattice", "rig", "trajectory", "grids", "motion"),
+    (
+        *("documents", "errors", "quality", "geodesy", "angles", "kernel", "palette"),
+        *("plane_fit", "publish"),
+    ),
+    ("fixes", "lattice", "rig", "trajectory", "grids", "motion", "qgis"),
     ("settings",),
     ("cloud", "depth"),
     (
@@ -37,9 +40,9 @@ LAYERS = (
     ),
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile",),
-    ("rows", "route", "export", "costmap", "figures", "track", "evaluation", "view"),
+    ("rows", "route", "export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),
-    ("inspection", "mounting", "convert"),
+    ("inspection", "mounting", "convert", "view"),
     ("cli",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}

@@ -43,12 +43,21 @@ def track(
     points = np.stack([drive.east_m, drive.north_m], axis=1)
     return Track(
         points + np.random.default_rng(seed).normal(0.0, noise_m, (n, 2)),
+        drive.time_s,
         gap_s,
         np.full(n, max(noise_m, 0.002)),
         np.concatenate([[np.nan], np.degrees(np.diff(drive.heading_rad))])
         if gyro
         else np.full(n, np.nan),
         nats * drive.gear(),
+    )
+
+
+def plain(points: _Float64, gap_s: _Float64, sigma_m: float) -> Track:
+    """Ten positions a second, of which nothing else tells."""
+    n = len(points)
+    return Track(
+        points, 0.1 * np.arange(n), gap_s, np.full(n, sigma_m), np.full(n, np.nan), np.zeros(n)
     )
 
 
@@ -142,14 +151,14 @@ def test_a_stop_is_no_manoeuvre(dwell: float) -> None:
     middle = len(drive.time_s) // 2
     for seed in range(10):
         random = np.random.default_rng(seed)
-        plain = track(drive, 0.01, seed=seed)
-        wander = plain.points_m[middle] + np.cumsum(random.normal(0.0, dwell, (12, 2)), axis=0)
+        whole = track(drive, 0.01, seed=seed)
+        wander = whole.points_m[middle] + np.cumsum(random.normal(0.0, dwell, (12, 2)), axis=0)
         wander -= np.linspace(0.0, 1.0, 12)[:, None] * (wander[-1] - wander[0])
-        points = np.insert(plain.points_m, middle, wander, axis=0)
+        points = np.insert(whole.points_m, middle, wander, axis=0)
         n = len(points)
         gap_s = np.zeros(n)
         gap_s[0] = np.inf
-        found = gears(Track(points, gap_s, np.full(n, 0.01), np.full(n, np.nan), np.zeros(n)))
+        found = gears(plain(points, gap_s, 0.01))
         driven = np.r_[0 : middle - 8, middle + 20 : n]
         assert (found.gear[driven] == 1).all()
         assert found.doubt[driven].max() < 0.1
@@ -198,13 +207,13 @@ def _turn_about(on_the_spot: bool) -> Drive:
 @pytest.mark.parametrize("on_the_spot", [True, False])
 def test_a_gyro_settles_what_positions_cannot(on_the_spot: bool) -> None:
     drive = sampled(_turn_about(on_the_spot), 0.3)
-    plain, told = track(drive, 0.005), track(drive, 0.005, gyro=True)
+    whole, told = track(drive, 0.005), track(drive, 0.005, gyro=True)
     found = gears(told)
     assert wrong_m(found, drive) < 0.7
     # Which of the two ways was backed up, no gyro tells; only that a drive begins forward.
     assert found.doubt.max() < (SURE if on_the_spot else 0.2)
     # Positions alone are the same in both cases.
-    assert set(gears(plain).gear.tolist()) == {1, -1}
+    assert set(gears(whole).gear.tolist()) == {1, -1}
     holed = told.turned_deg.copy()
     holed[1] = np.nan  # far from where the drive turns back
     assert np.array_equal(gears(told._replace(turned_deg=holed)).gear, found.gear)
@@ -222,10 +231,14 @@ def test_doubt_is_high_where_the_track_says_nothing() -> None:
     n = len(points)
     gap_s = np.zeros(n)
     gap_s[0] = np.inf
-    found = gears(Track(points, gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)))
+    found = gears(plain(points, gap_s, 0.005))
     assert found.doubt.max() > SURE
     straight = np.stack([np.zeros(n), np.arange(n) * 0.15], axis=1)
-    sure = gears(Track(straight, gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)))
+    sure = gears(
+        Track(
+            straight, 0.1 * np.arange(n), gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)
+        )
+    )
     assert len(set(sure.leg.tolist())) == 1
     assert sure.doubt.max() < found.doubt.max()
 
@@ -238,7 +251,7 @@ def test_a_leg_that_may_have_been_driven_is_in_doubt() -> None:
     n = len(points)
     gap_s = np.zeros(n)
     gap_s[0] = np.inf
-    found = gears(Track(points, gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)))
+    found = gears(plain(points, gap_s, 0.005))
     middle = slice(ahead.size + 1, ahead.size + back.size - 1)
     assert (found.doubt[middle] > SURE).all() or (found.gear[middle] == -1).all()
     assert (found.gear[: ahead.size - 4] == 1).all()
@@ -251,16 +264,16 @@ def test_a_leg_that_may_have_been_driven_is_in_doubt() -> None:
 
 def test_a_hole_begins_a_leg_and_knows_nothing_of_before() -> None:
     drive = sampled(simulate([Command(60.0, 1.5)], speed_mps=1.5), 0.15)
-    plain = track(drive)
+    whole = track(drive)
     middle = len(drive.time_s) // 2
-    gap_s = plain.gap_s.copy()
+    gap_s = whole.gap_s.copy()
     gap_s[middle] = 30.0
-    found = gears(plain._replace(gap_s=gap_s))
+    found = gears(whole._replace(gap_s=gap_s))
     assert np.flatnonzero(np.diff(found.leg)).tolist() == [middle - 1]
     assert (found.gear == 1).all()
     # After it a short leg may be either gear.
     tail = 12
-    short = Track(*(column[: middle + tail] for column in plain._replace(gap_s=gap_s)))
+    short = Track(*(column[: middle + tail] for column in whole._replace(gap_s=gap_s)))
     unsure = gears(short)
     assert unsure.doubt[middle:].min() > 5.0 * unsure.doubt[0]
 
@@ -270,7 +283,7 @@ def test_the_shortest_tracks(n: int) -> None:
     gap_s = np.zeros(n)
     gap_s[:1] = np.inf
     points = np.stack([np.zeros(n), np.arange(n) * 1.0], axis=1)
-    found = gears(Track(points, gap_s, np.full(n, 0.02), np.full(n, np.nan), np.zeros(n)))
+    found = gears(plain(points, gap_s, 0.02))
     assert [len(column) for column in found] == [n] * 4
     assert (found.gear == 1).all()
     if n:

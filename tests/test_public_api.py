@@ -189,4 +189,4 @@ def test_paths_may_be_text(two_lanes_map: Path) -> None:
 
 def test_figures_is_the_module() -> None:
     assert fg.figures is importlib.import_module("fieldgrid.figures")
-    assert isinstance(fg.figures.heading([], []), matplotlib.figure.Figure)
+    assert isinstance(fg.figures.heading([]), matplotlib.figure.Figure)

@@ -64,7 +64,8 @@ def log_of(count: int) -> list[Fix]:
 def report() -> PoseReport:
     fixes = FixColumns.of_rows(log_of(30))
     verdicts = condition(fixes)
-    return PoseReport(summarise(fixes, verdicts), None, None, float("nan"), ("A remark.",))
+    summary = summarise(fixes, verdicts)
+    return PoseReport(summary, None, None, float("nan"), None, None, None, ("A remark.",))
 
 
 def trajectory(**changes: Any) -> Trajectory:

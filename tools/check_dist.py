@@ -14,6 +14,8 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from fieldgrid.view.page import TYPES
+
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 4
 
@@ -30,7 +32,8 @@ print(fieldgrid.__version__)
 def contents(wheel: Path) -> list[str]:
     """What a wheel lacks or should not hold, a sentence each."""
     names = zipfile.ZipFile(wheel).namelist()
-    wanted = ("fieldgrid/py.typed", "fieldgrid/cli/__init__.py")
+    page = (f"fieldgrid/view/static/{name}" for name in TYPES)
+    wanted = ("fieldgrid/py.typed", "fieldgrid/cli/__init__.py", *page)
     problems = [f"{wheel.name} lacks {name}" for name in wanted if name not in names]
     problems += [
         f"{wheel.name} holds {name}"

@@ -28,3 +28,15 @@ class Doubt(StrEnum):
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"
     CAMERAS_UNFIT = "cameras-unfit"
+
+
+class GearName(StrEnum):
+    """Which way a vehicle drives."""
+
+    FORWARD = "forward"
+    REVERSE = "reverse"
+
+    @property
+    def sign(self) -> int:
+        """+1 forward, -1 reverse."""
+        return 1 if self is GearName.FORWARD else -1

@@ -35,8 +35,24 @@ NOSE_TURN_DEG = 30.0
 GYRO_TURN_DEG = 12.0
 """The same, beyond what a gyro saw it turn."""
 
-GAP_TURN_DPS = 10.0
-"""How fast a nose may turn, degrees a second, while nobody sees it."""
+LEAST_TURN_DPS, MOST_TURN_DPS, USUAL_TURN_DPS = 10.0, 45.0, 20.0
+"""How fast a vehicle may turn while nobody sees it, degrees a second: as fast as the fastest of
+its turns that were seen, within these, or as is usual."""
+
+TURNED_BACK_SHARE, CARRIED_CAP = 0.7, 6.0
+"""Who turns back in a hole comes at most this share as far, and the most nats that this can say."""
+
+FEWEST_TURNS = 20
+
+FASTEST_SHARE = 0.98
+"""The fastest turns are taken to be those above this share of all."""
+
+UNSEEN_TURN_SHARE = 0.5
+"""A turn that nobody sees is mostly not the fastest, and does not last throughout."""
+
+HOLE_DISTANCE_SHARE, STOPPED_SHARE = 0.2, 0.3
+"""By what share of it the distance across a hole differs from what the speed makes, and how often a
+vehicle stops in it for other reasons than to turn back."""
 
 SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
 """In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
@@ -71,14 +87,14 @@ class Gears(NamedTuple):
 class Track(NamedTuple):
     """What the gears are told from, n points in order of time.
 
-    `points_m` [n, 2] is east, north. `gap_s` is for how long the drive was not seen before a
-    point: 0 nearly everywhere, infinite at the first one.
-    `turned_deg` is what a gyro saw the nose turn on the way to each point, NaN where none did.
-    `forward_nats` is the log odds, of
-    forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
+    `points_m` [n, 2] is east, north at `time_s`. `gap_s` is for how long the drive was not seen
+    before a point: 0 nearly everywhere, infinite at the first one. `turned_deg` is what a gyro saw
+    the vehicle turn on the way to each point, NaN where none did. `forward_nats` is the log odds,
+    of forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
     """
 
     points_m: Float64
+    time_s: Float64
     gap_s: Float64
     sigma_m: Float64
     turned_deg: Float64
@@ -164,6 +180,16 @@ def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def first_beyond_in(points, part, reach_m, step):  # type: ignore[no-untyped-def]
+    """The first point at least `reach_m` away from each, before (`step` -1) or after it (+1) and
+    in the same part; -1 for none."""
+    found = np.empty(points.shape[0], np.int64)
+    for k in range(points.shape[0]):
+        found[k] = _beyond(points, part, k, step, reach_m)
+    return found
+
+
+@kernel
 def _beyond(points, part, k, step, reach_m):  # type: ignore[no-untyped-def]
     i = k + step
     while 0 <= i < points.shape[0] and part[i] == part[k]:
@@ -188,10 +214,13 @@ def _joins(track: Track, legs: list[tuple[int, int]]) -> list[_Join]:
     """Every way to go on from a leg: to the next, or past a few that may be mere wander."""
     joins = []
     skipping = [_skip_cost(track, a, b) for a, b in legs]
+    turn_dps = fastest_turn_dps(track)
     for i in range(len(legs) - 1):
         skipped = 0.0
         for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
-            joins.append(_Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j]))))
+            joins.append(
+                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], turn_dps)))
+            )
             skipped += skipping[j]
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
                 break
@@ -205,7 +234,9 @@ def _skip_cost(track: Track, start: int, stop: int) -> float:
     return 1.0 + 2.0 * (float(np.hypot(*np.ptp(points, axis=0))) / wander_m) ** 2
 
 
-def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tuple[float, float]:
+def _turn_costs(
+    track: Track, one: tuple[int, int], two: tuple[int, int], turn_dps: float
+) -> tuple[float, float]:
     """What it costs, in nats, to go from one leg to another in the same gear, and in the other."""
     gap_s = track.gap_s[two[0]]
     # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
@@ -213,21 +244,67 @@ def _turn_costs(track: Track, one: tuple[int, int], two: tuple[int, int]) -> tup
     before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
     out, out_m, back = _chord_deg(before[::-1])
     into, into_m, on = _chord_deg(after)
-    switch = GAP_SWITCH_COST if gap_s else SWITCH_COST
+    stay, switch = 0.0, GAP_SWITCH_COST if gap_s else SWITCH_COST
+    if gap_s:
+        across, arrived = end - 1, two[0]
+        speeds_mps = (
+            out_m / max(track.time_s[across] - track.time_s[across - back], 1e-3),
+            into_m / max(track.time_s[arrived + on] - track.time_s[arrived], 1e-3),
+        )
+        stay = -_carried_on_nats(
+            float(np.hypot(*(track.points_m[arrived] - track.points_m[across]))),
+            sum(speeds_mps) / 2.0 * gap_s,
+            float(track.sigma_m[arrived]),
+        )
     if min(out_m, into_m) == 0.0:
-        return 0.0, switch
+        return stay, switch
     # A chord has the direction of its middle.
     turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
     known = bool(np.isfinite(turned))
     noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
-    unseen_deg = 0.0 if known else GAP_TURN_DPS * gap_s
+    unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * turn_dps * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
     beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
 
     def cost(nose_turn_deg: float) -> float:
         return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
 
-    return cost(beyond_deg), switch + cost(beyond_deg + 180.0)
+    return stay + cost(beyond_deg), switch + cost(beyond_deg + 180.0)
+
+
+def _carried_on_nats(moved_m: float, driven_m: float, sigma_m: float) -> float:
+    """Log odds, by the distance across a hole, that a vehicle drove on rather than turned back:
+    who turns back stops and comes less far than the `driven_m` that its speed makes."""
+    if not driven_m > 4.0 * sigma_m:
+        return 0.0
+    spread_m = float(np.hypot(HOLE_DISTANCE_SHARE * driven_m, 2.0 * sigma_m))
+    off = (moved_m - driven_m) / spread_m
+    even = 1.0 / driven_m  # anything up to what the speed makes
+    beyond = float(np.exp(-0.5 * max(off, 0.0) ** 2))
+    drove_on = float(np.exp(-0.5 * off**2)) / (spread_m * np.sqrt(2.0 * np.pi))
+    mixed = (1.0 - STOPPED_SHARE) * drove_on + STOPPED_SHARE * even * beyond
+    # Turning back takes time to stop and to start: nobody does it at full speed throughout.
+    reach = moved_m / (TURNED_BACK_SHARE * driven_m)
+    turned_back = (
+        even / TURNED_BACK_SHARE * float(np.exp(-0.5 * (max(reach - 1.0, 0.0) / 0.15) ** 2))
+    )
+    return float(
+        np.clip(np.log((mixed + 1e-12) / (turned_back + 1e-12)), -CARRIED_CAP, CARRIED_CAP)
+    )
+
+
+def fastest_turn_dps(track: Track) -> float:
+    """How fast the vehicle turns at its fastest, as far as its path was seen, degrees a second."""
+    points, part = track.points_m, np.cumsum(track.gap_s > 0.0)
+    turn = turning_deg(points, part, TANGENT_REACH_M)
+    away = [first_beyond_in(points, part, TANGENT_REACH_M, step) for step in (-1, 1)]
+    known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
+    if np.count_nonzero(known) < FEWEST_TURNS:
+        return USUAL_TURN_DPS
+    span_s = track.time_s[away[1][known]] - track.time_s[away[0][known]]
+    # From the middle of the way in to the middle of the way out.
+    rate = np.abs(turn[known]) / np.maximum(span_s / 2.0, 0.05)
+    return float(np.clip(np.quantile(rate, FASTEST_SHARE), LEAST_TURN_DPS, MOST_TURN_DPS))
 
 
 def _chord_deg(points: Float64) -> tuple[float, float, int]:

@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -277,9 +278,9 @@ def test_show_and_export_as_of_a_date(
     drawn: list[set[str]] = []
     original = figures.universal_grid
 
-    def spy(view: object, frames: list, *, title: str) -> object:  # type: ignore[type-arg]
-        drawn.append({frame.session for frame in frames})
-        return original(view, frames, title=title)  # type: ignore[arg-type]
+    def spy(view: Any, drives: list[figures.Drive], **options: Any) -> object:
+        drawn.append({drive.name for drive in drives})
+        return original(view, drives, **options)
 
     monkeypatch.setattr(figures, "universal_grid", spy)
     show = ["show", seasons, "-o", tmp_path / "x.png", "--figure", "grid"]

@@ -236,17 +236,17 @@ def test_cells_bounds_session_and_rule_reach_the_picture(
     drawn: list[Any] = []
     original = figures.universal_grid
 
-    def spy(view: Any, frames: Any, *, title: str) -> Any:
-        drawn.append((view, list(frames), title))
-        return original(view, frames, title=title)
+    def spy(view: Any, drives: Any, **options: Any) -> Any:
+        drawn.append((view, drives, options["title"]))
+        return original(view, drives, **options)
 
     monkeypatch.setattr(figures, "universal_grid", spy)
     flags = "--figure grid --cell 0.25 --bounds -10 50 0.1 60 --at two_lanes --averaging paper"
     fieldgrid("show", two_lanes_map, "-o", tmp_path / "x.png", *flags.split()).output()
-    ((view, frames, title),) = drawn
+    ((view, (drive,), title),) = drawn
     assert view.lattice.cell_m == 0.25
     assert view.bounds == pytest.approx((-10.0, 50.0, 0.25, 60.0))
-    assert len(frames) == 50
+    assert len(drive.frames) == 50
     assert "vineyard" in title
     assert "25 cm" in title
     with open_map(two_lanes_map) as universal:

@@ -22,7 +22,7 @@ KEYS = {
     *("track", "figure", "drive", "gnss", "datum", "heading_source", "fixes", "ok", "held"),
     *("rejected", "reasons", "duration_s", "distance_m", "forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
-    *("clock_offset", "gyro_bias_dps", "notes"),
+    *("clock_offset", "gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
 }
 
 
@@ -107,6 +107,19 @@ def test_json_is_one_object_and_nothing_else(fieldgrid: Run, out: Path) -> None:
     assert "gnss_sf1.nmea: 6 damaged sentences skipped." in result["notes"]
 
 
+def test_a_drive_of_which_no_pose_can_be_used_exits_with_1(
+    fieldgrid: Run, tmp_path: Path, out: Path
+) -> None:
+    """The track is written with its reasons, and a remedy is named."""
+    log = tmp_path / "still.csv"
+    lines = (f"{1_700_000_000 + k},48.1,11.5,400,4" for k in range(60))
+    log.write_text("\n".join(("time,lat,lon,height,quality", *lines)))
+    result = fieldgrid("track", log, "-o", out)
+    assert result.status == 1
+    assert "No pose can be used, mostly because: heading unknown" in result.out
+    assert {row["status"] for row in rows(out)} == {"rejected"}
+
+
 def test_the_datum_can_be_given(fieldgrid: Run, out: Path) -> None:
     text = fieldgrid("track", RTK, "-o", out, "--datum", "41.6501,-4.7201,780", "--json").output()
     assert json.loads(text)["datum"] == {"lat_deg": 41.6501, "lon_deg": -4.7201, "height_m": 780.0}
@@ -134,7 +147,9 @@ def test_columns_can_be_named(fieldgrid: Run, tmp_path: Path, out: Path) -> None
 def test_settings_reach_the_verdicts(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     config = tmp_path / "strict.toml"
     config.write_text("[pose]\nmax_heading_sigma_deg = 0.01\n")
-    text = fieldgrid("track", RTK, "-o", out, "--config", config).output()
+    refused = fieldgrid("track", RTK, "-o", out, "--config", config)
+    text = refused.out
+    assert refused.status == 1
     assert {row["status"] for row in rows(out)} == {"rejected"}
     assert re.search(r"^rejected \d+: heading sigma .* > 0\.01°$", text, re.MULTILINE)
     assert re.search(r"^heading sigma, median / 95 % \(smooth\) +-$", text, re.MULTILINE)

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
+from fieldgrid.gnss.scatter import fix_noise, quantum_m, short_term_sigma_m
 from tests.gnss.sentences import NOON, SECOND
 
 Float64 = npt.NDArray[np.float64]
@@ -151,30 +150,56 @@ def test_a_vehicle_that_stands_does_not_show_it() -> None:
     assert quantum_m([], []) == 0.0
 
 
-def log(noise_m: float, sigma_m: float) -> FixColumns:
-    east_m, north_m = lane_and_turns(600, 0.2)
-    rng = np.random.default_rng(4)
-    return FixColumns.of_rows(
-        Fix(
-            int(t),
-            41.65 + (n + a) / M_PER_DEG,
-            -4.72 + (e + b) / 83_000.0,
-            700.0,
-            2,
-            sigma_m=sigma_m,
-        )
-        for t, e, n, (a, b) in zip(
-            times(600, 0.2), east_m, north_m, rng.normal(0.0, noise_m, (600, 2)), strict=True
-        )
+# --- along the path and across it
+
+
+def weaving(n: int, period_s: float, speed_mps: float = 1.5) -> tuple[Float64, Float64, Float64]:
+    """East and north of rows with turns, and the direction of travel."""
+    east, north = lane_and_turns(n, period_s, speed_mps)
+    return east, north, np.arctan2(np.gradient(east), np.gradient(north))
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0, 10.0])
+@pytest.mark.parametrize(("noise_m", "late_s"), [(0.02, 0.0), (0.02, 0.1), (0.05, 0.2)])
+def test_late_stamps_count_along_the_path_and_not_across(
+    rate_hz: float, noise_m: float, late_s: float
+) -> None:
+    n, rng = 1500, np.random.default_rng(4)
+    east, north, course = weaving(n, 1.0 / rate_hz)
+    along = rng.normal(0.0, late_s, n) * 1.5
+    noise = rng.normal(0.0, noise_m, (2, n))
+    found = fix_noise(
+        east + along * np.sin(course) + noise[0],
+        north + along * np.cos(course) + noise[1],
+        times(n, 1.0 / rate_hz),
+        np.full(n, 1.5),
+        np.zeros(n, np.int64),
+        0.0,
     )
+    assert found.across_m == pytest.approx(noise_m, rel=0.35)
+    assert found.late_s == pytest.approx(late_s, rel=0.3, abs=0.02)
+    # Over a second, the motion has a part in it.
+    assert (found.second_m >= found.across_m).all()
+    assert found.second_m.max() < 4.0 * noise_m
 
 
-def test_of_a_log_it_is_never_more_than_the_receiver_says() -> None:
-    calm, noisy = log(0.04, 0.3), log(0.2, 0.1)
-    assert scatter(calm).short_term_sigma_m == pytest.approx(0.04, rel=0.3)
-    assert scatter(calm).quantum_m == 0.0
-    assert scatter(noisy).short_term_sigma_m == pytest.approx(0.1)
+def test_noise_is_at_most_what_is_stated_and_measured_for_each_quality_apart() -> None:
+    n, rng = 1200, np.random.default_rng(4)
+    east, north, _ = weaving(n, 0.2)
+    quality = np.where(np.arange(n) < n // 2, 4, 5)
+    white = np.where(quality == 4, 0.01, 0.2)
+    noise = rng.normal(0.0, 1.0, (2, n)) * white
+    stated = np.where(quality == 4, 0.02, 0.1)
+    place = (east + noise[0], north + noise[1], times(n, 0.2))
+    found = fix_noise(*place, stated, quality, 0.0)
+    assert found.across_m[quality == 4] == pytest.approx(0.01, rel=0.3)
+    assert (found.across_m[quality == 5] == 0.1).all()
 
 
-def test_of_no_fixes_there_is_none() -> None:
-    assert scatter(FixColumns.of([])) == FixScatter(0.0, 0.001)
+def test_of_few_fixes_a_share_of_the_stated_error_is_taken() -> None:
+    few = fix_noise(np.zeros(3), np.arange(3.0), times(3, 1.0), np.full(3, 0.4), np.zeros(3), 0.0)
+    assert few.across_m == pytest.approx(0.02)
+    assert np.isinf(few.second_m).all()
+    assert few.late_s == 0.0
+    none = fix_noise(np.zeros(0), np.zeros(0), times(0, 1.0), np.zeros(0), np.zeros(0), 0.0)
+    assert len(none.across_m) == 0

@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from fieldgrid.gnss import condition
 from fieldgrid.motion import Motion
-from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, estimate_poses
-from fieldgrid.pose.placed import place
+from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
+from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
+from fieldgrid.settings import PoseSettings
 from tests.scenes import paper_rig
 from tests.simulated import (
     DATUM,
@@ -85,8 +85,9 @@ def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
     drive = simulate(WEAVING, 20.0, speed_mps=1.5)
     fixes = fixes_of(drive, 0.2, 0.02)
     steps = steps_of(drive, 0.4, noise=1.0, late_s=18.0)
-    verdicts = condition(fixes)
-    search = ClockSearch(place(fixes, verdicts, DATUM), Motion(steps=steps), None)
+    log = conditioned(fixes, PoseSettings(), DATUM)
+    without = smooth_drive(log.accepted, fixes.time_ns, Motion(), None)
+    search = ClockSearch(without, steps, None)
     scan = np.arange(-30.0, 30.0, 0.5)
     lowest = float(scan[int(np.argmin([search.misfit(offset) for offset in scan]))])
     found = search.best(lowest)

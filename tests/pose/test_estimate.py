@@ -27,7 +27,7 @@ from fieldgrid.pose import (
     estimate_poses,
     heading_source,
 )
-from fieldgrid.pose.moves import _turned_deg
+from fieldgrid.pose.gears import _turned_deg
 from fieldgrid.pose.nodes import nodes
 from fieldgrid.rig import LeverArm, Rig
 from fieldgrid.settings import PoseSettings

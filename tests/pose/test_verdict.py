@@ -10,10 +10,49 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldgrid.pose import Budget
-from fieldgrid.pose.verdict import doubt, jumps
+from fieldgrid.pose.table import PoseTable
+from fieldgrid.pose.verdict import jumps, refusals
 from fieldgrid.settings import PoseSettings
 
 PLAIN = PoseSettings()
+
+
+def refusal(
+    heading_deg: float,
+    position_m: float,
+    relative_m: float,
+    doubt: float,
+    settings: PoseSettings,
+    budget: Budget | None,
+    offset_m: float = 0.0,
+    stated_m: float = 1.0,
+    rejection: str = "",
+) -> str:
+    """The reason of a table of one pose."""
+    one, nothing = np.ones(1), np.zeros(1)
+    table = PoseTable(
+        np.zeros(1, np.int64),
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        heading_deg * one,
+        position_m * one,
+        relative_m * one,
+        one,
+        np.ones(1, np.int64),
+        doubt * one,
+        offset_m * one,
+        stated_m * one,
+        np.zeros(1, np.int64),
+        np.zeros(1, np.bool_),
+        [rejection],
+        [""],
+    )
+    (reason,) = refusals(table, settings, budget)
+    return reason
+
+
 UNKNOWN = "heading unknown: none is recorded, and the vehicle does not move"
 GOOD = (0.5, 0.1, 0.02, 0.001)
 
@@ -32,13 +71,13 @@ GOOD = (0.5, 0.1, 0.02, 0.001)
     ],
 )  # fmt: skip
 def test_sentences(sure: tuple[float, float, float, float], sentence: str) -> None:
-    assert doubt(*sure, PLAIN, None) == sentence
+    assert refusal(*sure, PLAIN, None) == sentence
 
 
 def test_limits_can_be_set() -> None:
     wide = PoseSettings(max_heading_sigma_deg=20.0, max_position_sigma_m=9.0, max_gear_doubt=0.4)
-    assert doubt(15.0, 8.0, 8.0, 0.35, wide, None) == ""
-    assert "20°" in doubt(21.0, 8.0, 8.0, 0.35, wide, None)
+    assert refusal(15.0, 8.0, 8.0, 0.35, wide, None) == ""
+    assert "20°" in refusal(21.0, 8.0, 8.0, 0.35, wide, None)
 
 
 @given(st.floats(0.01, 2.9), st.floats(0.0, 0.5), st.floats(2.0, 15.0), st.floats(0.02, 1.0))
@@ -46,15 +85,29 @@ def test_a_far_cell_must_stay_within_the_budget(
     sigma_deg: float, relative_m: float, reach_m: float, cell_m: float
 ) -> None:
     """The position counts by what it errs among neighbours, the heading by the reach."""
-    against = doubt(sigma_deg, 1.0, relative_m, 0.0, PLAIN, Budget(cell_m, reach_m))
+    against = refusal(sigma_deg, 1.0, relative_m, 0.0, PLAIN, Budget(cell_m, reach_m))
     off_m = abs(complex(relative_m, reach_m * sigma_deg * math.pi / 180.0))
     if abs(off_m - cell_m) > 1e-9:
         assert bool(against) == (off_m > cell_m)
 
 
 def test_the_budget_s_sentence() -> None:
-    against = doubt(2.0, 0.1, 0.05, 0.0, PLAIN, Budget(0.25, 12.0))
+    against = refusal(2.0, 0.1, 0.05, 0.0, PLAIN, Budget(0.25, 12.0))
     assert against == "a cell 12 m ahead would be off by 0.42 m > 0.25 m: heading sigma 2.0°"
+
+
+def test_a_pose_that_leaves_its_fixes_is_refused() -> None:
+    sentence = refusal(*GOOD, PLAIN, None, offset_m=0.7, stated_m=0.3)
+    assert sentence == (
+        "the estimate lies 0.70 m from the fixes around it, which state an error of 0.30 m"
+    )
+    assert refusal(*GOOD, PLAIN, None, offset_m=0.5, stated_m=0.3) == ""
+    # A receiver of millimetres is not held to them: an antenna sways.
+    assert refusal(*GOOD, PLAIN, None, offset_m=0.09, stated_m=0.002) == ""
+
+
+def test_the_first_reason_stays() -> None:
+    assert refusal(math.inf, 9.0, 9.0, 1.0, PLAIN, None, rejection="a jump") == "a jump"
 
 
 # --- jumps

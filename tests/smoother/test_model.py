@@ -5,124 +5,158 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.model import GYRO, KAPPA, PHI, STATES, E, N, V
+from fieldgrid.smoother.envelope import STATES, envelope
+from fieldgrid.smoother.model import CONSTANTS, GYRO, KAPPA, PHI, E, N, V
 
-_Float64 = npt.NDArray[np.float64]
-_Residuals = Callable[[_Float64], list[tuple[float, float]]]
-"""Of states [n, 8]: pairs of a residual and its weight."""
+Residuals = Callable[[Float64, Float64], list[tuple[float, float]]]
+"""Of states [n, 8] and constants: pairs of a residual and its weight."""
 
 SEEDS = st.integers(0, 10**6)
+NO_STEPS = np.zeros((0, 2), np.int64)
 
 
-def dense(band: _Float64) -> _Float64:
-    n = band.shape[1]
-    full = np.zeros((n, n))
-    for k in range(min(n, len(band))):
-        rows = np.arange(n - k)
-        full[rows + k, rows] = full[rows, rows + k] = band[k, : n - k]
-        assert not band[k, n - k :].any()  # nothing falls off the matrix's end
+def dense(system: model.System) -> Float64:
+    """The symmetric matrix of the states and, behind them, the constants."""
+    shape, n = system.shape, len(system.right)
+    lower = np.zeros((n + CONSTANTS, n + CONSTANTS))
+    for node, first in enumerate(shape.first.tolist()):
+        width = STATES * (node - first + 1)
+        rows = system.values[shape.start[node] : shape.start[node + 1]].reshape(STATES, width)
+        lower[STATES * node : STATES * (node + 1), STATES * first : STATES * (node + 1)] = rows
+    lower = np.tril(lower)
+    full = lower + np.tril(lower, -1).T
+    full[:n, n:], full[n:, :n] = system.border, system.border.T
+    full[n:, n:] = system.corner
     return full
 
 
-_System = tuple[_Float64, _Float64, _Float64]
-"""Banded matrix, right side, and the two sums of the likelihood."""
+def right_side(system: model.System) -> Float64:
+    return np.concatenate([system.right, system.right_constants])
 
 
-def empty(n: int, reach: int = 1) -> _System:
-    return np.zeros((STATES * (reach + 1), n * STATES)), np.zeros(n * STATES), np.zeros(2)
+def empty(n: int, far: Int64 = NO_STEPS) -> model.System:
+    return model.empty_system(envelope(n, far))
 
 
-def slopes(residuals: _Residuals, x: _Float64) -> _Float64:
-    """Central differences [residuals, states]."""
-    step = 1e-6
-    columns = []
-    for k in range(x.size):
-        ahead, behind = x.copy(), x.copy()
-        ahead.flat[k] += step
-        behind.flat[k] -= step
-        pairs = zip(residuals(ahead), residuals(behind), strict=True)
+def slopes(residuals: Residuals, x: Float64, constants: Float64) -> Float64:
+    """Central differences [residuals, states and constants]."""
+    step, columns = 1e-6, []
+    at = np.concatenate([x.ravel(), constants])
+    for k in range(at.size):
+        moved = []
+        for sign in (1.0, -1.0):
+            near = at.copy()
+            near[k] += sign * step
+            moved.append(residuals(near[: x.size].reshape(x.shape), near[x.size :]))
+        pairs = zip(*moved, strict=True)
         columns.append([(a[0] - b[0]) / (2.0 * step) for a, b in pairs])
     return np.array(columns).T
 
 
+UNKNOWN = np.zeros(CONSTANTS)
+
+
 def assert_normal_equations(
-    system: _System,
-    residuals: _Residuals,
-    x: _Float64,
-    approximate: Callable[[_Float64], _Float64] = lambda jacobian: jacobian,
+    system: model.System,
+    residuals: Residuals,
+    x: Float64,
+    constants: Float64 = UNKNOWN,
+    approximate: Callable[[Float64], Float64] = lambda jacobian: jacobian,
 ) -> None:
-    """The Gauss-Newton matrix JᵀWJ, the right side -JᵀWr, and the sums that tell how likely
-    it is."""
-    band, right, total = system
-    jacobian = approximate(slopes(residuals, x))
-    r, weight = np.array(residuals(x)).T
+    """The Gauss-Newton matrix JᵀWJ, the right side -JᵀWr, and the sum of squares."""
+    jacobian = approximate(slopes(residuals, x, constants))
+    r, weight = np.array(residuals(x, constants)).T
     matrix = jacobian.T @ (weight[:, None] * jacobian)
-    scale = np.abs(matrix).max()
-    assert dense(band) == pytest.approx(matrix, rel=1e-4, abs=1e-6 * scale)
+    assert dense(system) == pytest.approx(matrix, rel=1e-4, abs=1e-6 * np.abs(matrix).max())
     gradient = -jacobian.T @ (weight * r)
-    assert right == pytest.approx(gradient, rel=1e-4, abs=1e-6 * np.abs(gradient).max() + 1e-9)
-    assert total == pytest.approx([float(weight @ r**2), float(np.log(weight).sum())], rel=1e-6)
+    close = {"rel": 1e-4, "abs": 1e-6 * np.abs(gradient).max() + 1e-9}
+    assert right_side(system) == pytest.approx(gradient, **close)
+    assert system.total[0] == pytest.approx(float(weight @ r**2), rel=1e-6)
 
 
-def states(seed: int, n: int) -> _Float64:
+def states(seed: int, n: int) -> Float64:
     random = np.random.default_rng(seed)
     scale = [30.0, 30.0, 3.0, 2.0, 0.3, 0.02, 1.0, 1.0]
     return random.normal(size=(n, STATES)) * scale
 
 
-# --- what sensors see
+# --- what sensors measure
 
 
 @settings(deadline=None, max_examples=25)
 @given(SEEDS)
 def test_fixes_with_lever_and_slow_error(seed: int) -> None:
+    """Along the heading and across it, each with its own weight; the axes stand still."""
     random = np.random.default_rng(seed)
     n, x = 4, states(seed, 4)
-    fix, bias = x[:, :2] + random.normal(size=(n, 2)), random.uniform(0.1, 1.0, n)
-    weight = random.uniform(0.5, 3.0, n)
+    fix = x[:, :2] + random.normal(size=(n, 2))
+    weight = random.uniform(0.5, 3.0, (n, 2))
     fix[2], weight[2] = np.nan, 0.0
-    right_m, ahead_m = random.normal(size=2)
+    lever = right_m, ahead_m = random.normal(size=2)
+    axes = np.stack([np.exp(-1j * x[:, PHI]) * 1j, np.exp(-1j * x[:, PHI])], axis=1)
 
-    def residuals(x: _Float64) -> list[tuple[float, float]]:
+    def residuals(x: Float64, _: Float64) -> list[tuple[float, float]]:
         found = []
         for k in (0, 1, 3):
-            nose = np.array([np.sin(x[k, PHI]), np.cos(x[k, PHI])])
-            side = np.array([nose[1], -nose[0]])
-            antenna = x[k, :2] + ahead_m * nose + right_m * side + bias[k] * x[k, 6:8]
-            found += [(float(off), weight[k]) for off in antenna - fix[k]]
+            heading = 1j * np.exp(-1j * x[k, PHI])
+            place = (x[k, E] + x[k, model.BIAS_E]) + 1j * (x[k, N] + x[k, model.BIAS_N])
+            antenna = place + (ahead_m - 1j * right_m) * heading
+            off = antenna - (fix[k, 0] + 1j * fix[k, 1])
+            for axis in (0, 1):
+                found.append(((off * np.conj(axes[k, axis])).real, float(weight[k, axis])))
         return found
 
     system = empty(n)
-    off = model.add_fixes(system, x, fix, bias, weight, np.array([right_m, ahead_m]))
+    off = model.add_fixes(system, x, fix, weight, np.array(lever))
     assert_normal_equations(system, residuals, x)
-    expected = np.hypot(*np.array([r for r, _ in residuals(x)]).reshape(3, 2).T)
-    assert off == pytest.approx([expected[0], expected[1], 0.0, expected[2]])
+    expected = -np.array([r for r, _ in residuals(x, UNKNOWN)]).reshape(3, 2)
+    assert off[[0, 1, 3]] == pytest.approx(expected)
+    assert off[2].tolist() == [0.0, 0.0]
+    assert system.total[1] == pytest.approx(np.log(weight[[0, 1, 3]]).sum())
 
 
 @settings(deadline=None, max_examples=25)
-@given(SEEDS, st.sampled_from([PHI, V]), st.integers(-2, 2))
-def test_values_of_one_state(seed: int, state: int, turns: int) -> None:
-    """A heading a full circle off is the same heading."""
+@given(SEEDS, st.integers(-2, 2))
+def test_recorded_headings_are_off_by_one_angle(seed: int, turns: int) -> None:
+    """And a heading a full circle off is the same heading."""
     random = np.random.default_rng(seed)
-    n, x = 3, states(seed, 3)
-    off = random.uniform(-2.0, 2.0, n)
-    circle = 2.0 * np.pi * turns if state == PHI else 0.0
-    value, weight = x[:, state] - off + circle, np.array([1.0, 0.0, 2.5])
-    value[1] = np.nan
-    system = empty(n)
-    found = model.add_values(system, x, state, value, weight)
+    x, offset = states(seed, 3), random.normal(0.0, 0.1)
+    off, circle = random.uniform(-2.0, 2.0, 3), 2.0 * np.pi * turns
+    heading, weight = x[:, PHI] + offset - off + circle, np.array([1.0, 0.0, 2.5])
+    heading[1] = np.nan
+    system = empty(3)
+    found = model.add_headings(system, x, offset, heading, weight)
     assert found == pytest.approx([off[0], 0.0, off[2]])
 
-    def residuals(x: _Float64) -> list[tuple[float, float]]:
-        return [(x[k, state] - (value[k] - circle), weight[k]) for k in (0, 2)]
+    def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
+        turned = constants[model.HEADING_OFFSET] - (heading - circle)
+        return [(x[k, PHI] + turned[k], weight[k]) for k in (0, 2)]
 
-    assert_normal_equations(system, residuals, x)
+    assert_normal_equations(system, residuals, x, np.array([offset, 0.0, 0.0]))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS)
+def test_wheels_are_off_by_one_share(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    x, scale = states(seed, 3), random.normal(0.0, 0.1)
+    speed, weight = random.normal(0.0, 2.0, 3), np.array([1.0, 0.0, 2.5])
+    system = empty(3)
+    found = model.add_speeds(system, x, scale, speed, weight)
+
+    def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
+        size = 1.0 + constants[model.WHEEL_SCALE]
+        return [(size * x[k, V] - speed[k], weight[k]) for k in (0, 2)]
+
+    constants = np.array([0.0, scale, 0.0])
+    assert found[[0, 2]] == pytest.approx([r for r, _ in residuals(x, constants)])
+    assert_normal_equations(system, residuals, x, constants)
 
 
 @settings(deadline=None, max_examples=25)
@@ -131,229 +165,213 @@ def test_steps_of_a_point_ahead_of_the_axle(seed: int, turns: int) -> None:
     random = np.random.default_rng(seed)
     x, ends = states(seed, 5), np.array([[0, 1], [1, 4], [3, 4]])
     ahead_m, weight = random.normal(), random.uniform(0.5, 3.0, (3, 2))
+    scale = random.normal(0.0, 0.03)
 
-    def seen(x: _Float64) -> _Float64:
-        """Complex numbers, east + i·north: the nose points along i·exp(-i·phi)."""
-        place, nose = x[:, E] + 1j * x[:, N], 1j * np.exp(-1j * x[:, PHI])
-        point = place + ahead_m * nose
-        step = (point[ends[:, 1]] - point[ends[:, 0]]) / nose[ends[:, 0]]
+    def seen(x: Float64, scale: float) -> Float64:
+        """Complex numbers, east + i·north: the heading points along i·exp(-i·phi)."""
+        place, heading = x[:, E] + 1j * x[:, N], 1j * np.exp(-1j * x[:, PHI])
+        point = place + ahead_m * heading
+        step = (1.0 + scale) * (point[ends[:, 1]] - point[ends[:, 0]]) / heading[ends[:, 0]]
         return np.stack([step.real, -step.imag, np.diff(x[ends, PHI], axis=1)[:, 0]], axis=1)
 
     off = random.uniform(-1.0, 1.0, (3, 3))
-    step = seen(x) - off
+    step = seen(x, scale) - off
     told = step + np.array([0.0, 0.0, 2.0 * np.pi * turns])
-    system = empty(5, reach=3)
-    found = model.add_steps(system, x, ends, told, weight, ahead_m)
+    system = empty(5, ends)
+    found = model.add_steps(system, x, scale, ends, told, weight, ahead_m)
     assert found == pytest.approx(off)
 
-    def residuals(x: _Float64) -> list[tuple[float, float]]:
-        way = weight[:, [0, 0, 1]]
-        return list(zip((seen(x) - step).ravel().tolist(), way.ravel().tolist(), strict=True))
+    def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
+        away = (seen(x, constants[model.CAMERA_SCALE]) - step).ravel().tolist()
+        return list(zip(away, weight[:, [0, 0, 1]].ravel().tolist(), strict=True))
 
-    assert_normal_equations(system, residuals, x)
+    assert_normal_equations(system, residuals, x, np.array([0.0, 0.0, scale]))
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS)
+def test_how_fixes_depend_on_lever_and_clock(seed: int) -> None:
+    """Beside fixes of an antenna elsewhere, taken a little earlier than they are stamped."""
+    random = np.random.default_rng(seed)
+    x, lever = states(seed, 3), random.normal(size=2)
+    fix, weight = x[:, :2] + random.normal(size=(3, 2)), random.uniform(0.5, 3.0, (3, 2))
+    weight[1] = 0.0
+    border, corner, right = model.lever_and_clock(x, fix, weight, lever)
+
+    def away(right_m: float, ahead_m: float, late_s: float) -> Float64:
+        """Residuals ahead and right [4] in axes that stand still."""
+        found = []
+        for k in (0, 2):
+            heading = 1j * np.exp(-1j * x[k, PHI])
+            now = x[k, E] + x[k, model.BIAS_E] + 1j * (x[k, N] + x[k, model.BIAS_N])
+            before = now - late_s * x[k, V] * heading
+            turned = heading * np.exp(1j * late_s * x[k, V] * x[k, KAPPA])
+            lever_now = (lever[1] + ahead_m) - 1j * (lever[0] + right_m)
+            off = before + lever_now * turned - (fix[k, 0] + 1j * fix[k, 1])
+            found += [(off * np.conj(heading)).real, (off * np.conj(-1j * heading)).real]
+        return np.array(found)
+
+    step = 1e-6
+    jacobian = np.stack(
+        [(away(*(step * e)) - away(*(-step * e))) / (2.0 * step) for e in np.eye(3)], axis=1
+    )
+    w = weight[[0, 2]].ravel()
+    assert corner == pytest.approx(jacobian.T @ (w[:, None] * jacobian), rel=1e-4, abs=1e-4)
+    assert right == pytest.approx(-jacobian.T @ (w * away(0.0, 0.0, 0.0)), rel=1e-4, abs=1e-4)
+    # The coupling is with the states that add_fixes has.
+    system = empty(3)
+    model.add_fixes(system, x, fix, weight, lever)
+    full = dense(system)[: x.size, : x.size]
+    for k in (0, 2):
+        # A place farther east is the same as one axis' share of an antenna elsewhere.
+        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
+        along = sin * full[STATES * k + E] + cos * full[STATES * k + N]
+        assert border[:, 1][STATES * k : STATES * (k + 1)] == pytest.approx(
+            along[STATES * k : STATES * (k + 1)]
+        )
+    assert not border[STATES : 2 * STATES].any()
 
 
 # --- what a vehicle can do
 
 
-def vehicle_laws(
-    step_s: _Float64,
-    steering: _Float64,
-    bias_s: _Float64,
-    turned: _Float64,
-    seen: list[bool],
-    standing: list[bool],
-) -> _Residuals:
-    def residuals(x: _Float64) -> list[tuple[float, float]]:
-        found = []
-        for k, h in enumerate(step_s.tolist()):
-            a, b = x[k], x[k + 1]
-            fade = np.exp(-h / bias_s[k])
-            for state in (model.BIAS_E, model.BIAS_N):
-                found.append((b[state] - fade * a[state], 1.0 / (1.0 - fade**2)))
-            found.append((b[GYRO] - a[GYRO], 1.0 / (model.GYRO_BIAS_NOISE**2 * h)))
-            if np.isfinite(turned[k]):
-                # A gyro shows the turn and its bias.
-                shown = b[PHI] - a[PHI] + h * a[GYRO]
-                found.append((shown - turned[k], 1.0 / (model.GYRO_NOISE**2 * h)))
-            if not seen[k]:
-                # Anew, from where the guess is: far places are as likely.
-                found += [(0.0, 0.0)] * 3
-                found += [(b[V], 1e-2), (b[KAPPA], 1.0 / model.CURVATURE_SIGMA**2)]
-                continue
-            speed, curvature = (a[V] + b[V]) / 2.0, (a[KAPPA] + b[KAPPA]) / 2.0
-            nose = np.exp(1j * (np.pi / 2.0 - (a[PHI] + b[PHI]) / 2.0))
-            moved = ((b[E] - a[E]) + 1j * (b[N] - a[N])) / nose
-            found.append((moved.real - h * speed, 1.0 / (model.ALONG_NOISE**2 * h)))
-            # Acceleration to the right in a right turn, in either gear; it slides to the left.
-            slide = -model.SLIP_ANGLE * curvature * speed * abs(speed) * h * speed
-            found.append((-moved.imag - slide, 1.0 / (model.ACROSS_NOISE**2 * h)))
-            noise = model.FREE_TURN_NOISE if np.isfinite(turned[k]) else model.TURN_NOISE
-            if standing[k] and standing[k + 1]:
-                noise = model.STANDING_TURN_NOISE
-            turn = h * speed * curvature
-            found.append((b[PHI] - a[PHI] - turn, 1.0 / (noise**2 * h)))
-            found.append((b[V] - a[V], 1.0 / (model.ACCELERATION_NOISE**2 * h)))
-            fade = np.exp(-h / model.CURVATURE_S)
-            found.append((b[KAPPA] - fade * a[KAPPA], 1.0 / steering[k]))
+class Way:
+    """A stretch of nodes with everything that the laws of motion ask for."""
+
+    def __init__(self, seed: int, n: int, *, gyro: bool) -> None:
+        random = np.random.default_rng(seed)
+        self.step_s = random.uniform(0.05, 0.6, n - 1)
+        self.steering = random.uniform(0.01, 0.1, n - 1)
+        self.bias_m, self.bias_s = random.uniform(0.1, 1.0, n), random.uniform(20.0, 300.0, n)
+        told = random.random(n - 1) < 0.7 if gyro else np.zeros(n - 1, np.bool_)
+        self.turned = np.where(told, random.normal(size=n - 1), np.nan)
+        self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
+
+    def system(self, x: Float64) -> model.System:
+        system = empty(len(x))
+        model.add_motion(
+            system,
+            x,
+            self.step_s,
+            self.steering,
+            self.bias_m,
+            self.bias_s,
+            self.turned,
+            self.seen,
+            self.standing,
+        )
+        return system
+
+    def laws(self, x: Float64, _: Float64 = UNKNOWN) -> list[tuple[float, float]]:
+        first = x[0]
+        found = [(0.0, 0.0), (first[V], 1e-2), (first[KAPPA], 1.0 / model.CURVATURE_SIGMA**2)]
+        found.append((first[GYRO], 1.0 / model.GYRO_BIAS_SIGMA**2))
+        found += [(first[k], 1.0 / self.bias_m[0] ** 2) for k in (model.BIAS_E, model.BIAS_N)]
+        for k, h in enumerate(self.step_s.tolist()):
+            found += self.between(x[k], x[k + 1], k, h)
         return found
 
-    return residuals
+    def between(self, a: Float64, b: Float64, k: int, h: float) -> list[tuple[float, float]]:
+        one, two = self.bias_m[k], self.bias_m[k + 1]
+        # Of the variances of both ends, and their covariance: what the first tells of the second.
+        covariance = np.exp(-h / self.bias_s[k]) * min(one, two) ** 2
+        slope = covariance / one**2
+        left = two**2 - slope * covariance
+        found = [(b[s] - slope * a[s], 1.0 / left) for s in (model.BIAS_E, model.BIAS_N)]
+        found.append((b[GYRO] - a[GYRO], 1.0 / (model.GYRO_BIAS_NOISE**2 * h)))
+        if np.isfinite(self.turned[k]):
+            # A gyro shows the turn and its bias.
+            shown = b[PHI] - a[PHI] + h * a[GYRO]
+            found.append((shown - self.turned[k], 1.0 / (model.GYRO_NOISE**2 * h)))
+        if not self.seen[k]:
+            # Anew, from where the guess is: far places are as likely.
+            return [*found, (b[V], 1e-2), (b[KAPPA], 1.0 / model.CURVATURE_SIGMA**2)]
+        speed, curvature = (a[V] + b[V]) / 2.0, (a[KAPPA] + b[KAPPA]) / 2.0
+        heading = np.exp(1j * (np.pi / 2.0 - (a[PHI] + b[PHI]) / 2.0))
+        moved = ((b[E] - a[E]) + 1j * (b[N] - a[N])) / heading
+        found.append((moved.real - h * speed, 1.0 / (model.ALONG_NOISE**2 * h)))
+        # Acceleration to the right in a right turn, in either gear; it slides to the left.
+        slide = -model.SLIP_ANGLE * curvature * speed * abs(speed) * h * speed
+        found.append((-moved.imag - slide, 1.0 / (model.ACROSS_NOISE**2 * h)))
+        noise = model.FREE_TURN_NOISE if np.isfinite(self.turned[k]) else model.TURN_NOISE
+        if self.standing[k] and self.standing[k + 1]:
+            noise = model.STANDING_TURN_NOISE
+        found.append((b[PHI] - a[PHI] - h * speed * curvature, 1.0 / (noise**2 * h)))
+        found.append((b[V] - a[V], 1.0 / (model.ACCELERATION_NOISE**2 * h)))
+        fade = np.exp(-h / model.CURVATURE_S)
+        found.append((b[KAPPA] - fade * a[KAPPA], 1.0 / self.steering[k]))
+        return found
+
+
+def with_start(matrix: Float64, nodes: list[int]) -> Float64:
+    """What is known of places and headings before the drive: little, wherever they are."""
+    for node in nodes:
+        for state, weight in ((E, 1e-10), (N, 1e-10), (PHI, 1e-2)):
+            matrix[STATES * node + state, STATES * node + state] += weight
+    return matrix
 
 
 @settings(deadline=None, max_examples=40)
-@given(SEEDS, st.booleans(), st.lists(st.booleans(), min_size=4, max_size=4))
-def test_the_laws_of_motion(seed: int, gyro: bool, standing: list[bool]) -> None:
-    random = np.random.default_rng(seed)
-    x, step_s = states(seed, 4), random.uniform(0.05, 0.6, 3)
-    turned = np.where(random.random(3) < 0.7, random.normal(size=3), np.nan)
-    turned = turned if gyro else np.full(3, np.nan)
-    steering, bias_s = random.uniform(0.01, 0.1, 3), random.uniform(20.0, 300.0, 4)
-    seen = [True, True, True]
-    system = empty(4)
-    model.add_motion(
-        system, x, step_s, steering, bias_s, turned, np.array(seen), np.array(standing)
-    )
-    residuals = vehicle_laws(step_s, steering, bias_s, turned, seen, standing)
-    own = _weights(model.ACROSS_NOISE, step_s)
-    across = [k for k, (_, weight) in enumerate(residuals(x)) if weight in own]
+@given(SEEDS, st.booleans())
+def test_the_laws_of_motion(seed: int, gyro: bool) -> None:
+    x, way = states(seed, 4), Way(seed, 4, gyro=gyro)
+    system = way.system(x)
+    r, weight = np.array(way.laws(x)).T
+    across = np.flatnonzero(np.isin(weight, 1.0 / (model.ACROSS_NOISE**2 * way.step_s)))
     assert len(across) == 3
-
-    def approximate(jacobian: _Float64) -> _Float64:
-        """The slide's own slopes are left out on purpose: only its size counts."""
-        for node, (row, h) in enumerate(zip(across, step_s.tolist(), strict=True)):
-            a, b = x[node], x[node + 1]
-            speed, curvature = (a[V] + b[V]) / 2.0, (a[KAPPA] + b[KAPPA]) / 2.0
-            slide = -model.SLIP_ANGLE * curvature * speed * abs(speed)
-            for k in (node, node + 1):
-                jacobian[row, k * STATES + V] = -h / 2.0 * slide
-                jacobian[row, k * STATES + KAPPA] = 0.0
-        return jacobian
-
-    assert_normal_equations(system, residuals, x, approximate)
-
-
-def _weights(noise: float, step_s: _Float64) -> list[float]:
-    return [1.0 / (noise**2 * h) for h in step_s.tolist()]
+    jacobian = slopes(way.laws, x, UNKNOWN)
+    for node, row in enumerate(across.tolist()):
+        # The slide's own slopes are left out on purpose: only its size counts.
+        a, b, h = x[node], x[node + 1], way.step_s[node]
+        speed, curvature = (a[V] + b[V]) / 2.0, (a[KAPPA] + b[KAPPA]) / 2.0
+        for k in (node, node + 1):
+            jacobian[row, k * STATES + V] = (
+                h / 2.0 * model.SLIP_ANGLE * curvature * speed * abs(speed)
+            )
+            jacobian[row, k * STATES + KAPPA] = 0.0
+    matrix = with_start(jacobian.T @ (weight[:, None] * jacobian), [0])
+    assert dense(system) == pytest.approx(matrix, rel=1e-4, abs=1e-6 * np.abs(matrix).max())
+    gradient = -jacobian.T @ (weight * r)
+    close = {"rel": 1e-4, "abs": 1e-6 * np.abs(gradient).max()}
+    assert right_side(system) == pytest.approx(gradient, **close)
+    # Only what is learnt of the steering changes how likely a drive is.
+    assert system.total[1] == pytest.approx(-np.log(way.steering).sum())
 
 
 @pytest.mark.parametrize("gyro", [True, False])
 def test_over_a_hole_only_the_gyro_and_the_drifts_go_on(gyro: bool) -> None:
-    x, step_s = states(7, 2), np.array([30.0])
-    turned = np.array([0.4 if gyro else np.nan])
-    steering, bias_s = np.array([0.1]), np.array([300.0, 30.0])
-    system = empty(2)
-    seen, standing = np.array([False]), np.array([True, True])
-    model.add_motion(system, x, step_s, steering, bias_s, turned, seen, standing)
-    band, right, _ = system
-    start = np.zeros((2 * STATES, 2 * STATES))
-    for state, weight in ((E, 1e-10), (N, 1e-10), (PHI, 1e-2)):
-        start[STATES + state, STATES + state] = weight
-    residuals = vehicle_laws(step_s, steering, bias_s, turned, [False], [True, True])
-    jacobian = slopes(residuals, x)
-    r, weights = np.array(residuals(x)).T
-    matrix = jacobian.T @ (weights[:, None] * jacobian) + start
-    assert dense(band) == pytest.approx(matrix, rel=1e-4, abs=1e-8)
-    assert right == pytest.approx(-jacobian.T @ (weights * r), rel=1e-4, abs=1e-6)
+    x, way = states(7, 2), Way(7, 2, gyro=gyro)
+    way.step_s, way.seen = np.array([30.0]), np.array([False])
+    way.turned = np.array([0.4 if gyro else np.nan])
+    system = way.system(x)
+    jacobian = slopes(way.laws, x, UNKNOWN)
+    r, weights = np.array(way.laws(x)).T
+    matrix = with_start(jacobian.T @ (weights[:, None] * jacobian), [0, 1])
+    assert dense(system) == pytest.approx(matrix, rel=1e-4, abs=1e-8)
+    assert right_side(system) == pytest.approx(-jacobian.T @ (weights * r), rel=1e-4, abs=1e-6)
     # The two places know nothing of each other.
-    assert dense(band)[:2, STATES : STATES + 2].any() == np.False_
+    assert not dense(system)[:2, STATES : STATES + 2].any()
 
 
-def test_a_start_knows_little() -> None:
-    x = states(3, 3)
-    system = empty(3)
-    model.add_start(system, x, 0)
-    band, right, _ = system
-    variance = 1.0 / np.diag(dense(band))[:STATES]
-    expected = [1e5, 1e5, 10.0, 10.0, model.CURVATURE_SIGMA, model.GYRO_BIAS_SIGMA, 1.0, 1.0]
-    assert np.sqrt(variance) == pytest.approx(expected)
-    assert right[:3].tolist() == [0.0, 0.0, 0.0]
-    assert right[3:STATES] == pytest.approx(-x[0, 3:] / variance[3:])
-    later = empty(3)
-    model.add_start(later, x, 2)
-    assert not dense(later[0])[: 2 * STATES].any()
-    assert not dense(later[0])[2 * STATES + GYRO :, 2 * STATES + GYRO :].any()
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.sampled_from([0.2, 1.0, 5.0]))
+def test_a_slow_error_has_the_sigma_that_is_stated_at_each_time(seed: int, growth: float) -> None:
+    """However the stated sigma changes, and the same said forward and backward in time."""
+    n, way = 30, Way(seed, 30, gyro=False)
+    way.bias_m = np.geomspace(0.1, 0.1 * growth, n)
+    way.step_s = np.full(n - 1, 5.0)
+    covariance = np.linalg.inv(dense(way.system(np.zeros((n, STATES))))[: n * STATES, : n * STATES])
+    east = np.sqrt(np.diag(covariance)[model.BIAS_E :: STATES])
+    assert east == pytest.approx(way.bias_m, rel=1e-3)
 
 
-# --- how it steers
-
-
-def steering(
-    curvature: _Float64,
-    time_s: _Float64,
-    restlessness: float,
-    variance: _Float64 | float = 0.0,
-    onward: _Float64 | float = 0.0,
-) -> _Float64:
-    """The local steering of curvatures that are known exactly, or as well as is said."""
-    zero = np.zeros(len(time_s))
-    return model.local_steering(curvature, zero + variance, zero + onward, time_s, restlessness)
-
-
-def test_steering_is_looked_for_nearby() -> None:
-    """Straight for long, then a turn in: the curvature may change there, and not elsewhere."""
-    n, h = 200, 0.2
-    time_s, curvature = np.arange(n) * h, np.zeros(n)
-    curvature[100:] = 0.25
-    found = steering(curvature, time_s, 0.02)
-    calm = model.ALWAYS_SHARE * 0.02**2 * h
-    assert found[:90] == pytest.approx(calm)
-    assert found[99] > 50.0 * calm
-    middle_s = (time_s[1:] + time_s[:-1]) / 2.0
-    near = np.abs(middle_s - middle_s[99]) <= model.STEERING_S / 2.0 - h
-    least = (1.0 - model.ALWAYS_SHARE) * 0.25**2 / (model.STEERING_S + h) * h
-    assert (found[near] >= calm + least).all()
-    assert (found[np.abs(middle_s - middle_s[99]) <= model.STEERING_S] < model.MOST_STEERING).all()
-    wild = curvature.copy()
-    wild[::2] = 50.0
-    assert steering(wild, time_s, 0.02) == pytest.approx(model.MOST_STEERING * h)
-
-
-@settings(deadline=None, max_examples=40)
-@given(SEEDS, st.integers(2, 30), st.sampled_from([0.01, 0.05, 0.2]))
-def test_steering_is_what_is_expected_of_the_change(seed: int, n: int, restless: float) -> None:
-    """Beside the expected square of each change, drawn from the joint distribution, node by
-    node averaged over a second before and after."""
-    random = np.random.default_rng(seed)
-    time_s = np.cumsum(random.uniform(0.05, 0.7, n))
-    curvature, variance = random.normal(0.0, 0.1, n), random.uniform(0.0, 0.01, n)
-    onward = np.zeros(n)
-    onward[:-1] = random.uniform(-1.0, 1.0, n - 1) * np.sqrt(variance[1:] * variance[:-1])
-    step_s, middle_s = np.diff(time_s), (time_s[1:] + time_s[:-1]) / 2.0
-    expected = np.zeros(n - 1)
-    squared = np.zeros(n - 1)
-    for k in range(n - 1):
-        slope = np.array([-np.exp(-step_s[k] / model.CURVATURE_S), 1.0])
-        joint = np.array([[variance[k], onward[k]], [onward[k], variance[k + 1]]])
-        squared[k] = (slope @ curvature[k : k + 2]) ** 2 + slope @ joint @ slope
-    for k in range(n - 1):
-        near = np.abs(middle_s - middle_s[k]) <= model.STEERING_S / 2.0
-        rate = 0.5 * restless**2 + 0.5 * squared[near].sum() / step_s[near].sum()
-        expected[k] = min(rate, model.MOST_STEERING) * step_s[k]
-    found = steering(curvature, time_s, restless, variance, onward)
-    assert found == pytest.approx(expected, rel=1e-9)
-    assert (found > 0.0).all()
-
-
-def test_what_noise_hides_counts_as_steering_and_what_both_nodes_share_does_not() -> None:
-    time_s = np.arange(100) * 0.2
-    straight = np.zeros(100)
-    known = steering(straight, time_s, 0.02)
-    hidden = steering(straight, time_s, 0.02, 0.03**2)
-    shared = steering(straight, time_s, 0.02, 0.03**2, 0.03**2)
-    assert (hidden > 5.0 * known).all()
-    assert (shared < 1.5 * known).all()
-    assert (shared > known).all()
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_the_shortest_drives_have_a_steering(n: int) -> None:
-    assert steering(np.zeros(n), np.arange(n) * 0.2, 0.05).shape == (n - 1,)
-
-
-def test_the_usual_steering_keeps_the_usual_curvatures() -> None:
-    """A step that lasts for ever leaves nothing but the usual spread."""
-    step_s = np.array([0.01, 1.0, 1e3])
-    fade = np.exp(-step_s / model.CURVATURE_S)
-    kept = fade**2 * model.CURVATURE_SIGMA**2 + model.usual_steering(step_s)
-    assert kept == pytest.approx(model.CURVATURE_SIGMA**2)
+def test_at_rest_a_node_does_not_move() -> None:
+    x = states(3, 2)
+    system = empty(2)
+    model.add_still(system, x, np.array([True, False]), 0.0, 0.0)
+    matrix = dense(system)
+    assert matrix[V, V] == 1.0 / model.STANDING_MPS**2
+    assert system.right[V] == pytest.approx(-x[0, V] / model.STANDING_MPS**2)
+    assert matrix[STATES + V, STATES + V] == 0.0
+    for node in (0, 1):
+        assert matrix[STATES * node + E, STATES * node + E] == 1.0 / model.LOST_M**2

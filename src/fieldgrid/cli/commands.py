@@ -35,6 +35,7 @@ COMMANDS: dict[str, Entry] = {
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
     "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
     "show": Entry(_USE, "Draw a map."),
+    "view": Entry(_USE, "Look at maps in the browser."),
     "export": Entry(_USE, "Write a map for another program."),
     "query": Entry(_USE, "Tell which frames a cell's value comes from."),
     "diff": Entry(_USE, "Compare a map before and after a date."),

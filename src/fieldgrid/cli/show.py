@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -45,6 +45,13 @@ def command(
     session: Annotated[
         str | None, typer.Option(metavar="SESSION", help="Only this session.")
     ] = None,
+    layer: Annotated[
+        str, typer.Option(metavar="LAYER", help="What the cells show, as in `export`.")
+    ] = "density",
+    route: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.geojson", help="Lines in WGS84 that are drawn over the map."),
+    ] = None,
     averaging: Annotated[
         str,
         typer.Option(
@@ -62,6 +69,8 @@ def command(
         fieldgrid show vineyard.gpkg -o vineyard.png
 
         fieldgrid show vineyard.gpkg -o row.png --figure grid --cell 0.25 --bounds -20 40 0 60
+
+        fieldgrid show vineyard.gpkg -o all.pdf --figure grid --layer count
     """
     if figure in (Kind.TRAJECTORY, Kind.HEADING):
         why = f"the figure {figure} shows no cells; leave it out"
@@ -71,7 +80,8 @@ def command(
 
     with open_map(map_) as universal:
         chosen = _sessions(universal, at, session)
-        drawn = _draw(universal, figure, cell, options.bounds(bounds), chosen, averaging, map_.stem)
+        asked = _Asked(cell, options.bounds(bounds), chosen, averaging, layer, route, map_.stem)
+        drawn = _draw(universal, figure, asked)
     save(drawn, out)
     if as_json:
         output.print_json({"map": str(map_), "figure": str(out)})
@@ -95,52 +105,46 @@ def _sessions(universal: MapFile, at: str | None, session: str | None) -> list[s
     return [session]
 
 
-def _draw(
-    universal: MapFile,
-    kind: Kind,
-    cell_m: float | None,
-    bounds: Bounds | None,
-    sessions: list[str],
-    averaging: str,
-    title: str,
-) -> Figure:
+class _Asked(NamedTuple):
+    """What is to be drawn."""
+
+    cell_m: float | None
+    bounds: Bounds | None
+    sessions: list[str]
+    averaging: str
+    layer: str
+    route: Path | None
+    stem: str
+
+
+def _draw(universal: MapFile, kind: Kind, asked: _Asked) -> Figure:
     from fieldgrid import figures
 
-    frames = [frame for frame in universal.frames() if frame.session in sessions]
-    if kind is Kind.GRID:
-        view = _view(universal, cell_m, bounds, sessions, averaging)
-        return figures.universal_grid(view, frames, title=_title(title, view))
-    tracks = [universal.trajectory(name) for name in sessions]
+    drives = figures.drives_of(universal, asked.sessions)
     if kind is Kind.TRAJECTORY:
-        return figures.trajectory(tracks, frames)
+        return figures.trajectory(drives)
     if kind is Kind.HEADING:
-        return figures.heading(tracks, frames)
-    view = _view(universal, cell_m, bounds, sessions, averaging)
-    return figures.sheet(view, tracks, frames, title=_title(title, view))
+        return figures.heading(drives)
+    route = None if asked.route is None else figures.read_route(asked.route, universal.datum)
+    view = _view(universal, asked)
+    what = "universal grid" if asked.layer == "density" else asked.layer
+    title = f"{asked.stem}: {what}, cells of {view.lattice.cell_m * 100:g} cm"
+    draw = figures.universal_grid if kind is Kind.GRID else figures.sheet
+    return draw(view, drives, layer=asked.layer, route=route, title=title)
 
 
-def _title(stem: str, view: MapView) -> str:
-    return f"{stem}: universal grid, cells of {view.lattice.cell_m * 100:g} cm"
-
-
-def _view(
-    universal: MapFile,
-    cell_m: float | None,
-    bounds: Bounds | None,
-    sessions: list[str],
-    averaging: str,
-) -> MapView:
+def _view(universal: MapFile, asked: _Asked) -> MapView:
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
     from fieldgrid.errors import ConfigError
     from fieldgrid.geodesy import MAX_DISTANCE_M
     from fieldgrid.lattice import check_inside
     from fieldgrid.transfer import Averaging
 
-    if averaging not in {rule.value for rule in Averaging}:
+    if asked.averaging not in {rule.value for rule in Averaging}:
         raise typer.BadParameter(
-            f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
+            f"{asked.averaging!r} is neither mean nor paper", param_hint="--averaging"
         )
-    extent = bounds or universal.bounds
+    extent, cell_m = asked.bounds or universal.bounds, asked.cell_m
     check_inside(extent, universal.bounds)
     if cell_m is None:
         side_m = max(extent.east_m - extent.west_m, extent.north_m - extent.south_m)
@@ -151,8 +155,9 @@ def _view(
             )
         cell_m = universal.cell_m * max(1, math.ceil(side_m / universal.cell_m / MAX_PIXELS))
     return universal.read(
-        bounds,
+        asked.bounds,
         cell_m,
-        averaging=Averaging(averaging),
-        sessions=sessions,
+        layers=() if asked.layer == "density" else (asked.layer,),
+        averaging=Averaging(asked.averaging),
+        sessions=asked.sessions,
     )

@@ -99,6 +99,8 @@ def command(
         _print_json(out, figure, tracked, summary)
     else:
         _report(out, figure, tracked, summary)
+    if not summary.ok + summary.held:
+        raise typer.Exit(1)
 
 
 def _draw(drive: TrackedDrive, settings: BuildSettings, path: Path) -> None:
@@ -172,6 +174,9 @@ def _way_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
 def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
     """What was found out about the sensors that the drive has."""
     report = summary.report
+    if report.offset is not None:
+        median_m, sigmas = report.offset.median_m, report.offset.median_sigmas
+        yield "poses off their fixes, median", f"{median_m:.3f} m, {sigmas:.2f} of what is stated"
     if report.gyro_bias_dps == report.gyro_bias_dps:  # not NaN: there is a gyro
         yield "gyro bias", f"{report.gyro_bias_dps:.3f} °/s"
     if report.recorded is not None:

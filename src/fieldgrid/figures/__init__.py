@@ -1,22 +1,37 @@
 """The paper's figures from any map: universal grid, trajectory, heading against time.
 
-Bright is traversable, dark is an obstacle, tinted was never seen. Figures are made without
-pyplot, so that no window system and no global state is involved.
+Pale is traversable, dark red is an obstacle, tinted was never seen, and each session has its
+colour; the same as in `fieldgrid view`. Figures are made without pyplot, so that no window system
+and no global state is involved.
 """
 
-from fieldgrid.figures.drive import draw_heading, draw_trajectory, heading, sheet, trajectory
-from fieldgrid.figures.grid import UNSEEN, change, draw_grid, universal_grid
-from fieldgrid.figures.page import save
+from fieldgrid.figures.drives import (
+    Drive,
+    draw_heading,
+    draw_trajectory,
+    drives_of,
+    heading,
+    trajectory,
+)
+from fieldgrid.figures.grid import change, draw_grid, universal_grid
+from fieldgrid.figures.page import new_figure, save
+from fieldgrid.figures.route import read_route
+from fieldgrid.figures.sheet import sheet
 from fieldgrid.figures.track import MOST_POINTS, track_figure
+from fieldgrid.palette import UNSEEN
 
 __all__ = [
     "MOST_POINTS",
     "UNSEEN",
+    "Drive",
     "change",
     "draw_grid",
     "draw_heading",
     "draw_trajectory",
+    "drives_of",
     "heading",
+    "new_figure",
+    "read_route",
     "save",
     "sheet",
     "track_figure",

@@ -2,118 +2,156 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fieldgrid.figures.page import new_figure
-from fieldgrid.mapfile import MEANING, Change, ChangeView, FrameRecord, MapView
-from fieldgrid.trajectory import Status
+from fieldgrid import palette
+from fieldgrid.array_types import Float64
+from fieldgrid.figures.drives import Drive
+from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
+from fieldgrid.layers import LAYERS
+from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
+from fieldgrid.palette import UNSEEN
 
-UNSEEN = "#cfdbe6"
-"""Colour of cells that no frame has seen: neither bright nor dark."""
-
-
-_DENSITY = LinearSegmentedColormap.from_list("density", ["#ffffff", "#000000"])
-
-
-_CHANGES = {
-    Change.UNKNOWN: UNSEEN,
-    Change.FREE: "#ffffff",
-    Change.STAYED: "#404040",
-    Change.APPEARED: "#c1121f",
-    Change.VANISHED: "#1d6fd1",
-    Change.NEW_OBSTACLE: "#e08e45",
-    Change.NEW_FREE: "#f2ecd8",
-    Change.NOT_SEEN_AGAIN: "#a9b4bd",
-}
-
-
-_GRID_POINT = "#0b6e4f"
+_ROUTE = "#00857c"
+_MOST_NAMES = 8
 
 
 def universal_grid(
-    view: MapView, frames: list[FrameRecord] | None = None, *, title: str = ""
+    view: MapView,
+    drives: Sequence[Drive] = (),
+    *,
+    layer: str = "density",
+    route: Float64 | None = None,
+    title: str = "",
 ) -> Figure:
-    """The universal grid with axes in metres east and north, and the 0-255 bar (Figs. 8-14).
+    """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14).
 
-    With `frames`, the positions of their local grids are marked.
+    With `drives`, the positions of their local grids are marked, a colour a session. `layer` is
+    one that the view was read with; `route` is drawn over it, [n, 2] metres east and north.
     """
-    bounds = view.bounds
-    width_m, height_m = bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m
-    long_side_in = 9.0
-    scale = long_side_in / max(width_m, height_m)
-    size = (max(width_m * scale, 3.0) + 2.2, max(height_m * scale, 3.0) + 1.2)
-    figure = new_figure(size)
-    draw_grid(figure.add_subplot(), view, frames or [], title)
+    width_in, height_in = size_of(view.bounds)
+    beside_in, below_in = (1.0, 2.4) if is_wide(view.bounds) else (2.2, 1.4)
+    figure = new_figure((width_in + beside_in, height_in + below_in))
+    axes = figure.add_subplot()
+    draw_grid(axes, view, drives, title, layer=layer, route=route)
+    handles, names = axes.get_legend_handles_labels()
+    if len(handles) > 1:
+        figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
     return figure
+
+
+def draw_grid(
+    axes: Axes,
+    view: MapView,
+    drives: Sequence[Drive],
+    title: str,
+    *,
+    layer: str = "density",
+    route: Float64 | None = None,
+) -> None:
+    """Draw the universal grid into axes."""
+    bounds = view.bounds
+    values = view.layer(layer)
+    seen = view.observed & np.isfinite(values)
+    known, colours = values[seen], LAYERS[layer].colours
+    low = colours.low if colours.low is not None else float(known.min(initial=np.inf))
+    high = colours.high if colours.high is not None else float(known.max(initial=-np.inf))
+    if not low < high:  # nothing was seen, or the same everywhere
+        low, high = (low - 0.5, low + 0.5) if np.isfinite(low) else (0.0, 1.0)
+    axes.set_facecolor(UNSEEN)
+    image = axes.imshow(
+        np.ma.masked_array(values, mask=~seen),
+        extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
+        cmap=LinearSegmentedColormap.from_list(layer, list(colours.ramp)),
+        vmin=low,
+        vmax=high,
+        origin="lower",
+        interpolation="none",
+        aspect="equal",
+    )
+    _mark_frames(axes, drives, view)
+    if route is not None:
+        axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
+        axes.plot(route[:, 0], route[:, 1], color=_ROUTE, linewidth=1.8, label="route")
+        # A route that leaves the part that is drawn does not widen it.
+        axes.set_xlim(bounds.west_m, bounds.east_m)
+        axes.set_ylim(bounds.south_m, bounds.north_m)
+    cells = f"cells of {view.lattice.cell_m * 100:g} cm"
+    name_axes(axes, title or f"universal grid, {cells}")
+    add_scale_bar(axes, bounds.east_m - bounds.west_m)
+    _add_bar(axes, image, _label(layer), below=is_wide(bounds))
+
+
+def _label(layer: str) -> str:
+    """What a bar says of its values."""
+    if layer == "density":
+        return "3D density (> 100: obstacle; tinted: unseen)"
+    unit = LAYERS[layer].unit
+    return f"{layer} ({unit})" if unit not in ("", "1") else layer
+
+
+def _add_bar(axes: Axes, image: Any, label: str, *, below: bool) -> None:
+    """The bar of values: beside the ground and as tall, or below it."""
+    if below:
+        axes.figure.colorbar(
+            image, ax=axes, location="bottom", aspect=60, fraction=0.08, pad=0.03
+        ).set_label(label)
+        return
+    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)))
+    bar.set_label(label)
+
+
+def _mark_frames(axes: Axes, drives: Sequence[Drive], view: MapView) -> None:
+    bounds = view.bounds
+    for number, drive in enumerate(drives):
+        inside = [
+            frame.pose
+            for frame in drive.frames
+            if frame.accepted
+            and bounds.west_m <= frame.pose.east_m <= bounds.east_m
+            and bounds.south_m <= frame.pose.north_m <= bounds.north_m
+        ]
+        if inside:
+            axes.plot(
+                [pose.east_m for pose in inside],
+                [pose.north_m for pose in inside],
+                linestyle="none",
+                marker=".",
+                markersize=4,
+                color=drive.colour,
+                label=drive.name if number < _MOST_NAMES else f"_{drive.name}",
+            )
 
 
 def change(view: ChangeView, *, title: str = "") -> Figure:
     """What changed between two moments: a colour for what became of each cell."""
     bounds = view.bounds
-    width_m, height_m = bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m
-    scale = 9.0 / max(width_m, height_m)
-    figure = new_figure((max(width_m * scale, 3.0) + 3.8, max(height_m * scale, 3.0) + 1.2))
+    width_in, height_in = size_of(bounds)
+    figure = new_figure((width_in + 3.8, height_in + 1.4))
     axes = figure.add_subplot()
+    colours = [palette.CHANGES[kind.name.lower()] for kind in Change]
     axes.imshow(
         view.change,
         origin="lower",
         extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
-        cmap=ListedColormap([_CHANGES[kind] for kind in Change]),
+        cmap=ListedColormap(colours),
         vmin=0,
         vmax=len(Change) - 1,
         interpolation="none",
         aspect="equal",
     )
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
-    axes.ticklabel_format(useOffset=False)
-    axes.set_title(title or f"{', '.join(view.after)} against {', '.join(view.before)}", wrap=True)
+    name_axes(axes, title or f"{', '.join(view.after)} against {', '.join(view.before)}")
+    add_scale_bar(axes, bounds.east_m - bounds.west_m)
     legend = [
-        Patch(facecolor=_CHANGES[kind], edgecolor="0.6", label=MEANING[kind]) for kind in Change
+        Patch(facecolor=colour, edgecolor="0.6", label=MEANING[kind])
+        for kind, colour in zip(Change, colours, strict=True)
     ]
     figure.legend(handles=legend, loc="outside right upper", fontsize="small")
     return figure
-
-
-def draw_grid(axes: Axes, view: MapView, frames: list[FrameRecord], title: str) -> None:
-    """Draw the universal grid into axes."""
-    bounds = view.bounds
-    shown = np.ma.masked_array(view.density, mask=~view.observed)
-    axes.set_facecolor(UNSEEN)
-    image = axes.imshow(
-        shown,
-        origin="lower",
-        extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
-        cmap=_DENSITY,
-        vmin=0,
-        vmax=255,
-        interpolation="none",
-        aspect="equal",
-    )
-    marked = [f for f in frames if f.pose.status is Status.OK and _inside(f, view)]
-    if marked:
-        axes.plot(
-            [f.pose.east_m for f in marked],
-            [f.pose.north_m for f in marked],
-            linestyle="none",
-            marker=".",
-            markersize=4,
-            color=_GRID_POINT,
-        )
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
-    axes.ticklabel_format(useOffset=False)
-    axes.set_title(title or f"universal grid, cells of {view.lattice.cell_m * 100:g} cm")
-    # Beside the axes and exactly as tall, whatever the map's shape.
-    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)))
-    bar.set_label("3D density (> 100: obstacle; tinted: unseen)")
-
-
-def _inside(frame: FrameRecord, view: MapView) -> bool:
-    bounds = view.bounds
-    east_m, north_m = frame.pose.east_m, frame.pose.north_m
-    return bounds.west_m <= east_m <= bounds.east_m and bounds.south_m <= north_m <= bounds.north_m

@@ -1,16 +1,23 @@
-"""A figure's page: made without pyplot, and saved whole or not at all."""
+"""A page to draw on: made without pyplot, to scale where it shows ground, saved whole or not."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from io import BytesIO
 from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from fieldgrid.errors import ConfigError
+from fieldgrid.lattice import Bounds
 from fieldgrid.publish import mentions, replacing
+
+_LONG_SIDE_IN, _SHORT_SIDE_IN = 9.0, 1.5
+"""Of the ground drawn on a page of its own."""
 
 
 def new_figure(size_in: tuple[float, float]) -> Figure:
@@ -18,6 +25,45 @@ def new_figure(size_in: tuple[float, float]) -> Figure:
     figure = Figure(figsize=size_in, dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def is_wide(bounds: Bounds) -> bool:
+    """Whether ground is so much wider than high that what explains it lies below it."""
+    return bounds.east_m - bounds.west_m > 2.5 * (bounds.north_m - bounds.south_m)
+
+
+def size_of(bounds: Bounds) -> tuple[float, float]:
+    """Width and height in inches that ground of these bounds takes to fill its page."""
+    width_m, height_m = bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m
+    scale = _LONG_SIDE_IN / max(width_m, height_m)
+    return max(width_m * scale, _SHORT_SIDE_IN), max(height_m * scale, _SHORT_SIDE_IN)
+
+
+def name_axes(axes: Axes, title: str) -> None:
+    """Metres along both axes, written in full, and a scale bar."""
+    axes.set_xlabel("east (m)")
+    axes.set_ylabel("north (m)")
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.set_title(title, wrap=True)
+
+
+def add_scale_bar(axes: Axes, width_m: float) -> None:
+    """A bar of 1, 2 or 5 times a power of ten metres, about a fifth of the width that is shown."""
+    length_m = 10.0 ** math.floor(math.log10(width_m / 5.0))
+    length_m *= next(k for k in (5.0, 2.0, 1.0) if k == 1.0 or k * length_m <= width_m / 4.0)
+    axes.add_artist(
+        AnchoredSizeBar(
+            axes.transData,
+            length_m,
+            f"{length_m:g} m",
+            "lower right",
+            pad=0.4,
+            sep=3,
+            borderpad=0.6,
+            size_vertical=width_m / 400.0,
+            color="black",
+        )
+    )
 
 
 def save(figure: Figure, path: str | Path) -> None:

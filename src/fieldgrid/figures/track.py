@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from fieldgrid import palette
 from fieldgrid.array_types import Bool, Float64, Index, Int64
 from fieldgrid.figures.page import new_figure
 from fieldgrid.trajectory import MAX_GAP_NS, Trajectory
@@ -27,13 +28,13 @@ class _Look(NamedTuple):
 
 
 _GEAR_LOOKS = (
-    _Look(1, "forward", "#1f4e9c", 1.1, "", 0.0),
-    _Look(-1, "reverse", "#f28e2b", 2.8, "", 0.0),
-    _Look(0, "at rest", "#000000", 0.0, "s", 3.5),
+    _Look(1, "forward", palette.GEARS[1], 1.1, "", 0.0),
+    _Look(-1, "reverse", palette.GEARS[-1], 2.8, "", 0.0),
+    _Look(0, "at rest", palette.GEARS[0], 0.0, "s", 3.5),
 )
 
 
-_REFUSED, _BAND, _NOSE = "#8c8c8c", "#d5d5d5", "0.25"
+_BAND, _NOSE = "#d5d5d5", "0.25"
 
 
 MOST_POINTS = 12_000
@@ -210,7 +211,7 @@ def _draw_by_gear(axes: Axes, drawn: _Drawn, x: Float64, y: Float64) -> None:
             marker="x",
             markersize=5.0,
             markeredgewidth=0.8,
-            color=_REFUSED,
+            color=palette.REJECTED,
             label="rejected",
             zorder=2,
         )

@@ -3,7 +3,7 @@
 from fieldgrid.gnss.conditioning import condition
 from fieldgrid.gnss.gps_time import leap_seconds
 from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
-from fieldgrid.gnss.scatter import FixScatter, quantum_m, scatter, short_term_sigma_m
+from fieldgrid.gnss.scatter import FixNoise, fix_noise, quantum_m, short_term_sigma_m
 from fieldgrid.gnss.summary import ConditioningSummary, summarise
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
 from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Gate, Verdicts
@@ -11,18 +11,18 @@ from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Gate, Verdicts
 __all__ = [
     "DEFAULT_LIMITS",
     "ConditioningSummary",
-    "FixScatter",
+    "FixNoise",
     "Gate",
     "NmeaLog",
     "NmeaStream",
     "UbxParser",
     "Verdicts",
     "condition",
+    "fix_noise",
     "leap_seconds",
     "parse_nmea",
     "parse_ubx",
     "quantum_m",
-    "scatter",
     "short_term_sigma_m",
     "summarise",
 ]

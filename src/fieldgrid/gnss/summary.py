@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fieldgrid.fixes import FixColumns
-from fieldgrid.gnss.scatter import scatter
+from fieldgrid.gnss.scatter import M_PER_DEG, quantum_m, short_term_sigma_m
 from fieldgrid.gnss.verdict import Gate, Verdicts
 from fieldgrid.quality import Quality
 from fieldgrid.trajectory import MAX_GAP_NS
@@ -77,7 +78,7 @@ class ConditioningSummary(NamedTuple):
 def summarise(fixes: FixColumns, verdicts: Verdicts) -> ConditioningSummary:
     """Count what was rejected and why, the commonest gate first, and measure what is left."""
     used = fixes[verdicts.ok]
-    spread = scatter(used)
+    spacing_m = quantum_m(used.lat_deg, used.lon_deg)
     steps_ns = np.diff(used.time_ns)
     seams = [k for k in np.flatnonzero(verdicts.ok).tolist() if verdicts.gate[k] is Gate.SEAM]
     codes, counts = np.unique(fixes.quality, return_counts=True)
@@ -92,9 +93,21 @@ def summarise(fixes: FixColumns, verdicts: Verdicts) -> ConditioningSummary:
             for k in np.flatnonzero(steps_ns > MAX_GAP_NS).tolist()
         ),
         rate_hz=1e9 / float(np.median(steps_ns)) if steps_ns.size else 0.0,
-        quantum_m=spread.quantum_m,
-        short_term_sigma_m=spread.short_term_sigma_m,
+        quantum_m=spacing_m,
+        short_term_sigma_m=_short_term_sigma_m(used, spacing_m),
     )
+
+
+def _short_term_sigma_m(used: FixColumns, spacing_m: float) -> float:
+    """The noise of accepted fixes, at most what the receiver states; 0 of none."""
+    if not len(used):
+        return 0.0
+    shrink = math.cos(math.radians(float(used.lat_deg[0])))
+    east_m = (used.lon_deg - used.lon_deg[0]) * M_PER_DEG * shrink
+    north_m = (used.lat_deg - used.lat_deg[0]) * M_PER_DEG
+    measured_m = short_term_sigma_m(east_m, north_m, used.time_ns, spacing_m)
+    stated_m = float(np.median(used.position_sigma_m()))
+    return max(min(measured_m, stated_m), spacing_m / math.sqrt(12.0))
 
 
 def _place(fixes: FixColumns, k: int) -> tuple[int, float, float]:

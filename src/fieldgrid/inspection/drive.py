@@ -14,7 +14,6 @@ from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import check_images, check_poses, estimate_drive
 from fieldgrid.build.report import SessionReport
-from fieldgrid.gnss import condition
 from fieldgrid.inspection.clocks import clock_findings, clock_unknown, with_gyro
 from fieldgrid.inspection.coverage import coverage, coverage_findings
 from fieldgrid.inspection.findings import Finding, error, warning
@@ -37,9 +36,7 @@ from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import ground_seen, mount_findings, scale, scale_findings
 from fieldgrid.inspection.sampling import sample_every, stretches
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.pose import ClockOffset, Estimate
-from fieldgrid.pose.clock import clock_offset
-from fieldgrid.pose.placed import place
+from fieldgrid.pose import Estimate
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -168,7 +165,10 @@ def _with_poses(
     findings: list[Finding],
 ) -> Inspection:
     """The poses that frames will have, and the clocks that they depend on."""
-    clock = _clock(recording, settings, fixes_alone, seen)
+    with_camera, clock = None, None
+    if seen.steps is not None and len(seen.steps.start_ns):
+        with_camera = estimate_drive(recording, settings, steps=seen.steps)
+        clock = with_camera.report.clock
     off = clock is not None and clock.is_certain
     by_way = None
     if seen.steps is not None:
@@ -185,10 +185,8 @@ def _with_poses(
         )
     elif clock is None and seen.followed and not (by_way is not None and by_way.is_off):
         findings.append(clock_unknown(seen.followed))
-    estimate = fixes_alone
-    if seen.steps is not None and len(seen.steps.start_ns) and not off:
-        # Else the camera's motion would be laid beside that of other moments.
-        estimate = estimate_drive(recording, settings, steps=seen.steps)
+    # With a wrong clock the camera's motion would be laid beside that of other moments.
+    estimate = fixes_alone if with_camera is None or off else with_camera
     track = estimate.trajectory
     images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
@@ -241,17 +239,6 @@ def _with_map(
         told += sync_findings(found.sync)
     findings += told if clocks_agree else []
     return found
-
-
-def _clock(
-    recording: Recording, settings: BuildSettings, fixes_alone: Estimate, seen: Seen
-) -> ClockOffset | None:
-    """The offset that a build would report, before the camera's motion enters any pose."""
-    if seen.steps is None:
-        return None
-    fixes = recording.fixes().in_order()
-    placed = place(fixes, condition(fixes, settings.pose.gnss), fixes_alone.trajectory.datum)
-    return clock_offset(placed, recording.motion()._replace(steps=seen.steps), recording.rig)
 
 
 def _with_mount(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import UInt32, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
@@ -44,5 +45,5 @@ COUNT = Layer(
     ("density", "count"),
     lambda cells: cells["frames"],
     0,
-    Colours(("#f7fcf5", "#41ab5d", "#00441b"), 0.0, None),
+    Colours.of(palette.VALUES, 0.0),
 )

@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, Self
+
+import numpy as np
 
 from fieldgrid.array_types import AnyArray, Bool, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.palette import Ramp, Stop
 
 
 class Combine(StrEnum):
@@ -110,14 +113,29 @@ class ChannelGroup:
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """How values are drawn: from the first of `stops` at `low` to the last at `high`.
+    """How values are drawn: from the first of `stops` (`#rrggbb`) at `low` to the last at `high`.
 
-    Without `low` and `high` they are those of the data.
+    Without `low` and `high` they are those of the data. The stops are evenly spaced, or at
+    `shares` of the way, which do not decrease; two of one share make an edge.
     """
 
     stops: tuple[str, ...]
     low: float | None = None
     high: float | None = None
+    shares: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, ramp: Ramp, low: float | None = None, high: float | None = None) -> Self:
+        """The colours of a ramp of the palette."""
+        return cls(
+            tuple(stop.colour for stop in ramp), low, high, tuple(stop.share for stop in ramp)
+        )
+
+    @property
+    def ramp(self) -> Ramp:
+        """The stops and where they are."""
+        shares = self.shares or np.linspace(0.0, 1.0, len(self.stops)).tolist()
+        return tuple(Stop(share, colour) for share, colour in zip(shares, self.stops, strict=True))
 
 
 @dataclass(frozen=True, slots=True)

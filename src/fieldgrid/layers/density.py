@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.declaration import (
@@ -52,9 +53,12 @@ GROUP = ChannelGroup(
     ),
 )
 
-_DARK = Colours(("#ffffff", "#000000"), 0.0, 255.0)
+DENSITIES = Colours.of(palette.DENSITY, 0.0, 255.0)
+"""Pale is free, red to black an obstacle."""
 
-DENSITY = Layer("density", "uint8", "", "mean 3D density, 0..255", ("density",), mean, None, _DARK)
+DENSITY = Layer(
+    "density", "uint8", "", "mean 3D density, 0..255", ("density",), mean, None, DENSITIES
+)
 
 PEAK = Layer(
     "peak",
@@ -64,7 +68,7 @@ PEAK = Layer(
     ("density",),
     lambda cells: cells["peak"],
     None,
-    _DARK,
+    DENSITIES,
 )
 
 SEEN_SHARE = Layer(
@@ -75,5 +79,5 @@ SEEN_SHARE = Layer(
     ("density",),
     _seen_share,
     float("nan"),
-    Colours(("#f7fbff", "#08306b"), 0.0, 1.0),
+    Colours.of(palette.VALUES, 0.0, 1.0),
 )

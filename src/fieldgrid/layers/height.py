@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.count import frames_of_weight
@@ -62,6 +63,6 @@ HEIGHT = Layer(
     ("density", "height"),
     _height,
     float("nan"),
-    Colours(("#440154", "#21918c", "#fde725")),
+    Colours.of(palette.VALUES),
     above_datum=True,
 )

@@ -7,7 +7,8 @@ import numpy as np
 from fieldgrid.array_types import UInt8, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
+from fieldgrid.layers.declaration import Channel, ChannelGroup, Combine, Layer
+from fieldgrid.layers.density import DENSITIES
 from fieldgrid.layers.frame import FrameInPlace
 
 
@@ -66,5 +67,5 @@ MAX = Layer(
     ("density", "max"),
     lambda cells: cells["highest"],
     None,
-    Colours(("#ffffff", "#000000"), 0.0, 255.0),
+    DENSITIES,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.layers.declaration import (
@@ -44,7 +45,7 @@ SESSIONS = Layer(
     ("density", "sessions"),
     lambda cells: cells["most_sessions"],
     0,
-    Colours(("#f7fcf5", "#41ab5d", "#00441b"), 0.0, None),
+    Colours.of(palette.VALUES, 0.0),
 )
 
 PERSISTENCE = Layer(
@@ -55,5 +56,5 @@ PERSISTENCE = Layer(
     ("density", "sessions"),
     _persistence,
     float("nan"),
-    Colours(("#ffffff", "#8b0000"), 0.0, 1.0),
+    Colours.of(palette.VALUES, 0.0, 1.0),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
@@ -67,5 +68,5 @@ VARIANCE = Layer(
     ("density", "variance"),
     _variance,
     float("nan"),
-    Colours(("#fff7ec", "#fc8d59", "#7f0000"), 0.0, None),
+    Colours.of(palette.VALUES, 0.0),
 )

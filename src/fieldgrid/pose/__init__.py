@@ -1,10 +1,11 @@
 """Poses: where the grid origin was, where the nose pointed, how sure that is, and in which gear."""
 
+from fieldgrid.pose.accepted import datum_of, no_fix_sentence
 from fieldgrid.pose.clock import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
-from fieldgrid.pose.estimate import Estimate, PoseReport, carry_lever, estimate_poses
+from fieldgrid.pose.estimate import Estimate, carry_lever, conditioned, estimate_poses
 from fieldgrid.pose.paper import default_baseline_m
-from fieldgrid.pose.placed import datum_of, no_fix_sentence
+from fieldgrid.pose.report import FixOffset, PoseReport
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.verdict import Budget
 
@@ -14,9 +15,11 @@ __all__ = [
     "ClockSearch",
     "Comparison",
     "Estimate",
+    "FixOffset",
     "HeadingSource",
     "PoseReport",
     "carry_lever",
+    "conditioned",
     "datum_of",
     "default_baseline_m",
     "estimate_poses",

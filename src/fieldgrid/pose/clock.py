@@ -10,9 +10,10 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Motion, Steps
-from fieldgrid.pose.placed import Placed
-from fieldgrid.pose.smooth import Drive, axle_forward_m, smooth_drive
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.drive import Drive, axle_frame, smooth_drive
 from fieldgrid.rig import Vehicle
+from fieldgrid.smoother import model, refine
 
 WIDEST_S, COARSE_S = 2.5, 0.05
 """Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
@@ -20,7 +21,7 @@ WIDEST_S, COARSE_S = 2.5, 0.05
 FINE_S, FINE_REACH_S = 0.01, 0.3
 """About the best of them offsets are tried so far apart, up to so far away."""
 
-WAY_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
+DISTANCE_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
 """How far the drive and a camera's step differ with the best of clocks, before that is known."""
 
 LEAST_TURN_DEG = 0.05
@@ -75,12 +76,14 @@ class ClockOffset(NamedTuple):
 class ClockSearch:
     """A drive without its camera, beside which the camera's motion can be laid."""
 
-    def __init__(self, placed: Placed, motion: Motion, rig: Vehicle | None) -> None:
-        """`motion` holds at least one step."""
-        assert motion.steps is not None
-        self._steps = motion.steps
-        self._drive = smooth_drive(placed, motion._replace(steps=None), rig)
-        self._ahead_m = 0.0 if rig is None else -axle_forward_m(rig)
+    def __init__(self, drive: Drive, steps: Steps, rig: Vehicle | None) -> None:
+        """The path of `drive` as it is without its camera. `steps` holds at least one."""
+        found, (lever_m, ahead_m) = drive.smoothed, axle_frame(rig)
+        if len(drive.measured.step):
+            found = refine(found, drive.measured.without_steps(), lever_m, ahead_m)
+        self._steps, self._ahead_m = steps, ahead_m
+        self._time_ns = drive.time_ns
+        self._east_m, self._north_m, self._phi_rad = found.state[:, : model.PHI + 1].T
 
     def misfit(self, offset_s: float) -> float:
         """The mean squared distance of the steps from the drive with this offset; infinite
@@ -126,31 +129,31 @@ class ClockSearch:
         return self.best(float(scan_s[at])) if np.isfinite(misfits[at]) else None
 
     def _inside(self, near_s: float, margin_s: float) -> Steps:
-        drive, steps = self._drive, self._steps
+        times_ns, steps = self._time_ns, self._steps
         shift_ns, margin_ns = round(near_s * 1e9), int(margin_s * 1e9)
-        first, last = drive.time_ns[0] + margin_ns, drive.time_ns[-1] - margin_ns
+        first, last = times_ns[0] + margin_ns, times_ns[-1] - margin_ns
         keep = (steps.start_ns + shift_ns >= first) & (steps.stop_ns + shift_ns <= last)
         return Steps(*(column[keep] for column in steps))
 
     def _sigmas(self, steps: Steps, offset_s: float) -> tuple[float, float]:
         """How far these steps and the drive differ along an axis and in the turn, by medians."""
-        along, aside, turn = self._differences(steps, offset_s)
-        way_m = 1.4826 * float(np.median(np.abs(np.concatenate([along, aside]))))
+        ahead, right, turn = self._differences(steps, offset_s)
+        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
         turn_deg = 1.4826 * float(np.median(np.abs(turn)))
         # Larger ones than usual are no reason to believe the drive more in other respects.
-        return max(way_m, WAY_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
+        return max(distance_m, DISTANCE_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
 
     def _squared(
         self,
         steps: Steps,
         offset_s: float,
-        way_sigma_m: float = WAY_SIGMA_M,
+        distance_sigma_m: float = DISTANCE_SIGMA_M,
         turn_sigma_deg: float = TURN_SIGMA_DEG,
     ) -> Float64:
         """The squared distance of each step from the drive, in sigmas; outliers count the less
         the farther they lie (a bound would kink the sum, and shift its lowest place)."""
-        along, aside, turn = self._differences(steps, offset_s)
-        squared = (np.hypot(along, aside) / np.hypot(steps.sigma_m, way_sigma_m)) ** 2
+        ahead, right, turn = self._differences(steps, offset_s)
+        squared = (np.hypot(ahead, right) / np.hypot(steps.sigma_m, distance_sigma_m)) ** 2
         squared += (turn / np.hypot(steps.sigma_deg, turn_sigma_deg)) ** 2
         robust: Float64 = OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)
         return robust
@@ -158,29 +161,39 @@ class ClockSearch:
     def _differences(self, steps: Steps, offset_s: float) -> tuple[Float64, Float64, Float64]:
         """What the drive has more than each step: metres forward and right, degrees of turn."""
         shift = round(offset_s * 1e9)
-        e0, n0, phi0 = _pose_at(self._drive, steps.start_ns + shift, self._ahead_m)
-        e1, n1, phi1 = _pose_at(self._drive, steps.stop_ns + shift, self._ahead_m)
+        e0, n0, phi0 = self._pose_at(steps.start_ns + shift)
+        e1, n1, phi1 = self._pose_at(steps.stop_ns + shift)
         sin, cos = np.sin(np.radians(phi0)), np.cos(np.radians(phi0))
         forward = (e1 - e0) * sin + (n1 - n0) * cos
         right = (e1 - e0) * cos - (n1 - n0) * sin
         turn = np.asarray(wrap_deg(phi1 - phi0 - steps.turn_deg))
         return forward - steps.forward_m, right - steps.right_m, turn
 
+    def _pose_at(self, time_ns: Int64) -> tuple[Float64, Float64, Float64]:
+        """East, north and heading (unwrapped, degrees) of the grid origin."""
+        phi = np.interp(time_ns, self._time_ns, self._phi_rad)
+        east = np.interp(time_ns, self._time_ns, self._east_m) + self._ahead_m * np.sin(phi)
+        north = np.interp(time_ns, self._time_ns, self._north_m) + self._ahead_m * np.cos(phi)
+        return east, north, np.degrees(phi)
 
-def clock_offset(placed: Placed, motion: Motion, rig: Vehicle | None) -> ClockOffset | None:
+
+def clock_offset(
+    drive: Drive, fixes: AcceptedFixes, motion: Motion, rig: Vehicle | None
+) -> ClockOffset | None:
     """The offset at which the camera's motion fits the drive without it; None when the drive
     is too even to tell. Looked for farther away only where it fits badly near by."""
-    if motion.steps is None or len(motion.steps.start_ns) < FEWEST_STEPS:
+    steps = motion.steps
+    if steps is None or len(steps.start_ns) < FEWEST_STEPS:
         return None
-    search = ClockSearch(placed, motion, rig)
+    search = ClockSearch(drive, steps, rig)
     near = search.best()
     usual = near.misfit if near is not None else search.misfit(0.0)
     if usual < POOR_MISFIT:
         return near
-    # A gyro that goes with the images, and not with the fixes, would spoil the drive.
-    alone = motion if motion.gyro is None else motion._replace(gyro=None)
-    for one in (search, search if alone is motion else ClockSearch(placed, alone, rig)):
-        far = one.far()
+    # Steps of other moments, or a gyro that goes with the images, would spoil the drive.
+    without = [Motion(gyro=motion.gyro), Motion()] if drive.at.has_gyro() else [Motion()]
+    for known in without:
+        far = ClockSearch(smooth_drive(fixes, fixes.time_ns, known, rig), steps, rig).far()
         if far is not None and far.misfit < BETTER_SHARE * usual:
             return far
     return near
@@ -210,12 +223,3 @@ def _by_parts(offsets_s: Float64, squared: Float64) -> float:
             return float("inf")
         found.append(lowest[0])
     return float(np.sqrt((PARTS - 1) / PARTS * np.sum((np.array(found) - np.mean(found)) ** 2)))
-
-
-def _pose_at(drive: Drive, time_ns: Int64, ahead_m: float) -> tuple[Float64, Float64, Float64]:
-    """East, north and heading (unwrapped, degrees) of the grid origin."""
-    heading = np.degrees(np.unwrap(np.radians(drive.heading_deg)))
-    phi = np.interp(time_ns, drive.time_ns, heading)
-    east = np.interp(time_ns, drive.time_ns, drive.east_m) + ahead_m * np.sin(np.radians(phi))
-    north = np.interp(time_ns, drive.time_ns, drive.north_m) + ahead_m * np.cos(np.radians(phi))
-    return east, north, phi

@@ -6,7 +6,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.course import NOISE_SHARE, STATION_M, Course, course, course_of_axle, stations
-from fieldgrid.pose.placed import Placed
+from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.rig import Vehicle
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import MAX_GAP_NS
@@ -23,9 +23,10 @@ def constant_heading(count: int, heading_deg: float) -> Course:
     return _known(np.full(count, heading_deg), np.full(count, CONSTANT_SIGMA_DEG))
 
 
-def recorded_heading(nose_deg: Float64, sigma_deg: Float64) -> Course:
+def recorded_heading(vehicle_heading_deg: Float64, sigma_deg: Float64) -> Course:
     """The headings that the log holds, NaN where it does not."""
-    return _known(nose_deg, np.where(np.isnan(nose_deg), np.inf, sigma_deg))
+    unknown = np.isnan(vehicle_heading_deg)
+    return _known(vehicle_heading_deg, np.where(unknown, np.inf, sigma_deg))
 
 
 def _known(heading_deg: Float64, sigma_deg: Float64) -> Course:
@@ -33,17 +34,16 @@ def _known(heading_deg: Float64, sigma_deg: Float64) -> Course:
     return Course(heading_deg, sigma_deg, np.ones(n, dtype=np.int64), np.zeros(n))
 
 
-def course_heading(placed: Placed, rig: Vehicle | None, settings: PoseSettings) -> Course:
+def course_heading(fixes: AcceptedFixes, rig: Vehicle | None, settings: PoseSettings) -> Course:
     """Course where it is the heading: at the axle that does not steer, when the rig names it.
 
     The antenna, a metre ahead, swings outward in a turn: its course leads the heading by
     asin(distance · curvature), 11° at a radius of 5 m.
     """
-    fixes = placed.accepted()
     part = np.concatenate([[0], np.cumsum(np.diff(fixes.time_ns) > MAX_GAP_NS)])
     baseline_m = settings.baseline_m or default_baseline_m(fixes.sigma_m)
     step_m = max(STATION_M, 2.0 * NOISE_SHARE * float(np.median(fixes.sigma_m)))
-    points = np.stack([fixes.east_m, fixes.north_m], axis=1)
+    points = fixes.points_m()
     at = stations(points, part, fixes.speed_mps < STANDING_MPS, step_m)
     east_m, north_m = points[at].T
     up_m = 0.0 if rig is None else rig.antenna.up_m
@@ -53,11 +53,8 @@ def course_heading(placed: Placed, rig: Vehicle | None, settings: PoseSettings) 
         found = course_of_axle(found, east_m, north_m, part[at], ahead_m)
     # The fixes between two stations have the heading of the one before.
     station = np.searchsorted(at, np.arange(len(fixes.time_ns)), side="right") - 1
-    n = len(placed.time_ns)
-    full = Course(np.full(n, np.nan), np.full(n, np.inf), np.ones(n, np.int64), np.zeros(n))
-    for whole, part_column in zip(full, found, strict=True):
-        whole[placed.ok] = part_column[station]
-    return full
+    heading, sigma, gear, span = found
+    return Course(heading[station], sigma[station], gear[station], span[station])
 
 
 def default_baseline_m(sigma_m: Float64) -> float:

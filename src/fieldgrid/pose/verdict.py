@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.settings import PoseSettings
+
+if TYPE_CHECKING:
+    from fieldgrid.pose.table import PoseTable
 
 JUMP_SIGMAS, JUMP_DEG = 4.0, 5.0
 """A nose does not turn faster than its tightest turn by more than this."""
@@ -23,34 +26,59 @@ class Budget(NamedTuple):
     reach_m: float
 
 
-def doubt(
-    heading_sigma_deg: float,
-    position_sigma_m: float,
-    relative_sigma_m: float,
-    gear_doubt: float,
-    settings: PoseSettings,
-    budget: Budget | None,
-) -> str:
-    """Why a pose is not sure enough for a map; empty when it is."""
-    if not heading_sigma_deg < 90.0:
-        return "heading unknown: none is recorded, and the vehicle does not move"
-    if heading_sigma_deg > settings.max_heading_sigma_deg:
-        return f"heading sigma {heading_sigma_deg:.1f}° > {settings.max_heading_sigma_deg:g}°"
-    if gear_doubt > settings.max_gear_doubt:
-        return (
-            f"forward or reverse is unsure: {100.0 * gear_doubt:.1f} % > "
+OFFSET_SIGMAS, LEAST_OFFSET_M = 2.0, 0.1
+"""Poses may lie from their fixes by so many times what these state, and by this in any case."""
+
+
+def refusals(table: PoseTable, settings: PoseSettings, budget: Budget | None) -> list[str]:
+    """Why each pose is not sure enough for a map; empty where it is."""
+    reasons = list(table.rejection)
+    refused = np.array([bool(reason) for reason in reasons])
+
+    def refuse(failing: Bool, reason: Callable[[int], str]) -> None:
+        for k in np.flatnonzero(failing & ~refused).tolist():
+            reasons[k] = reason(k)
+        refused[failing] = True
+
+    heading, doubt = table.heading_sigma_deg, table.gear_doubt
+    position, offset = table.position_sigma_m, table.offset_m
+    refuse(
+        ~(heading < 90.0),
+        lambda k: "heading unknown: none is recorded, and the vehicle does not move",
+    )
+    refuse(
+        heading > settings.max_heading_sigma_deg,
+        lambda k: f"heading sigma {heading[k]:.1f}° > {settings.max_heading_sigma_deg:g}°",
+    )
+    refuse(
+        doubt > settings.max_gear_doubt,
+        lambda k: (
+            f"forward or reverse is unsure: {100.0 * doubt[k]:.1f} % > "
             f"{100.0 * settings.max_gear_doubt:g} % for the other"
-        )
-    if position_sigma_m > settings.max_position_sigma_m:
-        return f"position sigma {position_sigma_m:.2f} m > {settings.max_position_sigma_m:g} m"
+        ),
+    )
+    refuse(
+        position > settings.max_position_sigma_m,
+        lambda k: f"position sigma {position[k]:.2f} m > {settings.max_position_sigma_m:g} m",
+    )
+    refuse(
+        offset > np.maximum(OFFSET_SIGMAS * table.stated_m, LEAST_OFFSET_M),
+        lambda k: (
+            f"the estimate lies {offset[k]:.2f} m from the fixes around it, which state an error "
+            f"of {table.stated_m[k]:.2f} m"
+        ),
+    )
     if budget is not None:
-        off_m = math.hypot(relative_sigma_m, budget.reach_m * math.radians(heading_sigma_deg))
-        if off_m > budget.cell_m:
-            return (
-                f"a cell {budget.reach_m:.0f} m ahead would be off by {off_m:.2f} m > "
-                f"{budget.cell_m:g} m: heading sigma {heading_sigma_deg:.1f}°"
-            )
-    return ""
+        reach_m, most_m = budget.reach_m, budget.cell_m
+        off_m = np.hypot(table.relative_sigma_m, reach_m * np.radians(heading))
+        refuse(
+            off_m > most_m,
+            lambda k: (
+                f"a cell {reach_m:.0f} m ahead would be off by {off_m[k]:.2f} m > {most_m:g} m: "
+                f"heading sigma {heading[k]:.1f}°"
+            ),
+        )
+    return reasons
 
 
 def jumps(

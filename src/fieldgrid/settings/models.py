@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import field_validator, model_validator
 
-from fieldgrid.choices import Doubt, MatcherKind, Transfer
+from fieldgrid.choices import Doubt, GearName, MatcherKind, Transfer
 from fieldgrid.errors import ConfigError
 from fieldgrid.quality import NOT_FROM_SATELLITES, Quality
 from fieldgrid.settings.declare import Flag, Settings, setting
@@ -200,6 +200,14 @@ class GateLimits(Settings):
         return given
 
 
+class GearSpan(Settings):
+    """In which gear a vehicle drove from one instant to another, UTC nanoseconds."""
+
+    start_ns: int
+    stop_ns: int
+    gear: GearName
+
+
 class PoseSettings(Settings):
     """How poses are estimated and judged."""
 
@@ -208,6 +216,29 @@ class PoseSettings(Settings):
         "where headings come from: smooth (all that the drive carries), course (the paper), "
         "recorded, constant:DEG",
         flag=Flag("--heading", "smooth|course|recorded|constant:DEG"),
+    )
+    accuracy_m: float | None = setting(
+        None,
+        "1-sigma error of a fix along one axis, in place of what the receiver states",
+        usual="what the receiver states, else what is usual for the quality",
+        flag=Flag("--accuracy", "M"),
+        gt=0.0,
+        le=100.0,
+    )
+    quality: Quality | None = setting(
+        None,
+        "quality of all fixes, in place of what the log says: rtk-fixed, rtk-float and so on",
+        usual="what the log says",
+        flag=Flag("--quality", "NAME"),
+    )
+    starts: GearName | None = setting(
+        None,
+        "the gear that a drive starts in, where its positions do not tell",
+        usual="what is likelier",
+        flag=Flag("--starts", "forward|reverse"),
+    )
+    gear_spans: tuple[GearSpan, ...] = setting(
+        (), "gears that are known: start_ns, stop_ns, gear (forward or reverse)", usual="none"
     )
     visual_odometry: bool = setting(
         True,
@@ -248,6 +279,11 @@ class PoseSettings(Settings):
         le=50.0,
     )
     gnss: GateLimits = GateLimits()
+
+    @field_validator("quality", mode="before")
+    @classmethod
+    def _by_name(cls, given: object) -> object:
+        return Quality.named(given) if isinstance(given, str) else given
 
     @property
     def uses_camera(self) -> bool:

@@ -1,20 +1,31 @@
-"""What a wheeled vehicle can do, and what its sensors see, as weighted residuals.
+"""What a wheeled vehicle can do, and what its sensors measure, as weighted residuals.
 
 The state of a node is [east, north, heading, speed, curvature, gyro bias, bias east, bias
-north]: the middle of the axle that does not steer, in metres; the nose's direction, radians
-clockwise from north; metres a second, negative in reverse; radians of turn a metre; radians a
-second; and the slow part of the receiver's error in units of its own sigma.
+north]: the middle of the axle that does not steer, in metres; the heading, radians clockwise from
+north; metres a second, negative in reverse; radians of turn a metre; radians a second; and the
+slow part of the receiver's error, metres. Beside the nodes stand a few constants of the drive:
+the offset of a recorded heading (radians), and the relative errors of the wheels' and of the
+camera's scale.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
+from fieldgrid.smoother.envelope import STATES, Envelope
 
-STATES = 8
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
+
+CONSTANTS = 3
+HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE = range(CONSTANTS)
+
+SCALE_SIGMAS = 0.1, 0.03
+"""What is known of the scales before the drive: tyres are off by a tenth; a stereo baseline, and
+disparities that are off by a tenth of a pixel at a range of some metres, make some per cent."""
 
 TURN_NOISE = np.radians(0.3)
 """Turning that neither speed nor curvature explains, rad/√s: slip."""
@@ -23,28 +34,19 @@ FREE_TURN_NOISE = np.radians(20.0)
 """The same where a gyro sees it: some vehicles turn on the spot."""
 
 STANDING_TURN_NOISE = np.radians(0.05)
-"""How a standing vehicle's nose may creep, rad/√s."""
+"""How a standing vehicle's heading may creep, rad/√s."""
 
 ALONG_NOISE = 0.05
-"""Way that the speed does not explain, m/√s: late time stamps, wheel slip."""
+"""Distance that the speed does not explain, m/√s: late time stamps, wheel slip."""
 
 ACROSS_NOISE = 0.01
-"""Way across the nose, m/√s: a wheel pushed off its line."""
+"""Motion across the heading, m/√s: a wheel pushed off its line."""
 
 ACCELERATION_NOISE = 1.0
 """Change of speed, (m/s)/√s."""
 
 CURVATURE_SIGMA, CURVATURE_S = 0.3, 2.0
 """Curvatures usual on fields, 1/m, and for how many seconds one lasts."""
-
-ALWAYS_SHARE = 0.5
-"""Of the expected steering, what is due to the vehicle's usual restlessness."""
-
-MOST_STEERING = 8.0 * CURVATURE_SIGMA**2 / CURVATURE_S
-"""(1/m)²/s: from lock to lock in a second."""
-
-STEERING_S = 2.0
-"""Steering at one moment makes more of it likely for about a second before and after."""
 
 SLIP_ANGLE = np.radians(0.2)
 """By how much an unsteered axle slides outward, rad per m/s² of acceleration across."""
@@ -58,219 +60,353 @@ GYRO_BIAS_SIGMA, GYRO_BIAS_NOISE = np.radians(1.0), np.radians(0.003)
 STANDING_MPS = 0.01
 """How exactly a standing vehicle stands."""
 
+LOST_M = 1e4
+"""No node is less sure of its place, so that also a long way without a fix can be solved."""
 
-def usual_steering(step_s: Float64) -> Float64:
-    """Variance of the curvature's change over steps [n - 1] of a drive not looked at yet."""
-    return np.asarray(CURVATURE_SIGMA**2 * (1.0 - np.exp(-2.0 * step_s / CURVATURE_S)))
+NO_BIAS_M = 1e-4
+"""The least sigma of a slow error, so that a receiver without one can be solved."""
 
 
-def local_steering(
-    curvature: Float64,
-    variance: Float64,
-    onward: Float64,
-    time_s: Float64,
-    restlessness: float,
-) -> Float64:
-    """The same by what the curvatures [n] do around each step, as far as that is known:
-    `variance` [n] is theirs, `onward` [n] their covariance with the next one.
+class System(NamedTuple):
+    """Normal equations: `values` is the matrix of the nodes' states in the shape of an envelope,
+    `border` [states, constants] couples them with the constants, `corner` is that of the constants
+    alone. `total` is the sum of the squared residuals in units of their sigmas, and that of the
+    logarithms of the weights."""
 
-    A vehicle goes straight for long and then turns in. `restlessness`, (1/m)/√s, is how much
-    it steers always; a part of the variance is that, and the rest what was seen nearby. What
-    noise hides counts as steering: it is expected there, not ruled out.
-    """
-    step_s = np.diff(time_s)
-    fading = np.exp(-step_s / CURVATURE_S)
-    change = (curvature[1:] - fading * curvature[:-1]) ** 2
-    change += variance[1:] + fading**2 * variance[:-1] - 2.0 * fading * onward[:-1]
-    middle_s = (time_s[1:] + time_s[:-1]) / 2.0
-    first = np.searchsorted(middle_s, middle_s - STEERING_S / 2.0)
-    last = np.searchsorted(middle_s, middle_s + STEERING_S / 2.0, side="right")
-    changed = np.concatenate([[0.0], np.cumsum(change)])
-    passed_s = np.concatenate([[0.0], np.cumsum(step_s)])
-    near = (changed[last] - changed[first]) / (passed_s[last] - passed_s[first])
-    mixed = ALWAYS_SHARE * restlessness**2 + (1.0 - ALWAYS_SHARE) * near
-    return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
+    shape: Envelope
+    values: Float64
+    right: Float64
+    border: Float64
+    corner: Float64
+    right_constants: Float64
+    total: Float64
+
+
+def empty_system(shape: Envelope) -> System:
+    """Normal equations that nothing has been added to."""
+    n = STATES * shape.nodes
+    return System(
+        shape,
+        np.zeros(int(shape.start[-1])),
+        np.zeros(n),
+        np.zeros((n, CONSTANTS)),
+        np.zeros((CONSTANTS, CONSTANTS)),
+        np.zeros(CONSTANTS),
+        np.zeros(2),
+    )
 
 
 @kernel
-def add(system, index, slope, count, residual, weight):  # type: ignore[no-untyped-def]
-    """One weighted residual with `count` slopes into the normal equations.
-
-    `system` is (band, right side, total), total being the sum of the squared residuals in
-    units of their sigmas, and that of the logarithms of the weights.
-    """
-    band, right, total = system
+def add_residual(system, index, slope, count, residual, weight):  # type: ignore[no-untyped-def]
+    """One weighted residual with `count` slopes into the normal equations. An index beyond the
+    states is a constant's."""
+    shape, values, right, border, corner, right_constants, total = system
+    first, start = shape[0], shape[1]
+    states = len(right)
     total[0] += weight * residual * residual
     total[1] += np.log(weight)
     for a in range(count):
-        right[index[a]] -= weight * slope[a] * residual
+        i, scaled = index[a], weight * slope[a]
+        if i >= states:
+            right_constants[i - states] -= scaled * residual
+            for b in range(count):
+                if index[b] >= states:
+                    corner[i - states, index[b] - states] += scaled * slope[b]
+            continue
+        right[i] -= scaled * residual
+        node, row = i // STATES, i % STATES
+        at = start[node] + row * STATES * (node - first[node] + 1) - STATES * first[node]
         for b in range(count):
-            if index[a] >= index[b]:
-                band[index[a] - index[b], index[b]] += weight * slope[a] * slope[b]
+            j = index[b]
+            if j <= i:
+                values[at + j] += scaled * slope[b]
+            elif j >= states:
+                border[i, j - states] += scaled * slope[b]
 
 
 @kernel
-def add_motion(system, x, step_s, steering, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
+def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
     """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none).
 
-    `steering` [n - 1] is the variance of the curvature's change over each step, `bias_s` [n]
-    for how long the slow part of the receiver's error lasts there. Over a hole
-    (`seen` is False) only the gyro and the drifts go on.
+    `steering` [n - 1] is the variance of the curvature's change over each step. Over a hole
+    (`seen` is False) only the gyro and the drifts go on. Of the weights only that of the steering
+    enters the sum of their logarithms: the others are the same whatever is learnt.
     """
+    # The equations of one node (0 to 7) and the next (8 to 15), lower triangle.
+    pair, side = np.zeros((2 * STATES, 2 * STATES)), np.zeros(2 * STATES)
+    _add_start(pair, side, x, 0, 0)
+    for state in (BIAS_E, BIAS_N):
+        weight = 1.0 / max(bias_m[0], NO_BIAS_M) ** 2
+        pair[state, state] += weight
+        side[state] -= weight * x[0, state]
+    pair[GYRO, GYRO] += 1.0 / GYRO_BIAS_SIGMA**2
+    side[GYRO] -= x[0, GYRO] / GYRO_BIAS_SIGMA**2
     index, slope = np.empty(8, np.int64), np.empty(8)
+    total = system[6]
     for k in range(len(step_s)):
-        a, b, h = STATES * k, STATES * (k + 1), step_s[k]
-        fading = np.exp(-h / bias_s[k])
-        _add_drift(system, x, k, BIAS_E, fading, 1.0 - fading**2)
-        _add_drift(system, x, k, BIAS_N, fading, 1.0 - fading**2)
-        _add_drift(system, x, k, GYRO, 1.0, GYRO_BIAS_NOISE**2 * h)
+        h = step_s[k]
+        one, two = max(bias_m[k], NO_BIAS_M), max(bias_m[k + 1], NO_BIAS_M)
+        # Of a growing slow error a new part joins, of a shrinking one a part leaves: the same is
+        # said forward and backward in time, and at each node it has the sigma that is stated there.
+        correlation = np.exp(-h / bias_s[k]) * min(one, two) / max(one, two)
+        fading, variance = correlation * two / one, two**2 * (1.0 - correlation**2)
+        total[0] += _add_drift(pair, side, x, k, BIAS_E, fading, variance)
+        total[0] += _add_drift(pair, side, x, k, BIAS_N, fading, variance)
+        total[0] += _add_drift(pair, side, x, k, GYRO, 1.0, GYRO_BIAS_NOISE**2 * h)
         gyro = not np.isnan(turned[k])
         if gyro:
-            index[0], index[1], index[2] = a + PHI, b + PHI, a + GYRO
+            index[0], index[1], index[2] = PHI, STATES + PHI, GYRO
             slope[0], slope[1], slope[2] = -1.0, 1.0, h
             off = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * h)
-            add(system, index, slope, 3, off, 1.0 / (GYRO_NOISE**2 * h))
-        if not seen[k]:
-            add_start(system, x, k + 1)
-            continue
-        east, north = x[k + 1, E] - x[k, E], x[k + 1, N] - x[k, N]
-        middle, speed = (x[k, PHI] + x[k + 1, PHI]) / 2.0, (x[k, V] + x[k + 1, V]) / 2.0
-        curvature = (x[k, KAPPA] + x[k + 1, KAPPA]) / 2.0
-        sin, cos, way = np.sin(middle), np.cos(middle), h * speed
-        along, across = east * sin + north * cos, east * cos - north * sin
-        index[:4] = a + E, a + N, b + E, b + N
-        index[4], index[5], index[6], index[7] = a + PHI, b + PHI, a + V, b + V
-        slope[:4] = -sin, -cos, sin, cos
-        slope[4] = slope[5] = across / 2.0
-        slope[6] = slope[7] = -h / 2.0
-        add(system, index, slope, 8, along - way, 1.0 / (ALONG_NOISE**2 * h))
-        # In a turn the tail slides outward: the way points outside of the nose.
-        slide = -SLIP_ANGLE * curvature * speed * abs(speed)
-        slope[:4] = -cos, sin, cos, -sin
-        slope[4] = slope[5] = -along / 2.0
-        slope[6] = slope[7] = -h / 2.0 * slide
-        add(system, index, slope, 8, across - way * slide, 1.0 / (ACROSS_NOISE**2 * h))
-        turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
-        if standing[k] and standing[k + 1]:
-            turn_noise = STANDING_TURN_NOISE
-        index[0], index[1], index[2], index[3] = a + PHI, b + PHI, a + V, b + V
-        index[4], index[5] = a + KAPPA, b + KAPPA
-        slope[0], slope[1] = -1.0, 1.0
-        slope[2] = slope[3] = -h / 2.0 * curvature
-        slope[4] = slope[5] = -way / 2.0
-        turn = x[k + 1, PHI] - x[k, PHI]
-        add(system, index, slope, 6, turn - way * curvature, 1.0 / (turn_noise**2 * h))
-        _add_drift(system, x, k, V, 1.0, ACCELERATION_NOISE**2 * h)
-        fading = np.exp(-h / CURVATURE_S)
-        _add_drift(system, x, k, KAPPA, fading, steering[k])
+            total[0] += _add_to_pair(pair, side, index, slope, 3, off, 1.0 / (GYRO_NOISE**2 * h))
+        if seen[k]:
+            turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
+            if standing[k] and standing[k + 1]:
+                turn_noise = STANDING_TURN_NOISE
+            total[0] += _add_kinematics(pair, side, x, k, h, turn_noise)
+            total[0] += _add_drift(pair, side, x, k, V, 1.0, ACCELERATION_NOISE**2 * h)
+            fading = np.exp(-h / CURVATURE_S)
+            total[0] += _add_drift(pair, side, x, k, KAPPA, fading, steering[k])
+            total[1] -= np.log(steering[k])
+        else:
+            _add_start(pair, side, x, k + 1, STATES)
+        _put_node(system, pair, side, k)
+    _put_node(system, pair, side, len(step_s))
 
 
 @kernel
-def _add_drift(system, x, k, state, fading, variance):  # type: ignore[no-untyped-def]
-    index, slope = np.empty(2, np.int64), np.empty(2)
-    index[0], index[1] = STATES * k + state, STATES * (k + 1) + state
-    slope[0], slope[1] = -fading, 1.0
+def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
+    """Add the equations of node k, which are complete, and make the next node the first of the
+    pair; what couples the two waits in the next node's rows."""
+    shape, values, right = system[0], system[1], system[2]
+    width = STATES * (k - shape[0][k] + 1)
+    at = shape[1][k] + width - STATES
+    for a in range(STATES):
+        right[STATES * k + a] += side[a]
+        side[a] = side[STATES + a]
+        side[STATES + a] = 0.0
+        for b in range(a + 1):
+            values[at + a * width + b] += pair[a, b]
+            pair[a, b] = pair[STATES + a, STATES + b]
+            pair[STATES + a, STATES + b] = 0.0
+    if k + 1 < len(shape[0]):
+        width = STATES * (k + 1 - shape[0][k + 1] + 1)
+        at = shape[1][k + 1] + width - 2 * STATES
+        for a in range(STATES):
+            for b in range(STATES):
+                values[at + a * width + b] += pair[STATES + a, b]
+                pair[STATES + a, b] = 0.0
+
+
+@kernel
+def _add_to_pair(pair, side, index, slope, count, residual, weight):  # type: ignore[no-untyped-def]
+    for a in range(count):
+        scaled = weight * slope[a]
+        side[index[a]] -= scaled * residual
+        for b in range(count):
+            if index[b] <= index[a]:
+                pair[index[a], index[b]] += scaled * slope[b]
+    return weight * residual * residual
+
+
+@kernel
+def _add_drift(pair, side, x, k, state, fading, variance):  # type: ignore[no-untyped-def]
     residual = x[k + 1, state] - fading * x[k, state]
-    add(system, index, slope, 2, residual, 1.0 / variance)
+    weight = 1.0 / variance
+    pair[state, state] += weight * fading * fading
+    pair[STATES + state, state] -= weight * fading
+    pair[STATES + state, STATES + state] += weight
+    side[state] += weight * fading * residual
+    side[STATES + state] -= weight * residual
+    return weight * residual * residual
 
 
 @kernel
-def add_start(system, x, k):  # type: ignore[no-untyped-def]
+def _add_kinematics(pair, side, x, k, h, turn_noise):  # type: ignore[no-untyped-def]
+    """A vehicle moves along its heading, and turns by its curvature."""
+    index, slope = np.empty(8, np.int64), np.empty(8)
+    east, north = x[k + 1, E] - x[k, E], x[k + 1, N] - x[k, N]
+    middle, speed = (x[k, PHI] + x[k + 1, PHI]) / 2.0, (x[k, V] + x[k + 1, V]) / 2.0
+    curvature = (x[k, KAPPA] + x[k + 1, KAPPA]) / 2.0
+    sin, cos, distance = np.sin(middle), np.cos(middle), h * speed
+    along, across = east * sin + north * cos, east * cos - north * sin
+    index[0], index[1], index[2], index[3] = E, N, STATES + E, STATES + N
+    index[4], index[5], index[6], index[7] = PHI, STATES + PHI, V, STATES + V
+    slope[0], slope[1], slope[2], slope[3] = -sin, -cos, sin, cos
+    slope[4] = slope[5] = across / 2.0
+    slope[6] = slope[7] = -h / 2.0
+    squared = _add_to_pair(
+        pair, side, index, slope, 8, along - distance, 1.0 / (ALONG_NOISE**2 * h)
+    )
+    # In a turn the tail slides outward: the path points outside of the heading.
+    slide = -SLIP_ANGLE * curvature * speed * abs(speed)
+    slope[0], slope[1], slope[2], slope[3] = -cos, sin, cos, -sin
+    slope[4] = slope[5] = -along / 2.0
+    slope[6] = slope[7] = -h / 2.0 * slide
+    squared += _add_to_pair(
+        pair, side, index, slope, 8, across - distance * slide, 1.0 / (ACROSS_NOISE**2 * h)
+    )
+    index[0], index[1], index[2], index[3] = PHI, STATES + PHI, V, STATES + V
+    index[4], index[5] = KAPPA, STATES + KAPPA
+    slope[0], slope[1] = -1.0, 1.0
+    slope[2] = slope[3] = -h / 2.0 * curvature
+    slope[4] = slope[5] = -distance / 2.0
+    turn = x[k + 1, PHI] - x[k, PHI] - distance * curvature
+    return squared + _add_to_pair(pair, side, index, slope, 6, turn, 1.0 / (turn_noise**2 * h))
+
+
+@kernel
+def _add_start(pair, side, x, k, at):  # type: ignore[no-untyped-def]
     """What is known of a node with nothing before it: little."""
-    index, slope = np.zeros(1, np.int64), np.ones(1)
-    for state, sigma in (
-        (E, 1e5),
-        (N, 1e5),
-        (PHI, 10.0),
-        (V, 10.0),
-        (KAPPA, CURVATURE_SIGMA),
-    ):
-        index[0] = STATES * k + state
-        off = x[k, state] if state in (V, KAPPA) else 0.0
-        add(system, index, slope, 1, off, 1.0 / sigma**2)
-    if k == 0:
-        for state, sigma in ((GYRO, GYRO_BIAS_SIGMA), (BIAS_E, 1.0), (BIAS_N, 1.0)):
-            index[0] = state
-            add(system, index, slope, 1, x[0, state], 1.0 / sigma**2)
+    for state, sigma in ((E, 1e5), (N, 1e5), (PHI, 10.0), (V, 10.0), (KAPPA, CURVATURE_SIGMA)):
+        weight = 1.0 / sigma**2
+        pair[at + state, at + state] += weight
+        if state in (V, KAPPA):
+            side[at + state] -= weight * x[k, state]
 
 
 @kernel
-def add_fixes(system, x, fix_en, bias_m, weight, lever):  # type: ignore[no-untyped-def]
-    """Positions of the antenna, `lever` = (right, ahead) of the axle: fix = point + bias.
+def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
+    """Positions of the antenna, `lever` = (right, ahead) of the axle: fix = point + slow error.
 
-    Rows without a fix have weight 0. Returns the distance of each fix from where it should be.
+    `weight` [n, 2] is that along the heading and across it; rows without a fix have weight 0.
+    Returns how far each fix lies ahead and to the right of where it should be [n, 2].
     """
-    n = len(weight)
-    off_m = np.zeros(n)
-    index, slope = np.empty(3, np.int64), np.empty(3)
-    for k in range(n):
-        if not weight[k] > 0.0:
+    off = np.zeros((len(weight), 2))
+    index, slope = np.empty(5, np.int64), np.empty(5)
+    for k in range(len(weight)):
+        if not weight[k, 0] > 0.0:
             continue
         sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
-        aside_e, aside_n = (
-            lever[0] * cos + lever[1] * sin,
-            -lever[0] * sin + lever[1] * cos,
-        )
-        off_e = x[k, E] + aside_e + bias_m[k] * x[k, BIAS_E] - fix_en[k, 0]
-        off_n = x[k, N] + aside_n + bias_m[k] * x[k, BIAS_N] - fix_en[k, 1]
-        index[0], index[1], index[2] = (
-            STATES * k + E,
-            STATES * k + PHI,
-            STATES * k + BIAS_E,
-        )
-        slope[0], slope[1], slope[2] = 1.0, aside_n, bias_m[k]
-        add(system, index, slope, 3, off_e, weight[k])
-        index[0], index[2] = STATES * k + N, STATES * k + BIAS_N
-        slope[1] = -aside_e
-        add(system, index, slope, 3, off_n, weight[k])
-        off_m[k] = np.hypot(off_e, off_n)
-    return off_m
-
-
-@kernel
-def add_values(system, x, state, value, weight):  # type: ignore[no-untyped-def]
-    """Direct sightings of one state [n]; weight 0 where there is none. Returns the residuals."""
-    off = np.zeros(len(weight))
-    index, slope = np.zeros(1, np.int64), np.ones(1)
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            off[k] = x[k, state] - value[k]
-            if state == PHI:
-                off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
-            index[0] = STATES * k + state
-            add(system, index, slope, 1, off[k], weight[k])
+        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
+        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
+        ahead, right = east * sin + north * cos, east * cos - north * sin
+        index[0], index[1], index[2] = STATES * k + E, STATES * k + N, STATES * k + PHI
+        index[3], index[4] = STATES * k + BIAS_E, STATES * k + BIAS_N
+        # The axes are held while the antenna turns about the axle.
+        slope[0], slope[1], slope[2], slope[3], slope[4] = sin, cos, -lever[0], sin, cos
+        add_residual(system, index, slope, 5, ahead, weight[k, 0])
+        slope[0], slope[1], slope[2], slope[3], slope[4] = cos, -sin, lever[1], cos, -sin
+        add_residual(system, index, slope, 5, right, weight[k, 1])
+        off[k, 0], off[k, 1] = -ahead, -right
     return off
 
 
 @kernel
-def add_steps(system, x, ends, moved, weight, ahead_m):  # type: ignore[no-untyped-def]
+def add_still(system, x, standing, held_place, held_heading):  # type: ignore[no-untyped-def]
+    """Nodes at rest, the bound on how lost a node can be, and the weights by which it keeps to
+    where it was in the last round."""
+    shape, values, right, total = system[0], system[1], system[2], system[6]
+    for k in range(len(x)):
+        width = STATES * (k - shape[0][k] + 1)
+        at = shape[1][k] + width - STATES
+        for state in (E, N):
+            values[at + state * width + state] += 1.0 / LOST_M**2 + held_place
+        values[at + PHI * width + PHI] += held_heading
+        if standing[k]:
+            values[at + V * width + V] += 1.0 / STANDING_MPS**2
+            right[STATES * k + V] -= x[k, V] / STANDING_MPS**2
+            total[0] += (x[k, V] / STANDING_MPS) ** 2
+
+
+@kernel
+def add_headings(system, x, offset, heading, weight):  # type: ignore[no-untyped-def]
+    """Recorded headings [n], which are off by one constant. Returns the residuals."""
+    off = np.zeros(len(weight))
+    index, slope = np.zeros(2, np.int64), np.ones(2)
+    index[1] = STATES * len(x) + HEADING_OFFSET
+    for k in range(len(weight)):
+        if weight[k] > 0.0:
+            off[k] = x[k, PHI] + offset - heading[k]
+            off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
+            index[0] = STATES * k + PHI
+            add_residual(system, index, slope, 2, off[k], weight[k])
+    return off
+
+
+@kernel
+def add_speeds(system, x, scale, speed, weight):  # type: ignore[no-untyped-def]
+    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
+    off = np.zeros(len(weight))
+    index, slope = np.zeros(2, np.int64), np.ones(2)
+    index[1] = STATES * len(x) + WHEEL_SCALE
+    for k in range(len(weight)):
+        if weight[k] > 0.0:
+            off[k] = (1.0 + scale) * x[k, V] - speed[k]
+            index[0] = STATES * k + V
+            slope[0], slope[1] = 1.0 + scale, x[k, V]
+            add_residual(system, index, slope, 2, off[k], weight[k])
+    return off
+
+
+@kernel
+def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[no-untyped-def]
     """Relative motions `moved` [s, 3] = (forward, right, turn) of a point `ahead_m` of the axle
-    between the nodes `ends` [s, 2], `weight` [s, 2] of way and turn. Returns residuals [s, 3].
+    between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; all distances are too
+    long by one share. Returns residuals [s, 3].
     """
     off = np.zeros((len(ends), 3))
-    index, slope = np.empty(6, np.int64), np.empty(6)
+    index, slope = np.empty(7, np.int64), np.empty(7)
+    index[6] = STATES * len(x) + CAMERA_SCALE
+    size = 1.0 + scale
     for s in range(len(ends)):
         a, b = ends[s]
         sin, cos = np.sin(x[a, PHI]), np.cos(x[a, PHI])
         sin_b, cos_b = np.sin(x[b, PHI]), np.cos(x[b, PHI])
         east = x[b, E] - x[a, E] + ahead_m * (sin_b - sin)
         north = x[b, N] - x[a, N] + ahead_m * (cos_b - cos)
-        forward, aside = east * sin + north * cos, east * cos - north * sin
-        off[s, 0], off[s, 1] = forward - moved[s, 0], aside - moved[s, 1]
+        forward, right = east * sin + north * cos, east * cos - north * sin
+        off[s, 0], off[s, 1] = size * forward - moved[s, 0], size * right - moved[s, 1]
         off[s, 2] = x[b, PHI] - x[a, PHI] - moved[s, 2]
         off[s, 2] -= 2.0 * np.pi * np.round(off[s, 2] / (2.0 * np.pi))
         index[0], index[1], index[2] = STATES * a + E, STATES * a + N, STATES * a + PHI
         index[3], index[4], index[5] = STATES * b + E, STATES * b + N, STATES * b + PHI
         # The start's own lever turns with it and cancels, but for its place in the frame.
-        slope[0], slope[1], slope[3], slope[4] = -sin, -cos, sin, cos
-        slope[2] = aside
-        slope[5] = ahead_m * (cos_b * sin - sin_b * cos)
-        add(system, index, slope, 6, off[s, 0], weight[s, 0])
-        slope[0], slope[1], slope[3], slope[4] = -cos, sin, cos, -sin
-        slope[2] = -forward - ahead_m
-        slope[5] = ahead_m * (cos_b * cos + sin_b * sin)
-        add(system, index, slope, 6, off[s, 1], weight[s, 0])
+        slope[0], slope[1], slope[3], slope[4] = -size * sin, -size * cos, size * sin, size * cos
+        slope[2] = size * right
+        slope[5] = size * ahead_m * (cos_b * sin - sin_b * cos)
+        slope[6] = forward
+        add_residual(system, index, slope, 7, off[s, 0], weight[s, 0])
+        slope[0], slope[1], slope[3], slope[4] = -size * cos, size * sin, size * cos, -size * sin
+        slope[2] = -size * (forward + ahead_m)
+        slope[5] = size * ahead_m * (cos_b * cos + sin_b * sin)
+        slope[6] = right
+        add_residual(system, index, slope, 7, off[s, 1], weight[s, 0])
         index[0], index[1] = STATES * a + PHI, STATES * b + PHI
         slope[0], slope[1] = -1.0, 1.0
-        add(system, index, slope, 2, off[s, 2], weight[s, 1])
+        add_residual(system, index, slope, 2, off[s, 2], weight[s, 1])
     return off
+
+
+@kernel
+def lever_and_clock(x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
+    """How the fixes' residuals depend on what was declared of them: the antenna's place to the
+    right and ahead (metres) and how late fixes are stamped (seconds).
+
+    Returns the coupling with the states [states, 3], the corner [3, 3], the right side [3].
+    """
+    border, corner, right_side = np.zeros((x.size, 3)), np.zeros((3, 3)), np.zeros(3)
+    state, constant = np.empty((2, 5)), np.empty((2, 3))
+    columns = np.array([E, N, PHI, BIAS_E, BIAS_N])
+    for k in range(len(weight)):
+        if not weight[k, 0] > 0.0:
+            continue
+        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
+        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
+        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
+        turn = x[k, V] * x[k, KAPPA]
+        state[0] = sin, cos, -lever[0], sin, cos
+        state[1] = cos, -sin, lever[1], cos, -sin
+        # A fix that is stamped late is of an earlier place.
+        constant[0] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
+        constant[1] = 1.0, 0.0, -lever[1] * turn
+        for axis in range(2):
+            off = east * sin + north * cos if axis == 0 else east * cos - north * sin
+            for a in range(3):
+                scaled = weight[k, axis] * constant[axis, a]
+                right_side[a] -= scaled * off
+                for b in range(3):
+                    corner[a, b] += scaled * constant[axis, b]
+                for b in range(5):
+                    border[STATES * k + columns[b], a] += scaled * state[axis, b]
+    return border, corner, right_side

@@ -1,0 +1,64 @@
+"""`fieldgrid view`: maps in the browser."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fieldgrid.cli import options, output
+
+
+def command(
+    maps: Annotated[list[Path], typer.Argument(metavar="MAP.gpkg...")],
+    recording: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="Where images of frames are; may be given again."),
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(metavar="N", min=1, max=65535, help="Any free one if not given.")
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Also for the local network; read-only by default."),
+    ] = None,
+    read_only: Annotated[
+        bool | None,
+        typer.Option("--read-only/--writable", help="Whether the page may change the map."),
+    ] = None,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+    as_json: options.AsJson = False,
+) -> None:
+    """Show maps in the browser: layers, sessions, why a cell is an obstacle, what changed.
+
+    The page needs no network. It stays until Ctrl+C.
+
+    Examples:
+
+        fieldgrid view vineyard.gpkg
+
+        fieldgrid view vineyard.gpkg --recording june-03 --port 8765 --no-browser
+    """
+    from fieldgrid.view import view_maps
+
+    def ready(link: str) -> None:
+        # At once: a program that starts the viewer reads the link from a pipe.
+        if as_json:
+            output.print_json({"view": link})
+        else:
+            output.report_line(f"view {link}")
+        sys.stdout.flush()
+
+    view_maps(
+        maps,
+        recordings=recording or (),
+        host=host,
+        port=port,
+        writable=not read_only if read_only is not None else host is None,
+        open_browser=browser,
+        ready=ready,
+    )

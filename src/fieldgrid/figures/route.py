@@ -1,0 +1,61 @@
+"""A route from a file, to be drawn over a map."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import ConfigError
+from fieldgrid.geodesy import Datum
+
+_MAX_BYTES = 64 << 20
+
+
+def read_route(path: str | Path, datum: Datum) -> Float64:
+    """The lines of a GeoJSON file (RFC 7946: longitude, latitude), [n, 2] metres east and north.
+
+    Several lines follow each other, apart by a row of NaN. Raises ConfigError for a file that
+    cannot be read, and one that has no line.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ConfigError(f"{path} has over {_MAX_BYTES >> 20} MB; give a route alone.")
+        lines = list(_lines(json.loads(path.read_text(encoding="utf-8"))))
+        places = [np.array([point[:2] for point in line], dtype=np.float64) for line in lines]
+        if any(place.ndim != 2 or place.shape[1] != 2 for place in places):
+            raise ValueError("a position has no two numbers")
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+        raise ConfigError(f"{path} is no GeoJSON with lines in it ({error}).") from error
+    if not places:
+        raise ConfigError(f"{path} has no line; give GeoJSON with a LineString.")
+    parts = []
+    for lon_lat in places:
+        east, north, _ = datum.to_enu(lon_lat[:, 1], lon_lat[:, 0], datum.height_m)
+        parts += [np.stack([east, north], axis=1), np.full((1, 2), np.nan)]
+    return np.concatenate(parts[:-1])
+
+
+def _lines(thing: Any) -> Iterator[Any]:
+    """The coordinates of every LineString in a GeoJSON object."""
+    kind = thing["type"]
+    if kind == "FeatureCollection":
+        for feature in thing["features"]:
+            yield from _lines(feature)
+    elif kind == "Feature":
+        if thing["geometry"] is not None:
+            yield from _lines(thing["geometry"])
+    elif kind == "GeometryCollection":
+        for geometry in thing["geometries"]:
+            yield from _lines(geometry)
+    elif kind == "LineString":
+        yield thing["coordinates"]
+    elif kind == "MultiLineString":
+        yield from thing["coordinates"]

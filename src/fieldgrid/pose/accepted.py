@@ -1,0 +1,81 @@
+"""The accepted fixes of a drive in the plane of its datum."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.errors import GnssError
+from fieldgrid.fixes import FixColumns
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import FixNoise, Verdicts, fix_noise, quantum_m
+
+UNSTATED_HEADING_SIGMA_DEG = 1.0
+"""The error of a recorded heading whose source does not state one."""
+
+
+class AcceptedFixes(NamedTuple):
+    """Accepted fixes in order of time, length n. Positions are the antenna's, LTP metres.
+
+    `sigma_m` is the stated error of one axis, mostly slow, and `noise` what changes from fix to
+    fix. NaN stands for what a fix does not say; a recorded heading is as the source means it.
+    """
+
+    time_ns: Int64
+    east_m: Float64
+    north_m: Float64
+    up_m: Float64
+    sigma_m: Float64
+    noise: FixNoise
+    quality: Int64
+    speed_mps: Float64
+    recorded_deg: Float64
+    recorded_sigma_deg: Float64
+
+    def points_m(self) -> Float64:
+        """East and north [n, 2]."""
+        return np.stack([self.east_m, self.north_m], axis=1)
+
+
+def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> AcceptedFixes:
+    """The accepted ones of fixes in order of time."""
+    used = fixes[verdicts.ok]
+    east, north, up = datum.to_enu(used.lat_deg, used.lon_deg, used.height_m)
+    sigma_m = used.position_sigma_m()
+    quantum = quantum_m(used.lat_deg, used.lon_deg)
+    heading_sigma = used.heading_sigma_deg
+    return AcceptedFixes(
+        used.time_ns,
+        east,
+        north,
+        up,
+        sigma_m,
+        fix_noise(east, north, used.time_ns, sigma_m, used.quality, quantum),
+        used.quality,
+        used.speed_mps,
+        np.asarray(wrap_deg(used.heading_deg)),
+        np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
+    )
+
+
+def datum_of(fixes: FixColumns, verdicts: Verdicts) -> Datum:
+    """The datum of a first map: the first accepted fix, rounded to 1e-7 degrees and 1 mm."""
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(fixes, verdicts))
+    first = fixes[int(np.argmax(verdicts.ok))]
+    return Datum(round(first.lat_deg, 7), round(first.lon_deg, 7), round(first.height_m, 3))
+
+
+def no_fix_sentence(fixes: FixColumns, verdicts: Verdicts) -> str:
+    """Why there is nothing to place images with: how many fixes, and the commonest reason."""
+    if not len(fixes):
+        return "The GNSS log holds no position at all; record one, or choose another with --gnss."
+    commonest = Counter(verdicts.reason).most_common(1)[0][0]
+    return (
+        f"None of the {len(fixes)} fixes can be used, mostly because: {commonest}; "
+        "choose another log with --gnss, or declare its quality with --quality."
+    )

@@ -1,0 +1,234 @@
+"""The default way to poses: everything that the drive carries, in one batch estimate."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.motion import Motion, Steps
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.gears import NO_HINTS, GearHints, StationGears, first_guess, station_gears
+from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
+from fieldgrid.pose.nodes import Nodes, nodes, seconds
+from fieldgrid.pose.rest import at_rest
+from fieldgrid.rig import Vehicle
+from fieldgrid.smoother import Measurements, Smoothed, refine, smooth
+
+LEAST_HEADING_SIGMA_DEG = 0.3
+"""What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
+
+TURNING_RAD_S = np.radians(4.0)
+"""A faster turn than a gyro's bias and a shaking engine make is one."""
+
+MISPLACED_S = 1.0
+"""A cusp lies between two fixes of a receiver of 1 Hz."""
+
+DRIVING_MPS = 0.2
+"""Faster, a vehicle drives for certain, and its speed has a sign."""
+
+RECORDED_NEAR_S = 2.0
+"""For so long a recorded heading vouches for those around it."""
+
+DRIVEN_M = 0.1
+"""A camera that has moved by more was driven."""
+
+
+class Drive(NamedTuple):
+    """The estimate at n nodes: the middle of the unsteered axle, and what is sure of it.
+
+    `fix` [n] is the accepted fix at a node or -1; `gear` +1, -1, 0 at rest; `doubt` the
+    probability that it is the other one. `offset_m` [accepted fixes, 2] is how far east and north
+    of each fix the antenna is estimated. `smoothed` are the states and constants behind it.
+    """
+
+    at: Nodes
+    measured: Measurements
+    stations: StationGears
+    smoothed: Smoothed
+    east_m: Float64
+    north_m: Float64
+    heading_deg: Float64
+    heading_sigma_deg: Float64
+    position_sigma_m: Float64
+    relative_sigma_m: Float64
+    speed_mps: Float64
+    gear: Int64
+    doubt: Float64
+    resting: Bool
+    offset_m: Float64
+
+    @property
+    def time_ns(self) -> Int64:
+        """The instants of the nodes."""
+        return self.at.time_ns
+
+    @property
+    def fix(self) -> Int64:
+        """The accepted fix at each node, or -1."""
+        return self.at.fix
+
+    @property
+    def gyro_bias_dps(self) -> float:
+        """The median bias of the gyro, degrees a second; NaN without one."""
+        if not self.at.has_gyro():
+            return float("nan")
+        return float(np.degrees(np.median(self.smoothed.state[:, 5])))
+
+
+def smooth_drive(
+    fixes: AcceptedFixes,
+    all_ns: Int64,
+    motion: Motion,
+    rig: Vehicle | None,
+    recorded: RecordedHeadings | None = None,
+    hints: GearHints = NO_HINTS,
+) -> Drive:
+    """The batch estimate from accepted fixes and the vehicle's own motion.
+
+    `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
+    comparison with the course.
+    """
+    at = nodes(fixes.time_ns, all_ns, motion)
+    resting = at_rest(
+        seconds(fixes.time_ns), fixes.east_m, fixes.north_m, fixes.noise.across_m, fixes.speed_mps
+    ) & ~_turning(at, fixes.time_ns)
+    recorded = recorded or RecordedHeadings(np.full(len(fixes.time_ns), np.nan))
+    found = station_gears(fixes, at, resting, motion, recorded.heading_deg, hints)
+    # Between two fixes it rests only where it does at both; beyond them nobody knows.
+    rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
+    node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
+    measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], rig)
+    measured = with_headings(measured, fixes, at, recorded)
+    smoothed = smooth(measured, first_guess(fixes, at, found), *axle_frame(rig))
+    return _drive(fixes, at, measured, found, smoothed, rig)
+
+
+def with_recorded(
+    drive: Drive,
+    fixes: AcceptedFixes,
+    motion: Motion,
+    rig: Vehicle | None,
+    recorded: RecordedHeadings,
+    hints: GearHints,
+) -> Drive:
+    """The same drive by its recorded headings, too: only what they change is estimated again,
+    unless they turn a gear around."""
+    resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
+    found = station_gears(fixes, drive.at, resting, motion, recorded.heading_deg, hints)
+    if not np.array_equal(found.gears.gear, drive.stations.gears.gear):
+        return smooth_drive(fixes, drive.time_ns, motion, rig, recorded, hints)
+    measured = with_headings(drive.measured, fixes, drive.at, recorded)
+    smoothed = refine(drive.smoothed, measured, *axle_frame(rig))
+    return _drive(fixes, drive.at, measured, found, smoothed, rig)
+
+
+def _turning(at: Nodes, time_ns: Int64) -> Bool:
+    """Where the gyro sees a vehicle turn on the spot, which its position does not show."""
+    rate = np.nan_to_num(at.turned_rad) / np.maximum(np.diff(at.time_ns) / 1e9, 1e-3)
+    node = np.clip(np.searchsorted(at.time_ns, time_ns), 0, max(len(rate) - 1, 0))
+    return np.abs(rate[node]) > TURNING_RAD_S if len(rate) else np.zeros(len(time_ns), np.bool_)
+
+
+def _driven(time_ns: Int64, steps: Steps | None) -> Bool:
+    """Nodes during a step of the camera that is one."""
+    change = np.zeros(len(time_ns) + 1, dtype=np.int64)
+    if steps is not None:
+        distance_m = np.hypot(steps.forward_m, steps.right_m)
+        real = distance_m > np.maximum(DRIVEN_M, 4.0 * steps.sigma_m)
+        np.add.at(change, np.searchsorted(time_ns, steps.start_ns[real]), 1)
+        np.add.at(change, np.searchsorted(time_ns, steps.stop_ns[real], side="right"), -1)
+    return np.asarray(np.cumsum(change[:-1]) > 0)
+
+
+def axle_frame(rig: Vehicle | None) -> tuple[tuple[float, float], float]:
+    """The antenna (right, ahead) and the grid origin (ahead) as seen from the axle, metres.
+
+    An axle that nobody names is taken to lie below the antenna.
+    """
+    if rig is None:
+        return (0.0, 0.0), 0.0
+    axle_m = axle_forward_m(rig)
+    return (rig.antenna.right_m, rig.antenna.forward_m - axle_m), -axle_m
+
+
+def axle_forward_m(rig: Vehicle) -> float:
+    """Forward coordinate of the unsteered axle: the antenna's when the rig does not name it."""
+    axle_m = rig.rear_axle_forward_m
+    return rig.antenna.forward_m if axle_m is None else axle_m
+
+
+def _assigned(at: Nodes, found: StationGears) -> tuple[Int64, Float64]:
+    """Gear and doubt of the station at or before each node."""
+    fix = np.maximum.accumulate(at.fix)
+    station = np.maximum(np.searchsorted(found.station, fix, side="right") - 1, 0)
+    return found.gears.gear[station], found.gears.doubt[station]
+
+
+def _drive(
+    fixes: AcceptedFixes,
+    at: Nodes,
+    measured: Measurements,
+    found: StationGears,
+    smoothed: Smoothed,
+    rig: Vehicle | None,
+) -> Drive:
+    assigned, doubt = _assigned(at, found)
+    resting = measured.standing
+    doubt = np.where(_near_recorded(measured), 0.0, doubt)
+    east, north, heading, speed = smoothed.state[:, :4].T
+    against = (speed * assigned < -DRIVING_MPS) & ~resting
+    doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
+    (right_m, ahead_m), _ = axle_frame(rig)
+    has = at.fix >= 0
+    sin, cos = np.sin(heading[has]), np.cos(heading[has])
+    offset_m = np.stack(
+        [
+            east[has] + right_m * cos + ahead_m * sin - fixes.east_m[at.fix[has]],
+            north[has] - right_m * sin + ahead_m * cos - fixes.north_m[at.fix[has]],
+        ],
+        axis=1,
+    )
+    return Drive(
+        at,
+        measured,
+        found,
+        smoothed,
+        east,
+        north,
+        np.asarray(wrap_deg(np.degrees(heading))),
+        np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG),
+        smoothed.position_sigma_m,
+        smoothed.relative_sigma_m,
+        np.where(resting, 0.0, speed),
+        np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),
+        doubt,
+        resting,
+        offset_m,
+    )
+
+
+def lasting(against: Bool, time_s: Float64) -> Bool:
+    """Where the estimate goes against its gears for longer than a cusp may be misplaced: then
+    nobody knows which way the vehicle went."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], against, [False]]).astype(np.int8)))
+    found = np.zeros(len(against), dtype=np.bool_)
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        found[first:stop] = time_s[stop - 1] - time_s[first] > MISPLACED_S
+    return found
+
+
+def _near_recorded(measured: Measurements) -> Bool:
+    """Nodes whose heading is as good as recorded, so that it does not hang on the gear."""
+    recorded = np.flatnonzero(np.isfinite(measured.heading_rad))
+    if recorded.size == 0:
+        return np.zeros(len(measured.time_s), dtype=np.bool_)
+    before = np.searchsorted(recorded, np.arange(len(measured.time_s)), side="right") - 1
+    after = np.minimum(before + 1, recorded.size - 1)
+    nearest_s = np.minimum(
+        np.abs(measured.time_s - measured.time_s[recorded[np.maximum(before, 0)]]),
+        np.abs(measured.time_s - measured.time_s[recorded[after]]),
+    )
+    return np.asarray(nearest_s < RECORDED_NEAR_S)

@@ -1,0 +1,176 @@
+"""Where a drive went and in which gears: its stations, and the first guess of its poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.angles import heading_deg, wrap_deg
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.course import first_beyond, stations
+from fieldgrid.gear import Gears, Track, gears
+from fieldgrid.motion import Motion
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back
+from fieldgrid.pose.nodes import Nodes, seconds
+from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import STATES
+
+STATION_M, STATION_SIGMAS = 0.05, 2.0
+"""A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
+
+HOLE_S, HOLE_PERIODS = 2.0, 2.5
+"""Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
+turned back unseen."""
+
+GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
+"""The first guess of the heading is the course over at least this."""
+
+STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
+"""How strongly a camera's step, a wheel's and a compass's sign speak of the gear."""
+
+UNSIGNED_NATS = 0.3
+"""The same of wheels that never turn back: they may not know how."""
+
+HINT_NATS = 200.0
+"""A hint of the user outweighs everything."""
+
+
+class StationGears(NamedTuple):
+    """The stations of a drive and their gears: `station` are fixes, the rest is at them."""
+
+    station: Int64
+    gears: Gears
+
+
+class GearHints(NamedTuple):
+    """What the user knows: the gear (+1, -1; 0: nothing) that the drive starts in, and that of
+    some spans, (from, to, gear) with UTC nanoseconds."""
+
+    starts: int = 0
+    spans: tuple[tuple[int, int, int], ...] = ()
+
+
+NO_HINTS = GearHints()
+
+
+def gear_hints(settings: PoseSettings) -> GearHints:
+    """The hints that the settings hold."""
+    starts = 0 if settings.starts is None else settings.starts.sign
+    spans = tuple((one.start_ns, one.stop_ns, one.gear.sign) for one in settings.gear_spans)
+    return GearHints(starts, spans)
+
+
+def station_gears(
+    fixes: AcceptedFixes,
+    at: Nodes,
+    resting: Bool,
+    motion: Motion,
+    recorded_deg: Float64,
+    hints: GearHints,
+) -> StationGears:
+    """Stations and gears of accepted fixes; `resting` marks those at rest, `recorded_deg` are
+    headings that were recorded, NaN where there is none."""
+    points, time_ns = fixes.points_m(), fixes.time_ns
+    steps_s = np.diff(time_ns) / 1e9
+    period_s = float(np.median(steps_s)) if len(steps_s) else 1.0
+    part = np.concatenate([[0], np.cumsum(steps_s > max(HOLE_S, HOLE_PERIODS * period_s))])
+    noise_m = fixes.noise.across_m
+    station = stations(
+        points, part, resting, max(STATION_M, STATION_SIGMAS * float(np.median(noise_m)))
+    )
+    at_ns = time_ns[station]
+    hole_s = np.concatenate([[np.inf], np.diff(at_ns) / 1e9])
+    track = Track(
+        points[station],
+        seconds(at_ns),
+        np.where(np.diff(part[station], prepend=-1) > 0, hole_s, 0.0),
+        noise_m[station],
+        _turned_deg(at, at_ns, time_ns[resting]),
+        _forward_nats(points[station], at_ns, motion, recorded_deg[station], hints),
+    )
+    return StationGears(station, gears(track))
+
+
+def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:
+    """What the gyro saw on the way to each instant, its bias taken out where the vehicle rests;
+    NaN on the way across a hole in it."""
+    if not at.has_gyro():
+        return np.full(len(time_ns), np.nan)
+    step_s = np.diff(at.time_ns) / 1e9
+    seen = np.isfinite(at.turned_rad)
+    still = np.isin(at.time_ns[:-1], resting_ns) & seen
+    bias = 0.0
+    if step_s[still].sum() > 2.0:
+        bias = float(at.turned_rad[still].sum() / step_s[still].sum())
+    steps = np.where(seen, at.turned_rad - bias * step_s, 0.0)
+    node = np.searchsorted(at.time_ns, time_ns)
+    angle, holes = (np.concatenate([[0.0], np.cumsum(c)])[node] for c in (steps, ~seen))
+    turned = np.where(np.diff(holes) == 0.0, np.diff(angle), np.nan)
+    return np.asarray(np.degrees(np.concatenate([[np.nan], turned])))
+
+
+def _forward_nats(
+    points: Float64,
+    time_ns: Int64,
+    motion: Motion,
+    recorded_deg: Float64,
+    hints: GearHints,
+) -> Float64:
+    """Log odds of forward on the way to each station, from camera, wheels, compass and user."""
+    nats = np.zeros(len(time_ns))
+    steps, wheels = motion.steps, motion.wheels
+    if steps is not None:
+        middle = (steps.start_ns + steps.stop_ns) // 2
+        to = np.searchsorted(time_ns, middle)
+        inside = (to > 0) & (to < len(time_ns))
+        told = np.clip(steps.forward_m / (3.0 * steps.sigma_m), -1.0, 1.0) * STEP_NATS
+        np.add.at(nats, to[inside], told[inside])
+    if wheels is not None and len(wheels.time_ns):
+        speed = np.interp(time_ns, wheels.time_ns, wheels.speed_mps)
+        each = WHEEL_NATS if turn_back(wheels) else UNSIGNED_NATS
+        nats += np.clip(speed / (2.0 * WHEEL_SIGMA_MPS), -1.0, 1.0) * each
+    if len(points) > 1:
+        course = heading_deg(*np.diff(points, axis=0).T)
+        agree = np.cos(np.radians(course - recorded_deg[1:]))
+        nats[1:] += np.nan_to_num(agree) * RECORDED_NATS
+    nats[1:2] += HINT_NATS * hints.starts
+    for start_ns, stop_ns, gear in hints.spans:
+        nats[(time_ns > start_ns) & (time_ns <= stop_ns)] += HINT_NATS * gear
+    return nats
+
+
+def first_guess(fixes: AcceptedFixes, at: Nodes, stations_of: StationGears) -> Float64:
+    """States [n, 8] with the right gears: course over a short chord, turned in reverse."""
+    station, found = stations_of
+    points = fixes.points_m()[station]
+    reach_m = max(GUESS_REACH_M, GUESS_SIGMAS * float(np.median(fixes.noise.across_m)))
+    heading, speed = np.full(len(station), np.nan), np.zeros(len(station))
+    cuts = np.flatnonzero(np.diff(found.leg)) + 1
+    for leg in np.split(np.arange(len(station)), cuts):
+        time_s = seconds(fixes.time_ns[station[leg]])
+        heading[leg], speed[leg] = _chords(points[leg], time_s, reach_m)
+    heading = np.where(found.gear < 0, heading + 180.0, heading)
+    heading[~found.driven] = np.nan  # a wandering path, which would turn the guess around
+    known = np.flatnonzero(np.isfinite(heading))
+    guess = np.zeros((len(at.time_ns), STATES))
+    guess[:, 0] = np.interp(at.time_ns, fixes.time_ns, fixes.east_m)
+    guess[:, 1] = np.interp(at.time_ns, fixes.time_ns, fixes.north_m)
+    if known.size:
+        times = fixes.time_ns[station[known]]
+        turns = np.asarray(wrap_deg(np.diff(heading[known])))
+        angle = np.radians(heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns)]))
+        guess[:, 2] = np.interp(at.time_ns, times, angle)
+        guess[:, 3] = np.interp(at.time_ns, times, (speed * found.gear)[known])
+    return guess
+
+
+def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Float64, Float64]:
+    """Course, degrees, and speed, m/s, at each point of a leg; NaN for a leg that is a point."""
+    before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
+    start, stop = np.where(before < 0, 0, before), np.where(after < 0, len(points) - 1, after)
+    chord = points[stop] - points[start]
+    length_m, span_s = np.hypot(*chord.T), time_s[stop] - time_s[start]
+    course = np.where(length_m > reach_m / 2.0, heading_deg(*chord.T), np.nan)
+    return course, length_m / np.maximum(span_s, 0.02)

@@ -1,0 +1,184 @@
+"""What was found out about a drive besides its poses, and what to tell the user of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.gnss import ConditioningSummary
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.convention import Comparison
+from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.settings import HeadingSource
+from fieldgrid.rig import Vehicle
+from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import Constant
+from fieldgrid.trajectory import Trajectory
+
+CLEAR_SIGMAS = 4.0
+"""A drive contradicts what was declared only by so many sigmas."""
+
+LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
+"""Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
+
+
+class FixOffset(NamedTuple):
+    """How far the antenna is estimated from the accepted fixes, metres: the mean east and north,
+    the median and the largest distance, and the median distance over the stated error."""
+
+    mean_east_m: float
+    mean_north_m: float
+    median_m: float
+    most_m: float
+    median_sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class PoseReport:
+    """What was found out about a drive besides its poses.
+
+    `recorded` is a recorded heading beside the estimate; `clock` the time offset between
+    images and fixes, as seen from the camera's motion; `gyro_bias_dps` NaN without a gyro.
+    `offset` compares poses with their fixes. `camera_scale` and `wheel_scale` are by what share
+    the distances of camera and wheels are too long.
+    """
+
+    conditioning: ConditioningSummary
+    recorded: Comparison | None
+    clock: ClockOffset | None
+    gyro_bias_dps: float
+    offset: FixOffset | None
+    camera_scale: Constant | None
+    wheel_scale: Constant | None
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what is unknown is null."""
+        bias = self.gyro_bias_dps
+        parts = {
+            "recorded_heading": self.recorded,
+            "clock_offset": self.clock,
+            "fix_offset": self.offset,
+            "camera_scale": self.camera_scale,
+            "wheel_scale": self.wheel_scale,
+        }
+        return {
+            "conditioning": self.conditioning.as_dict(),
+            **{name: None if part is None else part._asdict() for name, part in parts.items()},
+            "gyro_bias_dps": None if np.isnan(bias) else bias,
+            "notes": list(self.notes),
+        }
+
+
+NO_RIG = (
+    "Nothing says where the antenna sits; it is taken to be above the axle that does not steer. "
+    "Ahead of it, headings are off in turns: a metre by 11° at a radius of 5 m (--antenna-ahead)."
+)
+
+
+def fix_offset(drive: Drive, fixes: AcceptedFixes) -> FixOffset:
+    """How far the antenna is estimated from the accepted fixes."""
+    away_m = np.hypot(*drive.offset_m.T)
+    east_m, north_m = drive.offset_m.mean(axis=0).tolist()
+    return FixOffset(
+        east_m,
+        north_m,
+        float(np.median(away_m)),
+        float(away_m.max()),
+        float(np.median(away_m / fixes.sigma_m)),
+    )
+
+
+def drive_notes(
+    drive: Drive,
+    fixes: AcceptedFixes,
+    rig: Vehicle | None,
+    source: HeadingSource,
+    settings: PoseSettings,
+    clock: ClockOffset | None,
+    trajectory: Trajectory,
+) -> Iterator[str]:
+    """Remarks on a drive, a sentence each."""
+    yield from _constant_note(source, drive, settings)
+    yield from _clock_note(clock)
+    yield from _contradictions(drive, rig)
+    if rig is None:
+        yield NO_RIG
+    if not trajectory.accepted.any():
+        yield _remedy(trajectory, fixes, settings)
+
+
+def _constant_note(source: HeadingSource, drive: Drive, settings: PoseSettings) -> Iterator[str]:
+    """A heading given by hand beside that of the drive."""
+    moving = (drive.gear != 0) & (drive.heading_sigma_deg < settings.max_heading_sigma_deg)
+    if source.kind != "constant" or not moving.any():
+        return
+    off = np.abs(wrap_deg(drive.heading_deg[moving] - source.constant_deg))
+    share = float(np.mean(off > 10.0))
+    if share >= 0.1:
+        yield (
+            f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
+            f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°)."
+        )
+
+
+def _clock_note(clock: ClockOffset | None) -> Iterator[str]:
+    if clock is not None and clock.is_certain:
+        yield (
+            f"The images seem stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
+            f"fixes; if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or "
+            "to --time-offset."
+        )
+
+
+def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
+    """What was declared of antenna and clock, and the drive denies. Only a gyro or a camera tells
+    the heading by other means than the antenna's own path."""
+    if not (drive.at.has_gyro() or len(drive.measured.step)):
+        return
+    found = drive.smoothed.declared
+    where = "than mounting.json says" if rig is not None else "than above the axle"
+    for one, more, less in (
+        (found.ahead_m, "farther ahead", "farther back"),
+        (found.right_m, "farther right", "farther left"),
+    ):
+        if abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
+            way = more if one.value > 0.0 else less
+            yield (
+                f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
+                f"{where}; measure its place and correct it."
+            )
+    delay = found.late_s
+    if abs(delay.value) > max(CLEAR_SIGMAS * delay.sigma, LEAST_DELAY_S):
+        late = "late" if delay.value > 0.0 else "early"
+        yield (
+            f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
+            f"{late} against gyro and camera; look at how they were logged."
+        )
+
+
+def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings) -> str:
+    """What to declare for poses of a refused drive to be used."""
+    commonest = Counter(trajectory.reason).most_common(1)[0][0]
+    advice = "choose another log with --gnss"
+    if commonest.startswith("position sigma"):
+        advice = (
+            "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "
+            "(rtk-fixed, rtk-float, differential, ...)"
+        )
+    elif commonest.startswith("forward or reverse"):
+        advice = "say --starts forward or --starts reverse, or give --gear FILE with spans"
+    elif commonest.startswith(("heading sigma", "a cell")):
+        sigma_m = float(np.median(fixes.sigma_m))
+        advice = (
+            f"the fixes count as good to {sigma_m:.2f} m; if they are better, say so with "
+            "--accuracy METRES or --quality NAME, record a gyro, or allow less with "
+            f"max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in --config"
+        )
+    return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -1,0 +1,204 @@
+"""Sparse symmetric systems of nodes: their factor, solution, and the variances of their unknowns.
+
+The unknowns of a node stand together, as a block. A node is coupled with itself, with the one
+before it, and with few others farther back. Each node's rows are stored from the first node that
+it is coupled with to the diagonal (an envelope, or skyline), so a far coupling costs where it is
+and not all along the drive. No BLAS is called: its threads cost more than these small blocks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Int64
+from fieldgrid.kernel import kernel
+
+STATES = 8
+"""Unknowns of a node. It is a constant so that the loops over them are unrolled."""
+
+
+class Envelope(NamedTuple):
+    """The shape of a system of n nodes with :data:`STATES` unknowns each.
+
+    `first` [n] is the first node that each is coupled with, `start` [n + 1] where the rows of each
+    lie in the values. `below` [m] lists for each node the later nodes that reach back to it, from
+    `below_start` [n + 1] on.
+    """
+
+    first: Int64
+    start: Int64
+    below: Int64
+    below_start: Int64
+
+    @property
+    def nodes(self) -> int:
+        """How many nodes there are."""
+        return len(self.first)
+
+
+def envelope(nodes: int, far: Int64) -> Envelope:
+    """The shape in which neighbours are coupled, and the pairs `far` [m, 2] of nodes beside."""
+    first = np.maximum(np.arange(nodes) - 1, 0)
+    if len(far):
+        np.minimum.at(first, far.max(axis=1), far.min(axis=1))
+    width = np.arange(nodes) - first + 1
+    start = np.concatenate([[0], np.cumsum(STATES * STATES * width)])
+    reach = width - 1
+    row = np.repeat(np.arange(nodes), reach)
+    column = (
+        np.repeat(first, reach)
+        + np.arange(reach.sum())
+        - np.repeat(np.cumsum(reach) - reach, reach)
+    )
+    order = np.argsort(column, kind="stable")
+    below_start = np.searchsorted(column[order], np.arange(nodes + 1))
+    return Envelope(first, start, row[order], below_start)
+
+
+@kernel
+def factor(shape, values):  # type: ignore[no-untyped-def]
+    """Replace the lower triangle of a matrix by its Cholesky factor, whose shape is the same.
+
+    Returns 2 Σ log of the diagonal, the logarithm of the determinant; NaN for a matrix that is
+    not positive definite, whose values are then spoilt.
+    """
+    first, start = shape[0], shape[1]
+    log_determinant = 0.0
+    for node in range(len(first)):
+        f, at = first[node], start[node]
+        width = STATES * (node - f + 1)
+        for column in range(f, node + 1):
+            fc, atc = first[column], start[column]
+            widthc = STATES * (column - fc + 1)
+            shared = max(f, fc)  # before that one of the two rows is zero
+            mine, theirs = STATES * (shared - f), STATES * (shared - fc)
+            length = STATES * (column - shared)
+            for a in range(STATES):
+                own = at + a * width
+                for b in range(a + 1 if column == node else STATES):
+                    other = atc + b * widthc
+                    total = values[own + STATES * (column - f) + b]
+                    for k in range(length + b):
+                        total -= values[own + mine + k] * values[other + theirs + k]
+                    pivot = atc + b * widthc + STATES * (column - fc) + b
+                    if column == node and a == b:
+                        if not total > 0.0:
+                            return np.nan
+                        values[pivot] = np.sqrt(total)
+                        log_determinant += np.log(total)
+                    else:
+                        values[own + STATES * (column - f) + b] = total / values[pivot]
+    return log_determinant
+
+
+@kernel
+def solve(shape, values, right):  # type: ignore[no-untyped-def]
+    """The solutions [n, m] of the systems whose factor is in `values`, for right sides [n, m]."""
+    first, start = shape[0], shape[1]
+    x = right.copy()
+    for node in range(len(first)):
+        f, at = first[node], start[node]
+        width = STATES * (node - f + 1)
+        for a in range(STATES):
+            i, own = STATES * node + a, at + a * width
+            for m in range(x.shape[1]):
+                total = x[i, m]
+                for k in range(width - STATES + a):
+                    total -= values[own + k] * x[STATES * f + k, m]
+                x[i, m] = total / values[own + width - STATES + a]
+    for node in range(len(first) - 1, -1, -1):
+        f, at = first[node], start[node]
+        width = STATES * (node - f + 1)
+        for a in range(STATES - 1, -1, -1):
+            i, own = STATES * node + a, at + a * width
+            for m in range(x.shape[1]):
+                x[i, m] /= values[own + width - STATES + a]
+                for k in range(width - STATES + a):
+                    x[STATES * f + k, m] -= values[own + k] * x[i, m]
+    return x
+
+
+@kernel
+def inverse_blocks(shape, values):  # type: ignore[no-untyped-def]
+    """The diagonal blocks [n, STATES, STATES] of the inverse, from the factor in `values`, which is
+    spoilt, and the blocks [n, STATES, STATES] of each node (rows) with the one before it (zero for
+    the first).
+
+    Takahashi's recursion from the last node to the first: an element of the inverse inside the
+    envelope needs only later ones inside the envelope, so the others are never made.
+    """
+    first, start = shape[0], shape[1]
+    below, below_start = shape[2], shape[3]
+    n = len(first)
+    diagonal, before = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, STATES))
+    most = 1
+    for node in range(n):
+        most = max(most, below_start[node + 1] - below_start[node])
+    own = np.empty((STATES, STATES))
+    inverse = np.empty((STATES, STATES))
+    scaled, product = np.empty((most * STATES, STATES)), np.empty((most * STATES, STATES))
+    for node in range(n - 1, -1, -1):
+        width = STATES * (node - first[node] + 1)
+        for a in range(STATES):
+            for b in range(a + 1):
+                own[a, b] = values[start[node] + a * width + width - STATES + b]
+        # The inverse of the node's own triangular block.
+        for b in range(STATES):
+            for a in range(b, STATES):
+                total = 1.0 if a == b else 0.0
+                for k in range(b, a):
+                    total -= own[a, k] * inverse[k, b]
+                inverse[a, b] = total / own[a, a]
+        low, high = below_start[node], below_start[node + 1]
+        for r in range(high - low):
+            row = below[low + r]
+            w = STATES * (row - first[row] + 1)
+            at = start[row] + STATES * (node - first[row])
+            for a in range(STATES):
+                for b in range(STATES):
+                    total = 0.0
+                    for k in range(b, STATES):
+                        total += values[at + a * w + k] * inverse[k, b]
+                    scaled[r * STATES + a, b] = total
+        # Z[rows, node] = -Z[rows, rows] · scaled; the rows' inverse is in place already.
+        for r in range(high - low):
+            for a in range(STATES):
+                for b in range(STATES):
+                    product[r * STATES + a, b] = 0.0
+        for r in range(high - low):
+            row = below[low + r]
+            w = STATES * (row - first[row] + 1)
+            for s in range(r + 1):
+                column = below[low + s]
+                at = start[row] + STATES * (column - first[row])
+                for a in range(STATES):
+                    for k in range(STATES):
+                        if s == r and k > a:
+                            continue
+                        z = values[at + a * w + k]
+                        for b in range(STATES):
+                            product[r * STATES + a, b] -= z * scaled[s * STATES + k, b]
+                        if s != r or k != a:
+                            for b in range(STATES):
+                                product[s * STATES + k, b] -= z * scaled[r * STATES + a, b]
+        for r in range(high - low):
+            row = below[low + r]
+            w = STATES * (row - first[row] + 1)
+            at = start[row] + STATES * (node - first[row])
+            for a in range(STATES):
+                for b in range(STATES):
+                    values[at + a * w + b] = product[r * STATES + a, b]
+                    if row == node + 1:
+                        before[row, a, b] = product[r * STATES + a, b]
+        for a in range(STATES):
+            for b in range(a + 1):
+                total = 0.0
+                for k in range(a, STATES):
+                    total += inverse[k, a] * inverse[k, b]
+                for k in range((high - low) * STATES):
+                    total -= scaled[k, a] * product[k, b]
+                values[start[node] + a * width + width - STATES + b] = total
+                diagonal[node, a, b] = diagonal[node, b, a] = total
+    return diagonal, before

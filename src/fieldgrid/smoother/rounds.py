@@ -1,0 +1,228 @@
+"""Rounds of robust least squares over all nodes of a drive at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.smoother import model
+from fieldgrid.smoother.envelope import STATES, Envelope, envelope, factor, inverse_blocks, solve
+from fieldgrid.smoother.measurements import Measurements
+
+MOST_ROUNDS = 25
+ENOUGH_M, ENOUGH_RAD = 3e-3, 3e-4
+"""Rounds end when no node moves or turns by more."""
+
+SETTLED_SHARE, SETTLING_ROUNDS = 0.998, 8
+"""After so many rounds it is enough that so many of the nodes move no more: where nothing tells a
+heading, it may go to and fro forever, and its sigma says so."""
+
+HELD, NOT_HELD = (1.0 / 3.0**2, 1.0 / 0.3**2), (0.0, 0.0)
+"""From round to round a node keeps to where it was by 3 m and 0.3 rad (as weights), or a heading
+that little tells would overshoot. Once it is settled that changes nothing."""
+
+OUTLIER_FREEDOM = 4.0
+"""Of Student's distribution, which a fix or a step is taken to err by: outliers are believed
+the less the farther they lie."""
+
+
+class Problem(NamedTuple):
+    """The measurements of a drive and where on the vehicle they are of: `lever_m` is the antenna's
+    place (right, ahead) and `step_ahead_m` that of the point whose motion the steps tell, from the
+    middle of the axle that does not steer."""
+
+    measured: Measurements
+    lever_m: Float64
+    step_ahead_m: float
+    shape: Envelope
+
+    @classmethod
+    def of(
+        cls, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+    ) -> Problem:
+        """The problem with the shape of its equations."""
+        shape = envelope(len(measured.time_s), measured.step_nodes)
+        return cls(measured, np.array(lever_m), step_ahead_m, shape)
+
+
+class Weights(NamedTuple):
+    """What each measurement counts, in 1/sigma²; `steering` [n - 1] is the variance of the
+    curvature's change over each step."""
+
+    fix: Float64
+    heading: Float64
+    speed: Float64
+    step: Float64
+    steering: Float64
+
+
+class Residuals(NamedTuple):
+    """How far measurements lie from the estimate: `fix_m` [n, 2] ahead and right."""
+
+    fix_m: Float64
+    heading_rad: Float64
+    speed_mps: Float64
+    step: Float64
+
+
+class Solution(NamedTuple):
+    """States [n, 8] and constants of a drive, the weights that they were found with, and what the
+    last round still changed."""
+
+    x: Float64
+    constants: Float64
+    weights: Weights
+    rounds: int
+    last_change: Float64
+
+
+class Linear(NamedTuple):
+    """The normal equations of a solution, factored: what is known of the states beside the
+    constants, and the constants that have measurements."""
+
+    system: model.System
+    log_determinant: float
+    active: Int64
+    coupling: Float64
+    schur: Float64
+
+
+def stated_weights(measured: Measurements, steering: Float64) -> Weights:
+    """What the measurements count by their own sigmas."""
+    return Weights(
+        _inverse_squared(measured.fix_sigma_m),
+        _inverse_squared(measured.heading_sigma_rad),
+        _inverse_squared(measured.speed_sigma_mps),
+        1.0 / measured.step_sigma**2,
+        steering,
+    )
+
+
+def _inverse_squared(sigma: Float64) -> Float64:
+    known = np.isfinite(sigma)
+    return np.where(known, 1.0 / np.where(known, sigma, 1.0) ** 2, 0.0)
+
+
+def converged(
+    problem: Problem,
+    start: Float64,
+    constants: Float64,
+    weights: Weights,
+    *,
+    most_rounds: int = MOST_ROUNDS,
+    enough: float = 1.0,
+) -> Solution:
+    """Rounds of least squares until nothing moves by more than `enough` times the usual, each
+    with the weights of the one before."""
+    found = Solution(start, constants, weights, 0, np.zeros_like(start))
+    for rounds in range(1, most_rounds + 1):
+        linear, off = linearized(problem, found.x, found.constants, found.weights)
+        found = improved(problem, found, linear, off)
+        moved_m = np.abs(found.last_change[:, : model.PHI]).max(axis=1)
+        turned = np.abs(found.last_change[:, model.PHI])
+        settled = (moved_m < enough * ENOUGH_M) & (turned < enough * ENOUGH_RAD)
+        if rounds > 2 and (
+            settled.all() or (rounds > SETTLING_ROUNDS and settled.mean() > SETTLED_SHARE)
+        ):
+            break
+    return found
+
+
+def improved(problem: Problem, found: Solution, linear: Linear, off: Residuals) -> Solution:
+    """One round: the solution of the linear equations, and the weights for the next."""
+    system, active = linear.system, linear.active
+    step = solve(system.shape, system.values, system.right[:, None])[:, 0]
+    aside = system.right_constants - system.border.T @ step
+    turn = np.zeros(model.CONSTANTS)
+    turn[active] = np.linalg.solve(linear.schur, aside[active])
+    change = (step - linear.coupling @ turn[active]).reshape(found.x.shape)
+    # A first guess may be far off: no node turns by more than a radian a round.
+    shrink = max(1.0, float(np.abs(change[:, model.PHI]).max()))
+    stated = stated_weights(problem.measured, found.weights.steering)
+    return Solution(
+        found.x + change / shrink,
+        found.constants + turn / shrink,
+        _robust(stated, off),
+        found.rounds + 1,
+        change,
+    )
+
+
+def linearized(
+    problem: Problem, x: Float64, constants: Float64, weights: Weights, *, held: bool = True
+) -> tuple[Linear, Residuals]:
+    """The factored normal equations about a state, and how far each measurement is off. `held` for
+    a round to come, not for sigmas."""
+    measured = problem.measured
+    system = model.empty_system(problem.shape)
+    model.add_motion(
+        system,
+        x,
+        np.diff(measured.time_s),
+        weights.steering,
+        measured.bias_m,
+        measured.bias_s,
+        measured.turned_rad,
+        measured.seen,
+        measured.standing,
+    )
+    model.add_still(system, x, measured.standing, *(HELD if held else NOT_HELD))
+    offset, wheels, camera = constants
+    off = Residuals(
+        model.add_fixes(system, x, measured.fix_m, weights.fix, problem.lever_m),
+        model.add_headings(system, x, offset, measured.heading_rad, weights.heading),
+        model.add_speeds(system, x, wheels, measured.speed_mps, weights.speed),
+        model.add_steps(
+            system,
+            x,
+            camera,
+            measured.step_nodes,
+            measured.step,
+            weights.step,
+            problem.step_ahead_m,
+        ),
+    )
+    prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *model.SCALE_SIGMAS]) ** 2
+    system.corner[np.diag_indices(model.CONSTANTS)] += prior
+    system.right_constants[:] -= prior * constants
+    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), len(measured.step) > 0
+    active = np.flatnonzero(np.array(given, dtype=np.bool_))
+    log_determinant = float(factor(system.shape, system.values))
+    if not np.isfinite(log_determinant):
+        raise np.linalg.LinAlgError("the normal equations of a drive are not positive definite")
+    coupling = solve(system.shape, system.values, system.border[:, active])
+    schur = system.corner[np.ix_(active, active)] - system.border[:, active].T @ coupling
+    return Linear(system, log_determinant, active, coupling, schur), off
+
+
+def _robust(stated: Weights, off: Residuals) -> Weights:
+    """Student's weights for the next round; 1 sigma off costs nothing, 10 nearly everything."""
+
+    def share(squared: Float64, size: int) -> Float64:
+        return np.minimum((OUTLIER_FREEDOM + size) / (OUTLIER_FREEDOM + squared), 1.0)
+
+    fix = share((stated.fix * off.fix_m**2).sum(axis=1), 2)
+    distance = share(stated.step[:, 0] * (off.step[:, :2] ** 2).sum(axis=1), 2)
+    turn = share(stated.step[:, 1] * off.step[:, 2] ** 2, 1)
+    return Weights(
+        stated.fix * fix[:, None],
+        stated.heading * share(stated.heading * off.heading_rad**2, 1),
+        stated.speed * share(stated.speed * off.speed_mps**2, 1),
+        stated.step * np.stack([distance, turn], axis=1),
+        stated.steering,
+    )
+
+
+def covariance_blocks(linear: Linear) -> tuple[Float64, Float64]:
+    """Covariances [n, 8, 8] of the states of each node, and those with the node before it. The
+    values of the linear system are spoilt."""
+    diagonal, before = inverse_blocks(linear.system.shape, linear.system.values)
+    if len(linear.active):
+        n = len(diagonal)
+        coupled = linear.coupling.reshape(n, STATES, len(linear.active))
+        by_constants = coupled @ np.linalg.inv(linear.schur)
+        diagonal += by_constants @ coupled.swapaxes(1, 2)
+        before[1:] += by_constants[1:] @ coupled[:-1].swapaxes(1, 2)
+    return diagonal, before

@@ -1,0 +1,168 @@
+"""How much a vehicle steers, learnt from its own drive.
+
+Without a gyro, how much a vehicle steers decides how far positions are smoothed, and no constant
+fits a robot in its row and a mower in the rough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.smoother import model
+from fieldgrid.smoother.measurements import Measurements
+from fieldgrid.smoother.rounds import (
+    Problem,
+    Solution,
+    converged,
+    covariance_blocks,
+    improved,
+    linearized,
+    stated_weights,
+)
+
+STEERING_NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
+"""How much a vehicle steers all the time, (1/m)/√s: a robot in its row, a mower in the rough."""
+
+USUAL_STEERING_NOISE = 0.05
+
+ALWAYS_SHARE = 0.5
+"""Of the expected steering, what is due to what the vehicle always does."""
+
+MOST_STEERING = 8.0 * model.CURVATURE_SIGMA**2 / model.CURVATURE_S
+"""(1/m)²/s: from lock to lock in a second."""
+
+STEERING_S = 2.0
+"""Steering at one moment makes more of it likely for about a second before and after."""
+
+ADAPTATIONS = 6
+"""In so many rounds the expected steering is brought up to date. More of it makes rows straighter,
+and hides steering where noise could."""
+
+BLIND_S = 0.75
+"""Farther in time from every fix, steering is not measured, and any is expected."""
+
+CLEAR_NATS = 2.0
+"""A drive is taken for a calm one only when its fixes clearly say so."""
+
+ROUGHLY = 10.0
+"""Before the steering is learnt, the rounds may end when nodes still move by so many times what
+is enough."""
+
+STRETCHES, STRETCH_NODES = 4, 1000
+"""A longer drive is looked at in so many places, to learn how much it steers."""
+
+
+def usual_steering(step_s: Float64) -> Float64:
+    """Variance of the curvature's change over steps [n - 1] of a drive not looked at yet."""
+    fading = np.exp(-2.0 * step_s / model.CURVATURE_S)
+    return np.asarray(model.CURVATURE_SIGMA**2 * (1.0 - fading))
+
+
+def local_steering(
+    curvature: Float64,
+    variance: Float64,
+    onward: Float64,
+    time_s: Float64,
+    steering_noise: float,
+) -> Float64:
+    """The same by what the curvatures [n] do around each step, as far as that is known:
+    `variance` [n] is theirs, `onward` [n - 1] their covariance with the next one.
+
+    A vehicle goes straight for long and then turns in. `steering_noise`, (1/m)/√s, is how much
+    it steers always; a part of the variance is that, and the rest what was seen nearby. What
+    noise hides counts as steering: it is expected there, not ruled out.
+    """
+    step_s = np.diff(time_s)
+    fading = np.exp(-step_s / model.CURVATURE_S)
+    change = (curvature[1:] - fading * curvature[:-1]) ** 2
+    change += variance[1:] + fading**2 * variance[:-1] - 2.0 * fading * onward
+    middle_s = (time_s[1:] + time_s[:-1]) / 2.0
+    first = np.searchsorted(middle_s, middle_s - STEERING_S / 2.0)
+    last = np.searchsorted(middle_s, middle_s + STEERING_S / 2.0, side="right")
+    changed = np.concatenate([[0.0], np.cumsum(change)])
+    passed_s = np.concatenate([[0.0], np.cumsum(step_s)])
+    near = (changed[last] - changed[first]) / (passed_s[last] - passed_s[first])
+    mixed = ALWAYS_SHARE * steering_noise**2 + (1.0 - ALWAYS_SHARE) * near
+    return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
+
+
+def adapted(problem: Problem, found: Solution, steering_noise: float) -> Solution:
+    """The drive when steering is expected where it was seen, and where it may be hidden."""
+    k, measured = model.KAPPA, problem.measured
+    blind, usual = blind_steps(measured), usual_steering(np.diff(measured.time_s))
+    for _ in range(ADAPTATIONS):
+        linear, off = linearized(problem, found.x, found.constants, found.weights)
+        curvature, found = found.x[:, k], improved(problem, found, linear, off)
+        blocks, before = covariance_blocks(linear)
+        steering = local_steering(
+            curvature, blocks[:, k, k], before[1:, k, k], measured.time_s, steering_noise
+        )
+        weights = found.weights._replace(steering=np.where(blind, usual, steering))
+        found = found._replace(weights=weights)
+    return converged(problem, found.x, found.constants, found.weights)
+
+
+def blind_steps(measured: Measurements) -> Bool:
+    """Steps [n - 1] on which no fix is near."""
+    fixes_s = measured.time_s[np.isfinite(measured.fix_sigma_m[:, 0])]
+    at = np.concatenate([[-np.inf], fixes_s, [np.inf]])  # a stretch may have none
+    middle = (measured.time_s[1:] + measured.time_s[:-1]) / 2.0
+    after = np.searchsorted(at, middle)
+    apart = np.minimum(middle - at[after - 1], at[after] - middle)
+    return np.asarray(apart > BLIND_S)
+
+
+def likeliest_noise(problem: Problem, found: Solution) -> float:
+    """The steering noise of :data:`STEERING_NOISES` under which the measurements are likeliest.
+
+    Their likelihood rises to one top, so it is climbed from the usual one. Of a long drive
+    some stretches are enough.
+    """
+    parts = [(part, roughly(part, x, found.constants)) for part, x in stretches(problem, found)]
+    tried: dict[int, float] = {}
+
+    def likelihood(k: int) -> float:
+        if k not in tried:
+            tried[k] = sum(log_likelihood(part, near, STEERING_NOISES[k]) for part, near in parts)
+        return tried[k]
+
+    at = STEERING_NOISES.index(USUAL_STEERING_NOISE)
+    for step in (-1, 1):
+        while 0 <= at + step < len(STEERING_NOISES):
+            if likelihood(at + step) <= likelihood(at) - step * CLEAR_NATS:
+                break
+            at += step
+    return STEERING_NOISES[at]
+
+
+def stretches(problem: Problem, found: Solution) -> list[tuple[Problem, Float64]]:
+    """Parts of a drive that stand for it, each with its states."""
+    n = len(found.x)
+    if n <= STRETCHES * STRETCH_NODES:
+        return [(problem, found.x)]
+    starts = np.linspace(0, n - STRETCH_NODES, STRETCHES).astype(int).tolist()
+    lever_m = (float(problem.lever_m[0]), float(problem.lever_m[1]))
+    return [
+        (
+            Problem.of(problem.measured.part(a, a + STRETCH_NODES), lever_m, problem.step_ahead_m),
+            found.x[a : a + STRETCH_NODES],
+        )
+        for a in starts
+    ]
+
+
+def roughly(problem: Problem, start: Float64, constants: Float64) -> Solution:
+    """The drive with the usual steering, to within centimetres."""
+    usual = usual_steering(np.diff(problem.measured.time_s))
+    weights = stated_weights(problem.measured, usual)
+    return converged(problem, start, constants, weights, enough=ROUGHLY)
+
+
+def log_likelihood(problem: Problem, near: Solution, steering_noise: float) -> float:
+    """Of the measurements, every drive considered: Laplace's approximation, up to a constant."""
+    solution = adapted(problem, near, steering_noise)
+    linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
+    _, schur = np.linalg.slogdet(linear.schur)
+    squared, log_weights = linear.system.total
+    return 0.5 * float(log_weights - squared - linear.log_determinant - schur)

@@ -1,0 +1,93 @@
+"""What the page may have done: sessions taken out and put back, exports.
+
+Each change of a map is one transaction, and is refused where the map is no longer the one that the
+user saw when saying yes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.background import BackgroundTask
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.export import Selection
+from fieldgrid.lattice import Bounds
+from fieldgrid.view.exports import write_export
+from fieldgrid.view.maps import ShownMap
+
+Asked = TypeVar("Asked", bound=BaseModel)
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Metres = Annotated[float, Field(gt=-1e6, lt=1e6)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class SessionChange(_Strict):
+    """Take a session out of the map, or put it back; `version` is that of the map as seen."""
+
+    version: Text
+    action: Literal["remove", "restore"]
+    session: Text
+
+
+class Export(_Strict):
+    """Write a part of the map: all of it, or what lies within `bounds`."""
+
+    format: Text
+    layer: Text
+    bounds: tuple[Metres, Metres, Metres, Metres] | None = None
+    cell_m: Annotated[float, Field(gt=0.0, lt=100.0)] | None = None
+
+
+def change_session(shown: ShownMap, asked: SessionChange) -> Response:
+    """Remove or restore a session."""
+    with shown.open(writable=True) as universal:
+        shown.check_version(asked.version)
+        if asked.action == "remove":
+            universal.remove_session(asked.session)
+        else:
+            universal.restore_session(asked.session)
+    return JSONResponse({})
+
+
+def export(shown: ShownMap, asked: Export) -> Response:
+    """Send a file, which is removed from the server's disk once it was sent."""
+    bounds = None if asked.bounds is None else Bounds(*asked.bounds)
+    with shown.open() as universal:
+        selection = Selection(bounds, asked.cell_m, asked.layer)
+        written = write_export(universal, shown.name, selection, asked.format)
+    return FileResponse(
+        written.file,
+        filename=written.file.name,
+        headers={"Cache-Control": "no-store"},
+        background=BackgroundTask(written.remove),
+    )
+
+
+def handler(
+    model: type[Asked],
+    act: Callable[[ShownMap, Asked], Response],
+    picked: Callable[[Request], ShownMap],
+) -> Callable[[Request], Awaitable[Response]]:
+    """What answers a post: its JSON checked, then acted upon in a thread."""
+
+    async def handle(request: Request) -> Response:
+        shown = picked(request)
+        try:
+            # In JSON a pair of numbers is a list, which a strict model takes for a tuple from JSON.
+            asked = model.model_validate_json(await request.body())
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the request"
+            raise ConfigError(f"{where[:80]}: {first['msg'][:120]}.") from error
+        return await run_in_threadpool(act, shown, asked)
+
+    return handle

@@ -1,0 +1,281 @@
+"""The web application: what each address answers. It knows HTTP; the modules beside it know maps.
+
+No path comes from a request: maps, sessions and layers are looked up in what the server was started
+with and in the maps themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import anyio.to_thread
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
+from fieldgrid.lattice import Bounds, TileIndex
+from fieldgrid.layers import LAYERS
+from fieldgrid.mapfile import MapFile
+from fieldgrid.view import actions, drives, exports, layers, page, pyramid
+from fieldgrid.view.about import describe_map
+from fieldgrid.view.features import read_features
+from fieldgrid.view.maps import ShownMap
+from fieldgrid.view.pictures import find_picture
+from fieldgrid.view.security import Access, Guard
+from fieldgrid.view.why import explain
+
+_THREADS = 4
+"""Requests that read maps at once: each may hold some tens of megabytes."""
+
+_MAX_LEVEL = 24
+_MAX_TILE = 1 << 26
+_FOREVER = {"Cache-Control": "private, max-age=31536000, immutable"}
+_FRESH = {"Cache-Control": "no-store"}
+
+Handler = Callable[[Request], Response]
+
+
+class Viewer(NamedTuple):
+    """What is shown, and what may be done with it."""
+
+    maps: tuple[ShownMap, ...]
+    access: Access
+    writable: bool
+    recordings: tuple[Path, ...]
+
+    def picked(self, request: Request) -> ShownMap:
+        """The map that a request is about."""
+        number = _whole(request.path_params["map"], 0, len(self.maps) - 1)
+        return self.maps[number]
+
+
+def make_app(viewer: Viewer) -> Starlette:
+    """The application for a viewer."""
+
+    def about(request: Request) -> Response:
+        described = [describe_map(k, one) for k, one in enumerate(viewer.maps)]
+        return _json({"maps": described, "writable": viewer.writable, "formats": exports.formats()})
+
+    def tile(request: Request) -> Response:
+        shown = viewer.picked(request)
+        level = _whole(request.path_params["level"], 0, _MAX_LEVEL)
+        place = TileIndex(
+            _whole(request.path_params["ty"], -_MAX_TILE, _MAX_TILE),
+            _whole(request.path_params["tx"], -_MAX_TILE, _MAX_TILE),
+        )
+        layer = request.path_params["layer"]
+        query = request.query_params
+        if layer == "change":
+            drawn = _change_tile(shown, level, place, query.get("from", ""), query.get("to", ""))
+        elif layer == "density" and "sessions" not in query:
+            with pyramid.stored(shown.path) as connection:
+                levels = pyramid.read_levels(connection)
+                drawn = pyramid.read_picture(connection, levels, level, place)
+        else:
+            drawn = _layer_tile(shown, layer, level, place, query.get("sessions"))
+        # The address has the version of the file, so that what is kept never gets old.
+        headers = _FOREVER if query.get("v") == shown.version() else _FRESH
+        if drawn is None:
+            return Response(status_code=204, headers=headers)
+        return Response(drawn, media_type="image/png", headers=headers)
+
+    def scale(request: Request) -> Response:
+        shown, layer = viewer.picked(request), _layer(request.path_params["layer"])
+        low, high = _scale(shown, layer)
+        return _json({"low": low, "high": high})
+
+    def track(request: Request) -> Response:
+        shown = viewer.picked(request)
+        with shown.open() as universal:
+            name = _session_name(universal, request.path_params["session"])
+        return _json(shown.kept(("track", name), lambda: _with(shown, drives.track, name)))
+
+    def frames(request: Request) -> Response:
+        shown = viewer.picked(request)
+        table = shown.kept(("frames",), lambda: _with(shown, drives.frame_table))
+        chosen = request.query_params.get("sessions")
+        sessions = None if chosen is None else set(_session_numbers(chosen))
+        bounds = _bounds(request.query_params.get("bounds", ""))
+        return _json(drives.frames_within(table, bounds, sessions))
+
+    def cell(request: Request) -> Response:
+        query = request.query_params
+        east_m, north_m = _metres(query.get("east", "")), _metres(query.get("north", ""))
+        chosen = query.get("sessions")
+        with viewer.picked(request).open() as universal:
+            names = None if chosen is None else _session_names(universal, chosen)
+            return _json(explain(universal, east_m, north_m, names))
+
+    def image(request: Request) -> Response:
+        shown, query = viewer.picked(request), request.query_params
+        with shown.open() as universal:
+            name = _session_name(universal, query.get("session", ""))
+        known = shown.kept(("images", name), lambda: _with(shown, _images, name))
+        names, hashes = known.get(query.get("frame", ""), ((), ()))
+        number = _whole(query.get("image", ""), 0, max(len(names) - 1, 0))
+        if not names:
+            raise ConfigError("The map has no such frame, or no images of it.")
+        folders = (Path(), shown.path.parent, *viewer.recordings)
+        sha256 = hashes[number] if number < len(hashes) else ""
+        found = find_picture(names[number], sha256, folders)
+        size = {"X-Image-Size": f"{found.width_px} {found.height_px}"}
+        return Response(found.jpeg, media_type="image/jpeg", headers=_FRESH | size)
+
+    def features(request: Request) -> Response:
+        with pyramid.stored(viewer.picked(request).path) as connection:
+            return _json({"tables": read_features(connection)})
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
+        yield
+
+    one = "/api/maps/{map}"
+    routes = [
+        *page.routes(),
+        Route("/api/maps", about),
+        Route(f"{one}/tiles/{{layer}}/{{level}}/{{ty}}/{{tx}}", tile),
+        Route(f"{one}/scales/{{layer}}", scale),
+        Route(f"{one}/tracks/{{session}}", track),
+        Route(f"{one}/frames", frames),
+        Route(f"{one}/cell", cell),
+        Route(f"{one}/image", image),
+        Route(f"{one}/features", features),
+        _post(f"{one}/export", actions.Export, actions.export, viewer),
+    ]
+    if viewer.writable:
+        routes.append(
+            _post(f"{one}/sessions", actions.SessionChange, actions.change_session, viewer)
+        )
+    return Starlette(
+        routes=routes,
+        middleware=[Middleware(Guard, access=viewer.access)],
+        exception_handlers={FieldgridError: _failed},
+        lifespan=lifespan,
+    )
+
+
+def _post(
+    path: str,
+    model: type[actions.Asked],
+    act: Callable[[ShownMap, actions.Asked], Response],
+    viewer: Viewer,
+) -> Route:
+    return Route(path, actions.handler(model, act, viewer.picked), methods=["POST"])
+
+
+def _failed(request: Request, error: Exception) -> Response:
+    status = 400
+    if isinstance(error, MapWriteError):
+        status = 503
+    elif isinstance(error, MapError):
+        status = 409
+    return JSONResponse({"error": str(error)}, status, headers=_FRESH)
+
+
+def _json(value: Any) -> Response:
+    return JSONResponse(value, headers=_FRESH)
+
+
+def _with(shown: ShownMap, make: Callable[..., Any], *arguments: Any) -> Any:
+    with shown.open() as universal:
+        return make(universal, *arguments)
+
+
+def _scale(shown: ShownMap, layer: str) -> layers.Scale:
+    def make() -> layers.Scale:
+        with shown.open() as universal:
+            return layers.scale_of(universal, layer)
+
+    return shown.kept(("scale", layer), make)
+
+
+def _layer_tile(
+    shown: ShownMap, layer: str, level: int, place: TileIndex, sessions: str | None
+) -> bytes | None:
+    scale = _scale(shown, _layer(layer))
+    with shown.open() as universal:
+        bounds, cell_m = layers.tile_bounds(universal, level, place)
+        names = None if sessions is None else _session_names(universal, sessions)
+        if names == []:
+            return None
+        view = universal.read(bounds, cell_m, layers=[layer], sessions=names)
+    return layers.draw_layer(view, layer, scale)
+
+
+def _change_tile(
+    shown: ShownMap, level: int, place: TileIndex, before: str, after: str
+) -> bytes | None:
+    with shown.open() as universal:
+        names = [_session_name(universal, number) for number in (before, after)]
+        bounds, cell_m = layers.tile_bounds(universal, level, place)
+        change = universal.diff(names[0], names[1], bounds, cell_m).change
+    return layers.encode(change, change > 0) if change.any() else None
+
+
+def _images(universal: MapFile, session: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    return {
+        frame.frame_id: (frame.images, frame.images_sha256) for frame in universal.frames(session)
+    }
+
+
+def _layer(name: str) -> str:
+    if name not in LAYERS:
+        raise ConfigError(f"There is no layer {name[:40]!r}; there are {', '.join(LAYERS)}.")
+    return name
+
+
+def _session_names(universal: MapFile, numbers: str) -> list[str]:
+    """The names of sessions that a request counts, as in `0.2.3`; none for an empty text."""
+    infos = universal.sessions()
+    found = []
+    for number in _session_numbers(numbers):
+        if number >= len(infos):
+            raise ConfigError(f"The map has no session number {number}; load the page again.")
+        found.append(infos[number].name)
+    return found
+
+
+def _session_name(universal: MapFile, number: str) -> str:
+    names = _session_names(universal, number)
+    if len(names) != 1:
+        raise ConfigError(f"{number[:40]!r} is no session; give the number of one.")
+    return names[0]
+
+
+def _session_numbers(text: str) -> list[int]:
+    return [_whole(part, 0, 100_000) for part in text.split(".") if part]
+
+
+def _whole(text: str, least: int, most: int) -> int:
+    digits = text.removeprefix("-")
+    if not (digits.isascii() and digits.isdigit() and len(digits) < 10):
+        raise ConfigError(f"{text[:40]!r} is no whole number.")
+    value = int(text)
+    if not least <= value <= most:
+        raise ConfigError(f"{value} is outside {least}..{most}.")
+    return value
+
+
+def _metres(text: str) -> float:
+    try:
+        value = float(text[:40])
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e6:
+        raise ConfigError(f"{text[:40]!r} are no metres of the map.")
+    return value
+
+
+def _bounds(text: str) -> Bounds:
+    values = [_metres(part) for part in text.split(",", 4)]
+    if len(values) != 4:
+        raise ConfigError("Bounds are west,south,east,north in metres.")
+    return Bounds(*values)

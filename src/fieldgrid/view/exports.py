@@ -1,0 +1,71 @@
+"""What is seen as a file of any format that `export` writes, to be saved by the browser."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid import export
+from fieldgrid.errors import ConfigError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.mapfile import MapFile
+
+MOST_CELLS = 100_000_000
+"""A larger part is for the command line, which says how far it is."""
+
+
+class Written(NamedTuple):
+    """A file to be sent, and the folder that is to be removed then."""
+
+    file: Path
+    folder: Path
+
+    def remove(self) -> None:
+        """Remove the folder and all in it."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def formats() -> list[dict[str, str]]:
+    """The formats by name, and what each is."""
+    return [{"name": name, "says": known.says} for name, known in export.formats().items()]
+
+
+def write_export(universal: MapFile, name: str, selection: Selection, format_: str) -> Written:
+    """Export a part of a map into a folder of its own; several files come as one zip archive.
+
+    `name` is what the file is called. Raises ConfigError for a part that is too large, and what
+    `export_map` raises.
+    """
+    known = export.formats()
+    if format_ not in known:
+        raise ConfigError(f"{format_[:40]!r} is no format; known are {', '.join(known)}.")
+    bounds = selection.bounds or universal.bounds
+    cell_m = selection.cell_m or universal.cell_m
+    cells = (bounds.east_m - bounds.west_m) * (bounds.north_m - bounds.south_m) / cell_m**2
+    if cells > MOST_CELLS:
+        raise ConfigError(
+            f"{cells / 1e6:.0f} million cells are more than the page exports; zoom in, take larger "
+            "cells, or use fieldgrid export."
+        )
+    folder = Path(tempfile.mkdtemp(prefix="fieldgrid-export-"))
+    try:
+        ending = known[format_].endings[0]
+        inner = folder / name
+        inner.mkdir()
+        # Some formats are folders whose names are given, TASKDATA.
+        out = inner / (f"{name}{ending}" if ending.startswith(".") else ending.upper())
+        export_map(universal, out, selection, format=format_)
+        files = [path for path in inner.rglob("*") if path.is_file()]
+        if len(files) == 1:
+            return Written(files[0], folder)
+        archive = folder / f"{name}-{format_}.zip"
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+            for path in files:
+                packed.write(path, path.relative_to(inner))
+        return Written(archive, folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise

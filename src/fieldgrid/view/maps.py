@@ -1,0 +1,92 @@
+"""The maps that a server shows: opened anew for each request, so that a reload shows what is there.
+
+A map may be appended to, or replaced by another build, while it is shown. Opening one takes about
+a millisecond, and what is dear to make is kept until the file has changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from threading import Lock
+from typing import Any, TypeVar
+
+from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.mapfile import MapFile, open_map
+
+_Made = TypeVar("_Made")
+
+_CHANGE_COUNTER = slice(24, 28)
+"""Of an SQLite header: every commit counts it up."""
+
+_KEPT = 64
+
+
+class ShownMap:
+    """One map file: its place, the version of what is in it, and what was made of it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = Lock()
+        self._kept: dict[tuple[str, ...], Any] = {}
+        self._version = ""
+
+    @property
+    def name(self) -> str:
+        """What the page calls it."""
+        return self.path.stem
+
+    def version(self) -> str:
+        """Text that differs once the file was written to or replaced."""
+        try:
+            with self.path.open("rb") as file:
+                status = os.fstat(file.fileno())
+                header = file.read(100)
+        except OSError as error:
+            raise MapError(f"{self.path} cannot be read: {error.strerror}; check it.") from error
+        counter = header[_CHANGE_COUNTER].hex()
+        seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns} {counter}"
+        return hashlib.sha256(seen.encode()).hexdigest()[:16]
+
+    def check_version(self, version: str) -> None:
+        """Raise ConfigError unless the file is as it was when it had this version."""
+        if version != self.version():
+            raise ConfigError(
+                f"{self.name} has changed since the page was loaded, and was left as it is; "
+                "load the page again and look."
+            )
+
+    def open(self, *, writable: bool = False) -> MapFile:
+        """The map, to be closed by the caller."""
+        return open_map(self.path, writable=writable)
+
+    def kept(self, key: tuple[str, ...], make: Callable[[], _Made]) -> _Made:
+        """What `make` returns, made once for each state of the file."""
+        version = self.version()
+        with self._lock:
+            if version != self._version:
+                self._kept.clear()
+                self._version = version
+            if key in self._kept:
+                found: _Made = self._kept[key]
+                return found
+        made = make()
+        with self._lock:
+            # A commit meanwhile: it may be of the state before, and is not kept.
+            if version == self._version:
+                while len(self._kept) >= _KEPT:
+                    self._kept.pop(next(iter(self._kept)))
+                self._kept[key] = made
+        return made
+
+
+def shown_maps(paths: Sequence[Path]) -> tuple[ShownMap, ...]:
+    """The maps at these paths, once it is sure that each is one; MapError otherwise."""
+    if not paths:
+        raise ConfigError("There is no map to show; name one.")
+    maps = tuple(ShownMap(path) for path in paths)
+    for one in maps:
+        one.open().close()
+    return maps

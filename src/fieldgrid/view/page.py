@@ -1,0 +1,43 @@
+"""The page itself: files that `page/` at the top of the source tree is built into."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.resources import files
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+TYPES = {
+    "index.html": "text/html",
+    "viewer.js": "text/javascript",
+    "viewer.css": "text/css",
+    "licences.txt": "text/plain",
+}
+"""What is served, by name; no other file is."""
+
+
+@lru_cache
+def read_file(name: str) -> bytes:
+    """One of the built files."""
+    return (files("fieldgrid.view") / "static" / name).read_bytes()
+
+
+def routes() -> list[Route]:
+    """The page at the root, and its files beside it."""
+    return [
+        Route("/", _serving("index.html")),
+        *(Route(f"/{name}", _serving(name)) for name in TYPES if name != "index.html"),
+    ]
+
+
+def _serving(name: str) -> Callable[[Request], Response]:
+    def serve(request: Request) -> Response:
+        headers = {"Cache-Control": "no-cache"}
+        return Response(
+            read_file(name), media_type=f"{TYPES[name]}; charset=utf-8", headers=headers
+        )
+
+    return serve

@@ -1,0 +1,55 @@
+"""The density as the GeoPackage stores it: tiles and zoom levels as any GIS reads them.
+
+Only this module and `features` look into tables of the file; all else goes through `MapFile`.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid.lattice import TileIndex
+from fieldgrid.mapfile.database import connect, reading
+
+
+class Levels(NamedTuple):
+    """The zoom levels of the density: `base_zoom` has the map's own cells, `above` levels above it
+    have cells of twice the side each."""
+
+    base_zoom: int
+    above: int
+
+
+@contextmanager
+def stored(path: Path) -> Iterator[sqlite3.Connection]:
+    """One state of the file, for reading."""
+    connection = connect(path, path, writable=False)
+    try:
+        with reading(connection, path):
+            yield connection
+    finally:
+        connection.close()
+
+
+def read_levels(connection: sqlite3.Connection) -> Levels:
+    """The levels that have tiles; none above the base in an empty map."""
+    top, base = connection.execute(
+        "SELECT min(zoom_level), max(zoom_level) FROM density"
+    ).fetchone()
+    return Levels(base or 1, 0 if base is None else base - top)
+
+
+def read_picture(
+    connection: sqlite3.Connection, levels: Levels, level: int, tile: TileIndex
+) -> bytes | None:
+    """The PNG of a tile, `level` 0 for the base; None where nothing was observed."""
+    zoom = levels.base_zoom - level
+    half = 1 << (zoom - 1)
+    row = connection.execute(
+        "SELECT tile_data FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
+        (zoom, tile.tx + half, half - 1 - tile.ty),
+    ).fetchone()
+    return None if row is None else bytes(row[0])

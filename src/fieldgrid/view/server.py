@@ -1,0 +1,88 @@
+"""Running the viewer: a socket, a link with a token, and a browser that opens it."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+import webbrowser
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import uvicorn
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.view.app import Viewer, make_app
+from fieldgrid.view.maps import shown_maps
+from fieldgrid.view.security import loopback_access, network_access
+
+LOOPBACK = "127.0.0.1"
+
+
+def view_maps(
+    paths: Sequence[Path],
+    *,
+    recordings: Sequence[Path] = (),
+    host: str | None = None,
+    port: int | None = None,
+    writable: bool = True,
+    open_browser: bool = False,
+    ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve maps as a web page until interrupted.
+
+    Without `host` only this machine reaches it; `port` None is any that is free. `ready` gets the
+    link, with the token that writing needs, once the page can be opened. Raises MapError for a
+    path that is no map, ConfigError for a port that is taken.
+    """
+    maps = shown_maps(paths)
+    for folder in recordings:
+        if not folder.exists():
+            raise ConfigError(f"{folder} does not exist; give the folder of a recording.")
+    token = secrets.token_urlsafe(24)
+    listening = listen(host or LOOPBACK, port or 0)
+    with listening:
+        port = int(listening.getsockname()[1])
+        access = network_access(token, port, host) if host else loopback_access(token, port)
+        viewer = Viewer(maps, access, writable, tuple(recordings))
+        link = f"http://{_in_link(host)}:{port}/#token={token}"
+        if ready is not None:
+            ready(link)
+        if open_browser:
+            webbrowser.open(link)
+        make_server(viewer).run(sockets=[listening])
+
+
+def make_server(viewer: Viewer) -> uvicorn.Server:
+    """The web server of a viewer, to be run with the sockets that it answers on."""
+    return uvicorn.Server(
+        uvicorn.Config(
+            make_app(viewer),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            lifespan="on",
+            timeout_graceful_shutdown=2,
+        )
+    )
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that waits for requests; `port` 0 is any free one."""
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.create_server((host, port), family=family, backlog=128)
+    except (OSError, OverflowError) as error:
+        raise ConfigError(
+            f"Nothing can be served at {host}:{port} ({error}); give another --port or --host."
+        ) from error
+    listening.setblocking(False)
+    return listening
+
+
+def _in_link(host: str | None) -> str:
+    """The host as another machine, or this one, calls it."""
+    if host is None:
+        return LOOPBACK
+    if host in ("0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,93 @@
+"""One map, one server and one browser for all tests of the viewer."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from fieldgrid.grids import LocalGrid
+from fieldgrid.mapfile import open_map
+from tests.conftest import TWO_LANES
+from tests.view.browsing import CHROMIUM_FLAGS, Watched, chromium
+from tests.view.serving import Server, serving
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+LATER_NS = 60 * 86_400_000_000_000
+GONE_ABOVE = 100
+
+
+@pytest.fixture(scope="session")
+def vineyard(two_lanes_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example drive, and two months later a drive over half of it that saw no obstacle.
+
+    Its images lie where their names say, seen from the folder of the map.
+    """
+    folder = tmp_path_factory.mktemp("vineyard")
+    path = folder / "vineyard.gpkg"
+    shutil.copy(two_lanes_map, path)
+    with open_map(path, writable=True) as universal:
+        frames = list(universal.frames(with_grid=True))[:20]
+        with universal.add_session("august") as session:
+            for frame in frames:
+                grid = frame.grid()
+                density = np.where(grid.density > GONE_ABOVE, np.uint8(0), grid.density)
+                session.add(
+                    LocalGrid(grid.spec, density, grid.observed),
+                    replace(frame.pose, time_ns=frame.pose.time_ns + LATER_NS),
+                    frame_id=frame.frame_id,
+                )
+    return path
+
+
+@pytest.fixture(scope="session")
+def server(vineyard: Path) -> Iterator[Server]:
+    """Serves the vineyard; for tests that do not change it."""
+    with serving(vineyard, recordings=(TWO_LANES,)) as running:
+        yield running
+
+
+@pytest.fixture
+def own_server(vineyard: Path, tmp_path: Path) -> Iterator[Server]:
+    """Serves a copy of the vineyard, which a test may change."""
+    shutil.copy(vineyard, tmp_path / "vineyard.gpkg")
+    with serving(tmp_path / "vineyard.gpkg", recordings=(TWO_LANES,)) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Debian's Chromium, headless; the test is skipped where it or Playwright is not there."""
+    program = chromium()
+    if program is None:
+        pytest.skip("there is no Chromium for tests in a browser (Debian's package chromium)")
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    # Nothing is fetched: not by Playwright, and not by the browser at its start.
+    os.environ["PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD"] = "1"
+    with driver.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=CHROMIUM_FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def look(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """Opens pages that are watched; in the end nothing may have gone wrong in any of them."""
+    opened: list[Watched] = []
+
+    def open_page(link: str, **options: Any) -> Watched:
+        page = Watched.open(browser, link, **options)
+        opened.append(page)
+        return page
+
+    yield open_page
+    for page in opened:
+        page.close()
