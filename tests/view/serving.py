@@ -72,7 +72,11 @@ class Server(NamedTuple):
                 connection.putheader(name, value)
             connection.endheaders(body)
             answer = connection.getresponse()
-            return Answer(answer.status, dict(answer.headers), answer.read())
+            try:
+                body = answer.read()
+            except ConnectionResetError:  # what is no HTTP is answered and cut off
+                body = b""
+            return Answer(answer.status, dict(answer.headers), body)
         finally:
             connection.close()
 

@@ -41,7 +41,7 @@ def command(
 
         fieldgrid view vineyard.gpkg
 
-        fieldgrid view vineyard.gpkg --recording june-03 --port 8765 --no-browser
+        fieldgrid view vineyard.gpkg --recording june-03 --port 8765
     """
     from fieldgrid.view import view_maps
 
