@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fieldgrid.angles import (
-    circular_mean_deg,
     heading_deg,
     heading_from_yaw_rad,
     interpolate_deg,
@@ -82,18 +80,3 @@ def test_interpolation_takes_the_shorter_way(start: float, end: float, fraction:
 def test_interpolation_across_south() -> None:
     assert interpolate_deg(170.0, -170.0, 0.25) == pytest.approx(175.0)
     assert interpolate_deg(-170.0, 170.0, 0.75) == pytest.approx(175.0)
-
-
-def test_the_mean_of_headings_about_south_is_south() -> None:
-    assert abs(circular_mean_deg([170.0, -170.0, 179.0, -179.0])) == pytest.approx(180.0)
-    assert circular_mean_deg([80.0, 100.0, 90.0]) == pytest.approx(90.0)
-
-
-def test_there_is_no_mean_of_opposites_or_of_nothing() -> None:
-    assert math.isnan(circular_mean_deg([10.0, -170.0]))
-    assert math.isnan(circular_mean_deg([]))
-
-
-def test_shapes_are_kept() -> None:
-    assert wrap_deg(np.zeros((2, 3))).shape == (2, 3)
-    assert heading_deg(np.zeros((2, 3)), np.ones(3)).shape == (2, 3)

@@ -23,7 +23,7 @@ LAYERS = (
     ),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion", "qgis"),
     ("settings",),
-    ("cloud", "depth"),
+    ("cloud", "depth", "lens"),
     (
         "gnss",
         "course",

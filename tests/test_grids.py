@@ -58,15 +58,3 @@ def test_arrays_must_fit_the_geometry(wrong: str) -> None:
     arrays[wrong] = arrays[wrong].T
     with pytest.raises(ConfigError, match=rf"{wrong} has shape \(4, 6\)"):
         LocalGrid(spec, **arrays)
-
-
-def test_masking_hides_values_and_leaves_the_grid_alone() -> None:
-    spec = GridSpec(1.0, 1.0, 0.5)
-    grid = LocalGrid(
-        spec, np.array([[9, 0], [7, 0]], np.uint8), np.array([[True, True], [True, False]])
-    )
-    masked = grid.masked(np.array([[True, False], [False, True]]))
-    assert masked.density.tolist() == [[9, 0], [0, 0]]
-    assert masked.density.dtype == np.uint8
-    assert masked.observed.tolist() == [[True, False], [False, False]]
-    assert grid.density.tolist() == [[9, 0], [7, 0]]

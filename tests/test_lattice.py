@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError
@@ -17,7 +17,6 @@ from fieldgrid.lattice import (
     TileIndex,
     Window,
     tile_window,
-    universal_bounds,
 )
 
 cell_sizes = st.sampled_from([0.02, 0.05, 0.07, 0.1, 0.25, 0.3, 1.0, 2.5])
@@ -183,22 +182,3 @@ def test_bounds_that_touch_do_not_overlap() -> None:
         neighbour = Bounds(i, j, i + 2.0, j + 2.0)
         assert not middle.overlaps(neighbour)
         assert middle.overlaps(Bounds(0.9 * i, 0.9 * j, 0.9 * i + 2.0, 0.9 * j + 2.0))
-
-
-@settings(max_examples=30)
-@given(st.lists(st.tuples(metres, metres), min_size=1, max_size=10), st.floats(0.1, 30.0))
-def test_universal_bounds_reach_as_far_from_every_origin(
-    origins: list[tuple[float, float]], reach_m: float
-) -> None:
-    east, north = np.array(origins).T
-    bounds = universal_bounds(east, north, reach_m)
-    assert bounds.west_m == pytest.approx(min(east) - reach_m)
-    assert bounds.south_m == pytest.approx(min(north) - reach_m)
-    # Eq. 1: the extent of the drive and twice the reach.
-    assert bounds.east_m - bounds.west_m == pytest.approx(np.ptp(east) + 2 * reach_m)
-    assert bounds.north_m - bounds.south_m == pytest.approx(np.ptp(north) + 2 * reach_m)
-
-
-def test_a_universal_grid_of_nothing_is_refused() -> None:
-    with pytest.raises(ConfigError, match="at least one"):
-        universal_bounds([], [], 14.0)

@@ -14,13 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import LensModel, RawCamera, lens_model, raw_camera
 from fieldgrid.rectify import (
-    LensModel,
-    RawCamera,
     Rectification,
     camera_from_projections,
-    lens_model,
-    raw_camera,
     rectify_by_pose,
     rectify_by_projections,
 )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fieldgrid.angles import yaw_from_heading_rad
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.lattice import Lattice, Window, universal_bounds
+from fieldgrid.lattice import Lattice, Window
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import (
     AREA_SHIFT,
@@ -415,30 +415,6 @@ def test_equal_cells_are_accepted() -> None:
 def corners(spec: GridSpec, pose: Pose) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     half = spec.width_m / 2.0
     return to_universal([-half, half, -half, half], [0.0, 0.0, *[spec.length_m] * 2], pose)
-
-
-@given(st.lists(poses, min_size=1, max_size=5))
-def test_equation_1_holds_every_corner_at_any_heading(drive: list[Pose]) -> None:
-    bounds = universal_bounds(
-        [pose.east_m for pose in drive], [pose.north_m for pose in drive], PAPER.reach_m
-    )
-    for pose in drive:
-        east, north = corners(PAPER, pose)
-        assert bounds.west_m - 1e-9 <= east.min()
-        assert east.max() <= bounds.east_m + 1e-9
-        assert bounds.south_m - 1e-9 <= north.min()
-        assert north.max() <= bounds.north_m + 1e-9
-
-
-def test_the_paper_s_own_padding_cuts_corners() -> None:
-    pose = pose_at(0.0, 0.0, math.degrees(math.atan2(6.65 / 2.0, 14.0)))
-    _, north = corners(PAPER, pose)
-    paper = universal_bounds([0.0], [0.0], PAPER.length_m)
-    assert north.max() - paper.north_m == pytest.approx(0.39, abs=0.005)
-    window = Lattice(0.05).window(paper)
-    fold = MeanFold(Lattice(0.05), window)
-    fold.add(filled(PAPER, 1), pose)
-    assert fold.sums[0].sum() < CELL_WEIGHT * PAPER.n_x * PAPER.n_y
 
 
 @given(poses, st.sampled_from([0.05, 0.25, 1.0]))

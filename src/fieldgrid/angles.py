@@ -40,14 +40,3 @@ def yaw_from_heading_rad(heading_deg: npt.ArrayLike) -> Float64:
 def interpolate_deg(start_deg: float, end_deg: float, fraction: float) -> float:
     """The heading at `fraction` of the shorter way from `start_deg` to `end_deg`."""
     return float(wrap_deg(start_deg + fraction * float(wrap_deg(end_deg - start_deg))))
-
-
-def circular_mean_deg(angles_deg: npt.ArrayLike) -> float:
-    """Mean direction of headings in degrees, NaN when they cancel out or there are none."""
-    angles = np.radians(np.asarray(angles_deg, dtype=np.float64))
-    if angles.size == 0:
-        return float("nan")
-    sine, cosine = float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles)))
-    if np.hypot(sine, cosine) < 1e-12:
-        return float("nan")
-    return float(wrap_deg(np.degrees(np.arctan2(sine, cosine))))

@@ -100,9 +100,3 @@ class LocalGrid:
                     f"A local grid's {name} has shape {array.shape}, its geometry asks for "
                     f"{self.spec.shape} (n_y, n_x)."
                 )
-
-    def masked(self, inside: Bool) -> LocalGrid:
-        """The same grid with every cell outside the mask [n_y, n_x] unseen."""
-        return LocalGrid(
-            self.spec, np.where(inside, self.density, np.uint8(0)), self.observed & inside
-        )

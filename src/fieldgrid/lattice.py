@@ -151,24 +151,6 @@ class Lattice:
         return Window(i0, j0, max(i1 - i0, 1), max(j1 - j0, 1))
 
 
-def universal_bounds(east_m: npt.ArrayLike, north_m: npt.ArrayLike, reach_m: float) -> Bounds:
-    """Eq. 1, corrected: the rectangle that holds every local grid, whatever its heading.
-
-    `east_m`, `north_m` are the grids' origins; `reach_m` is the distance from an origin to the
-    farthest corner of its grid, hypot(W/2, y_max). The paper pads by y_max alone, which cuts
-    corners by 0.39 m for its own grid of 6.65 m x 14 m.
-    """
-    east, north = np.asarray(east_m, dtype=np.float64), np.asarray(north_m, dtype=np.float64)
-    if east.size == 0:
-        raise ConfigError("A universal grid needs at least one local grid.")
-    return Bounds(
-        float(east.min()) - reach_m,
-        float(north.min()) - reach_m,
-        float(east.max()) + reach_m,
-        float(north.max()) + reach_m,
-    )
-
-
 def check_inside(crop: Bounds, extent: Bounds) -> None:
     """Raise ConfigError for a crop that is empty, or shares nothing with the map."""
     Lattice(1.0).window(crop)

@@ -29,8 +29,8 @@ def written(
         now_s = k * row_s
         fresh_s = np.floor(now_s / receiver_s + 1e-6) * receiver_s
         second = min(int(fresh_s + 1e-6), len(speeds_mps) - 1)
-        way_m = start_m[second] + (fresh_s - second) * speeds_mps[second]
-        lat_deg = round((41.65 + way_m / M_PER_DEG) / rounded_deg) * rounded_deg
+        distance_m = start_m[second] + (fresh_s - second) * speeds_mps[second]
+        lat_deg = round((41.65 + distance_m / M_PER_DEG) / rounded_deg) * rounded_deg
         speed = speeds_mps[second] if told else None
         fixes.append(Fix(NOON + round(now_s * SECOND), lat_deg, -4.72, 700.0, 4, speed_mps=speed))
     return fixes

@@ -19,8 +19,8 @@ M_PER_DEG = 111_195.0
 def lane_and_turns(n: int, period_s: float, speed_mps: float = 1.5) -> tuple[Float64, Float64]:
     """Rows of 40 m joined by half-turns of 4 m radius, left and right in turn."""
     row_m, turn_m = 40.0, math.pi * 4.0
-    way_m = np.arange(n) * period_s * speed_mps
-    lap, in_lap = np.divmod(way_m, row_m + turn_m)
+    distance_m = np.arange(n) * period_s * speed_mps
+    lap, in_lap = np.divmod(distance_m, row_m + turn_m)
     turned = np.clip((in_lap - row_m) / 4.0, 0.0, np.pi)
     heading = np.where(lap % 2 == 0, turned, np.pi - turned)
     step_m = period_s * speed_mps

@@ -61,7 +61,7 @@ def test_what_is_stated_of_the_mount_does_not_enter() -> None:
         for stated in (Mount(1.0, 0.0), Mount(3.0, 50.0, -15.0, 20.0))
     )
     assert one.measured() == other.measured()
-    np.testing.assert_array_equal(one.stands.roll_deg, other.stands.roll_deg)
+    np.testing.assert_array_equal(one.mount_samples.roll_deg, other.mount_samples.roll_deg)
 
 
 def test_nothing_depends_on_the_number_of_threads() -> None:

@@ -34,13 +34,13 @@ def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Record
 
 
 def test_gentle_curves_are_compared_by_their_chords() -> None:
-    curvature, way_m = 0.045, 1.5 * PERIOD_S
+    curvature, distance_m = 0.045, 1.5 * PERIOD_S
     truth = simulate([Command(40.0, 1.5, curvature)], speed_mps=1.5)
     drive = replace(straight(1.0)[0], log=FixLog(fixes_of(truth)))
     n = int(40.0 / PERIOD_S)
-    turn_deg = np.full(n, math.degrees(way_m * curvature))
+    turn_deg = np.full(n, math.degrees(distance_m * curvature))
     arcs = Ways(
-        np.arange(1, n + 1), np.full(n, way_m), np.zeros(n), turn_deg, np.full(n, curvature)
+        np.arange(1, n + 1), np.full(n, distance_m), np.zeros(n), turn_deg, np.full(n, curvature)
     )
     found = check(drive, arcs)
     assert found.scale is not None

@@ -29,10 +29,10 @@ def motions(
     random = np.random.default_rng(seed)
     R_vc = mount.rotation()
     found: list[RigidMotion | None] = []
-    for count, way_m, curvature in legs:
+    for count, distance_m, curvature in legs:
         for _ in range(count):
-            turn = way_m * curvature
-            chord = way_m * (math.sin(turn / 2.0) / (turn / 2.0) if turn else 1.0)
+            turn = distance_m * curvature
+            chord = distance_m * (math.sin(turn / 2.0) / (turn / 2.0) if turn else 1.0)
             axle = np.array([chord * math.sin(turn / 2.0), chord * math.cos(turn / 2.0), 0.0])
             cos, sin = math.cos(turn), math.sin(turn)
             R_start_stop = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -58,12 +58,12 @@ def test_yaw_and_axle_are_found(yaw: float, ahead: float, roll: float, tilt: flo
     assert moved.ahead_m.value == pytest.approx(ahead, abs=0.1)
 
 
-@pytest.mark.parametrize("way_m", [1.0, -1.0])
-def test_the_sign_is_that_of_the_camera_also_in_reverse(way_m: float) -> None:
+@pytest.mark.parametrize("distance_m", [1.0, -1.0])
+def test_the_sign_is_that_of_the_camera_also_in_reverse(distance_m: float) -> None:
     """A camera that looks to the right sees the vehicle go to its left."""
     mount = Mount(2.0, 15.0, 0.0, 3.0)
-    steps = ways(motions(mount, 1.0, [(12, way_m, 0.0)]), plane_of(mount))
-    np.testing.assert_allclose(steps.forward_m, way_m, atol=1e-9)
+    steps = ways(motions(mount, 1.0, [(12, distance_m, 0.0)]), plane_of(mount))
+    np.testing.assert_allclose(steps.forward_m, distance_m, atol=1e-9)
     np.testing.assert_allclose(steps.direction_deg, -3.0, atol=1e-9)
     moved = travel(steps)
     assert moved.yaw_deg is not None
@@ -73,10 +73,10 @@ def test_the_sign_is_that_of_the_camera_also_in_reverse(way_m: float) -> None:
 
 def test_curvature_is_to_the_right_when_driving_forward() -> None:
     mount = Mount(2.0, 15.0)
-    for way_m in (1.0, -1.0):
-        steps = ways(motions(mount, 0.0, [(3, way_m, 0.1)]), plane_of(mount))
+    for distance_m in (1.0, -1.0):
+        steps = ways(motions(mount, 0.0, [(3, distance_m, 0.1)]), plane_of(mount))
         np.testing.assert_allclose(steps.curvature_per_m, 0.1, rtol=0.01)
-        np.testing.assert_allclose(steps.turn_deg, math.degrees(0.1 * way_m), atol=1e-9)
+        np.testing.assert_allclose(steps.turn_deg, math.degrees(0.1 * distance_m), atol=1e-9)
 
 
 def test_sway_of_a_high_camera_is_no_way() -> None:

@@ -12,7 +12,7 @@ import pytest
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.mounting import Measured, MountEstimate, write_estimate
 from fieldgrid.mounting.estimate import UNDER
-from fieldgrid.mounting.passed import Stands
+from fieldgrid.mounting.ground_under_vehicle import MountSamples
 from fieldgrid.mounting.travel import Ways
 from fieldgrid.recording import mounting_path, open_recording
 from fieldgrid.rig import Rig
@@ -37,7 +37,7 @@ def estimate(stated: Rig | None, *, yaw: Measured | None = YAW) -> MountEstimate
         reverse_m=0.0,
         straight_m=9.0,
         time_ns=np.zeros(0, dtype=np.int64),
-        stands=Stands(np.zeros(0, dtype=np.int64), NOTHING, NOTHING, NOTHING),
+        mount_samples=MountSamples(np.zeros(0, dtype=np.int64), NOTHING, NOTHING, NOTHING),
         ways=Ways(np.zeros(0, dtype=np.int64), NOTHING, NOTHING, NOTHING, NOTHING),
         gnss=None,
         stated=stated,

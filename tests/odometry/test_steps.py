@@ -437,10 +437,10 @@ def test_a_real_road(shared_data: Callable[[str], Path]) -> None:
     results = [step(a, b, rig) for a, b in pairwise(frames[13:])]
     found = np.array([solved(one) for one in results])
     poses = np.loadtxt(folder / "native_poses.txt").reshape(-1, 3, 4)[13:]
-    way_m = np.linalg.norm(np.diff(poses[:, :, 3], axis=0), axis=1)
+    distance_m = np.linalg.norm(np.diff(poses[:, :, 3], axis=0), axis=1)
     # Camera yaw: y is down, so a turn to the right is positive about it.
     yaw_deg = np.degrees(np.arctan2(poses[:, 0, 2], poses[:, 2, 2]))
-    off_m = np.abs(found[:, 0] - way_m)
+    off_m = np.abs(found[:, 0] - distance_m)
     off_deg = np.abs(found[:, 2] - np.diff(yaw_deg))
     assert np.median(off_m) < 0.02
     assert np.median(off_deg) < 0.03

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.errors import ConfigError, LimitError, RecordingError
 from fieldgrid.fixes import Fix
+from fieldgrid.limits import limited
 from fieldgrid.recording import Columns, FixLog, columns_from_text
 from fieldgrid.recording.logs import read_fix_log
 from fieldgrid.recording.qualities import read_qualities
@@ -326,3 +327,11 @@ def test_oxts_rows_bring_their_gyro(shared_data: SharedData) -> None:
     interpolated = sum(fix.quality == 6 for fix in log.fixes)
     assert len(gyro.time_ns) == len(log.fixes) - interpolated
     assert (gyro.time_ns[1:] > gyro.time_ns[:-1]).all()
+
+
+def test_a_table_of_too_many_rows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "long.csv"
+    path.write_text("time_s,lat_deg,lon_deg\n" + "1000000000,41.0,2.0\n" * 30)
+    assert len(read_fix_log(path).fixes) == 30
+    with limited(rows=29), pytest.raises(LimitError, match=r"long\.csv has more than 29 rows; cut"):
+        read_fix_log(path)

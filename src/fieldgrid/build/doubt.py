@@ -8,7 +8,6 @@ to the first, so ground that is missing while steps are found speaks of height a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
 
 import numpy as np
 
@@ -141,6 +140,6 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
 
 
 def _probes(recording: Recording, frames: int, every: int) -> Iterator[Frame]:
-    taken = islice(recording.frames(), 0, None, every)
-    wanted = set(np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist())
-    return (frame for k, frame in enumerate(taken) if k in wanted)
+    """Some frames from all over a drive, of `frames` that are every so many-th."""
+    for k in np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist():
+        yield from recording.frames(k * every, k * every + 1)

@@ -145,7 +145,7 @@ def _facts(estimate: MountEstimate) -> Iterator[tuple[str, str]]:
     yield "measured on", estimate.method
     yield (
         "frames used / looked at / all",
-        (f"{len(estimate.stands.frame)} / {estimate.looked} / {estimate.frames}"),
+        (f"{len(estimate.mount_samples.frame)} / {estimate.looked} / {estimate.frames}"),
     )
     yield (
         "driven forward / reverse / nearly straight",

@@ -41,7 +41,7 @@ class Scale(NamedTuple):
 
     ratio: float
     sigma: float
-    way_m: float
+    distance_m: float
 
     @property
     def is_off(self) -> bool:
@@ -149,9 +149,9 @@ def scale(steps: Steps, trajectory: Trajectory, offset_ns: int = 0) -> Scale | N
             continue
         nose = math.radians(one.heading_deg)
         east_m, north_m = other.east_m - one.east_m, other.north_m - one.north_m
-        way_m = east_m * math.sin(nose) + north_m * math.cos(nose)
+        distance_m = east_m * math.sin(nose) + north_m * math.cos(nose)
         camera_m.append(abs(forward_m))
-        fixes_m.append(math.copysign(1.0, forward_m) * way_m)
+        fixes_m.append(math.copysign(1.0, forward_m) * distance_m)
     by_camera, by_fixes = np.array(camera_m), np.array(fixes_m)
     if by_fixes.sum() < LEAST_WAY_M or len(by_fixes) < PARTS:
         return None
@@ -175,7 +175,7 @@ def scale_findings(found: Scale | None, rig: Rig) -> Iterator[Finding]:
     yield level(
         "scale",
         f"By the camera the way is {found.ratio:.3f} ± {found.sigma:.3f} times that of the fixes "
-        f"(over {found.way_m:.0f} m), so all distances of the grids are.",
+        f"(over {found.distance_m:.0f} m), so all distances of the grids are.",
         f"A baseline of {baseline_m / found.ratio:.4f} m in place of {baseline_m:.4f} m would "
         "agree: check it (P[3] = -f·b of the right camera, stereo_baseline_m) and the focal "
         "length.",

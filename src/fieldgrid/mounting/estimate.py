@@ -15,10 +15,10 @@ import numpy as np
 from fieldgrid.array_types import Int64
 from fieldgrid.build.perception import side_by_side
 from fieldgrid.errors import RecordingError
+from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
-from fieldgrid.mounting.looks import Look, Looker
+from fieldgrid.mounting.ground_under_vehicle import MountSamples, ground_under_vehicle
 from fieldgrid.mounting.measured import Measured, mean_of
-from fieldgrid.mounting.passed import Stands, stands
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
@@ -83,9 +83,9 @@ class MountEstimate:
     when the right side is down, `yaw_deg` positive when the sensor looks to the right of where the
     vehicle goes; None when the drive does not tell. `axle_ahead_m` is how far the sensor is ahead
     of the axle that does not steer, None without turns. `method` is the ground that was measured.
-    `stands` are the frames' own values, `ways` the steps of the camera, `time_ns` the times of the
-    `looked` frames, by the receiver's clock. `gnss` compares with the fixes, None without; `stated`
-    is what the recording says of its rig itself, None when it does not.
+    `mount_samples` are the frames' own values, `ways` the steps of the camera, `time_ns` the times
+    of the `looked` frames, by the receiver's clock. `gnss` compares with the fixes, None without;
+    `stated` is what the recording says of its rig itself, None when it does not.
     """
 
     name: str
@@ -102,7 +102,7 @@ class MountEstimate:
     reverse_m: float
     straight_m: float
     time_ns: Int64
-    stands: Stands
+    mount_samples: MountSamples
     ways: Ways
     gnss: GnssCheck | None
     stated: Rig | None
@@ -154,7 +154,7 @@ class MountEstimate:
             "method": self.method,
             "frames": self.frames,
             "frames_looked_at": self.looked,
-            "frames_used": len(self.stands.frame),
+            "frames_used": len(self.mount_samples.frame),
             "camera_steps": self.steps,
             "forward_m": self.forward_m,
             "reverse_m": self.reverse_m,
@@ -211,7 +211,7 @@ def _estimated(
         )
     rough = _middle(planes)
     motions = _motions(looks, joined, rig, rough)
-    found, plane = stands([look.patches for look in looks], motions, rough)
+    found, plane = ground_under_vehicle([look.patches for look in looks], motions, rough)
     steps = ways(motions, plane)
     under = len(found.frame) >= FEWEST_STANDS
     if not under:
@@ -238,7 +238,7 @@ def _estimated(
         reverse_m=float(np.abs(steps.forward_m[steps.forward_m < 0.0]).sum()),
         straight_m=moved.straight_m,
         time_ns=time_ns,
-        stands=found,
+        mount_samples=found,
         ways=steps,
         gnss=None if isinstance(check, str) else check,
         stated=stated,
@@ -251,14 +251,14 @@ def _look(
     chosen: Sequence[range],
     jobs: int,
     progress: Callable[[int, int], None] | None,
-) -> tuple[list[Look], list[bool]]:
+) -> tuple[list[FrameSample], list[bool]]:
     """The looks at the chosen frames, and whether each follows the one before in a stretch."""
     wanted = {k for stretch in chosen for k in stretch}
     starts = {stretch[0] for stretch in chosen if stretch}
     order = sorted(wanted)
-    looks: list[Look] = []
+    looks: list[FrameSample] = []
     picked = _picked(recording.frames(), wanted)
-    for look in side_by_side(Looker(recording.rig), picked, jobs):
+    for look in side_by_side(FrameProbe(recording.rig), picked, jobs):
         looks.append(look)
         if progress is not None:
             progress(len(looks), len(order))
@@ -276,7 +276,7 @@ def _middle(planes: Sequence[Plane]) -> Plane:
 
 
 def _motions(
-    looks: Sequence[Look], joined: Sequence[bool], rig: Rig, rough: Plane
+    looks: Sequence[FrameSample], joined: Sequence[bool], rig: Rig, rough: Plane
 ) -> list[RigidMotion | None]:
     """The motion from each look to the next, of the middle of the baseline; None if not known."""
     camera = rig.sensor
@@ -299,14 +299,14 @@ def _motions(
     return motions
 
 
-def _ahead(looks: Sequence[Look]) -> Stands:
+def _ahead(looks: Sequence[FrameSample]) -> MountSamples:
     """The planes ahead, for want of better."""
     planes = [(k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None]
     rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in planes])
-    return Stands(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3])
+    return MountSamples(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3])
 
 
-def _means(found: Stands, under: bool) -> tuple[Measured, Measured, Measured]:
+def _means(found: MountSamples, under: bool) -> tuple[Measured, Measured, Measured]:
     """Height, tilt and roll with their errors."""
     height_m = float(np.median(found.height_m))
     floor_m = math.hypot(HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE * height_m)

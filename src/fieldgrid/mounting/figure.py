@@ -19,7 +19,7 @@ def mount_figure(estimate: MountEstimate) -> Figure:
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
     stated = {one.key: one.stated for one in estimate.compared()}
-    stood = estimate.stands
+    stood = estimate.mount_samples
     if len(estimate.time_ns):
         time_s = (estimate.time_ns[stood.frame] - estimate.time_ns[0]) / 1e9
     else:

@@ -74,11 +74,11 @@ def _ratios(estimate: Estimate, time_ns: Int64, steps: Ways) -> Float64:
     if not trajectory.accepted.any():
         return np.zeros(0)
     ratios: list[float] = []
-    way_m, turned_rad, right_m, forward_m = 0.0, 0.0, 0.0, 0.0
+    distance_m, turned_rad, right_m, forward_m = 0.0, 0.0, 0.0, 0.0
     first, last = -1, -1
     for stop, step_m, direction, turn, curvature in zip(*steps, strict=True):
         if stop != last + 1 or abs(curvature) > STRAIGHT_PER_M:
-            first, way_m, turned_rad, right_m, forward_m = stop - 1, 0.0, 0.0, 0.0, 0.0
+            first, distance_m, turned_rad, right_m, forward_m = stop - 1, 0.0, 0.0, 0.0, 0.0
         last = stop
         if abs(curvature) > STRAIGHT_PER_M:
             last = -1
@@ -87,8 +87,8 @@ def _ratios(estimate: Estimate, time_ns: Int64, steps: Ways) -> Float64:
         right_m += step_m * math.sin(bearing)
         forward_m += step_m * math.cos(bearing)
         turned_rad += math.radians(turn)
-        way_m += abs(step_m)
-        if way_m < RUN_M:
+        distance_m += abs(step_m)
+        if distance_m < RUN_M:
             continue
         start, end = (trajectory.at(int(time_ns[k])) for k in (first, stop))
         if start.status is not Status.REJECTED and end.status is not Status.REJECTED:

@@ -89,12 +89,12 @@ def ways(motions: Sequence[RigidMotion | None], plane: Plane) -> Ways:
         right, forward, _ = (R_level @ (R.T @ (ground - t) - ground)).tolist()
         turned = R_level @ R.T @ R_level.T
         turn = math.atan2(float(turned[0, 1]), float(turned[1, 1]))
-        way_m = math.hypot(right, forward)
+        distance_m = math.hypot(right, forward)
         gear = 1.0 if forward >= 0.0 else -1.0
-        if way_m < LEAST_STEP_M or abs(turn) > math.radians(MOST_TURN_DEG):
+        if distance_m < LEAST_STEP_M or abs(turn) > math.radians(MOST_TURN_DEG):
             continue
         direction = math.atan2(gear * right, gear * forward) - turn / 2.0
-        rows.append((k + 1, gear * way_m, direction, turn, gear * turn / way_m))
+        rows.append((k + 1, gear * distance_m, direction, turn, gear * turn / distance_m))
     stop, forwards_m, directions, turns, curvatures = np.array(rows).reshape(-1, 5).T
     return Ways(
         stop.astype(np.int64), forwards_m, np.degrees(directions), np.degrees(turns), curvatures
@@ -106,9 +106,9 @@ def travel(steps: Ways, ahead_m: float | None = None) -> Travel:
 
     What is said is used for the yaw only; the axle is found without it.
     """
-    way_m = np.abs(steps.forward_m)
-    straight_m = float(way_m[np.abs(steps.curvature_per_m) < STRAIGHT_PER_M].sum())
-    if len(way_m) < FEWEST or straight_m < LEAST_WAY_M:
+    distance_m = np.abs(steps.forward_m)
+    straight_m = float(distance_m[np.abs(steps.curvature_per_m) < STRAIGHT_PER_M].sum())
+    if len(distance_m) < FEWEST or straight_m < LEAST_WAY_M:
         return Travel(None, None, straight_m)
     line, covariance = _line(steps, AHEAD_M, AHEAD_SIGMA_M)
     ahead_sigma_m = math.hypot(math.sqrt(covariance[1, 1]), AHEAD_FLOOR_M)
@@ -126,12 +126,12 @@ def travel(steps: Ways, ahead_m: float | None = None) -> Travel:
 
 def _line(steps: Ways, ahead_m: float, ahead_sigma_m: float) -> tuple[Float64, Float64]:
     """Direction (rad) straight on and metres ahead of the axle, with their covariance [2, 2]."""
-    way_m, turn = np.abs(steps.forward_m), np.radians(steps.turn_deg)
+    distance_m, turn = np.abs(steps.forward_m), np.radians(steps.turn_deg)
     direction = np.radians(steps.direction_deg)
     sigma = np.sqrt(
-        (NOISE_M / way_m) ** 2 + math.radians(NOISE_DEG) ** 2 + (NOISE_SHARE * turn) ** 2
+        (NOISE_M / distance_m) ** 2 + math.radians(NOISE_DEG) ** 2 + (NOISE_SHARE * turn) ** 2
     )
-    columns = np.column_stack([np.ones_like(way_m), steps.curvature_per_m])
+    columns = np.column_stack([np.ones_like(distance_m), steps.curvature_per_m])
     prior = np.diag([0.0, 1.0 / ahead_sigma_m**2])
     line: Float64 = np.zeros(2)
     weights = 1.0 / sigma**2

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import LensModel, RawCamera, lens_model, raw_camera
 from fieldgrid.recording.calibrated import Calibration, rectified_here
 from fieldgrid.recording.calibration_yaml import listed, load_yaml, resolution, rows
-from fieldgrid.rectify import LensModel, RawCamera, lens_model, raw_camera, rectify_by_pose
+from fieldgrid.rectify import rectify_by_pose
 
 
 def read_kalibr(path: Path, rectified: bool | None) -> Calibration:

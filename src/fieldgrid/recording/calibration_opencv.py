@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import LensModel, RawCamera, lens_model, raw_camera
 from fieldgrid.recording.calibrated import Calibration, rectified_here, taken_as_rectified
 from fieldgrid.recording.calibration_yaml import image_size, load_yaml, matrix
 from fieldgrid.rectify import (
-    LensModel,
-    RawCamera,
     Rectification,
     camera_from_projections,
-    lens_model,
-    raw_camera,
     rectify_by_pose,
     rectify_by_projections,
 )

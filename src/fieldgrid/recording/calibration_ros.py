@@ -10,15 +10,10 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import RawCamera, lens_model, raw_camera
 from fieldgrid.recording.calibrated import Calibration, rectified_here, taken_as_rectified
 from fieldgrid.recording.calibration_yaml import image_size, load_yaml, matrix
-from fieldgrid.rectify import (
-    RawCamera,
-    camera_from_projections,
-    lens_model,
-    raw_camera,
-    rectify_by_projections,
-)
+from fieldgrid.rectify import camera_from_projections, rectify_by_projections
 from fieldgrid.rig import DepthCamera
 
 _INTRINSICS = ((0, 0), (1, 1), (0, 2), (1, 2))  # fx, fy, cx, cy

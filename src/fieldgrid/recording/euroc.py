@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.lens import RawCamera
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.recording.calibration_kalibr import pinhole
 from fieldgrid.recording.calibration_yaml import load_yaml, matrix
@@ -27,7 +28,7 @@ from fieldgrid.recording.settings_file import SETTINGS, read_settings
 from fieldgrid.recording.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recording.table_time import find_time
 from fieldgrid.recording.tables import open_table
-from fieldgrid.rectify import RawCamera, Rectification, is_rotation, rectify_by_pose
+from fieldgrid.rectify import Rectification, is_rotation, rectify_by_pose
 
 _LOOKS_FOR = "mav0 with cam0 and cam1"
 _TOP = "mav0"

@@ -18,6 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
+from fieldgrid.limits import check_rows
 from fieldgrid.recording.files import open_log_bytes
 
 COMMENTS = ("#", "%")
@@ -83,10 +84,11 @@ class Table:
 
     def blocks(self) -> Iterator[Block]:
         """All rows from the first; empty lines are rows without cells."""
-        block = self.sample
+        block, first = self.sample, self._line + 1
         while block.rows:
-            yield block
             line = block.line + len(block.rows)
+            check_rows(line - first, self.path)
+            yield block
             block = Block(line, list(islice(self._rows, _BLOCK_ROWS)))
 
     def numbers(self, block: Block, column: int) -> Float64:

@@ -9,16 +9,11 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import lens_model, raw_camera
 from fieldgrid.recording.bag.content import Content
 from fieldgrid.recording.bag.images import baseline_m
 from fieldgrid.recording.bag.topics import INFO, is_rectified, listing
-from fieldgrid.rectify import (
-    Rectifier,
-    camera_from_projections,
-    lens_model,
-    raw_camera,
-    rectify_by_projections,
-)
+from fieldgrid.rectify import Rectifier, camera_from_projections, rectify_by_projections
 from fieldgrid.rig import DepthCamera, StereoCamera
 
 _MOST_COEFFICIENTS = 64

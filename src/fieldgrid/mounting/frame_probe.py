@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float32, Float64, Index, UInt8
-from fieldgrid.mounting.passed import REACH_M, Patches
+from fieldgrid.mounting.ground_under_vehicle import REACH_M, Patches
 from fieldgrid.mounting.plane import (
     PATCH_M,
     SPARSE_PATCH_M,
@@ -35,7 +35,7 @@ DEPTH_SHARE, LIDAR_SIGMA_M = 0.01, 0.03
 """Errors of a depth, as a share of it, where nothing is known of its making; and of a lidar."""
 
 
-class Look(NamedTuple):
+class FrameSample(NamedTuple):
     """One frame: the plane ahead and the patches of ground, None and none where there was no
     ground to be seen; `features` of a stereo pair."""
 
@@ -53,7 +53,7 @@ class _Seen(NamedTuple):
     features: Features | None = None
 
 
-class Looker:
+class FrameProbe:
     """Looks at the frames of one rig, of whose mount it knows nothing; safe in threads."""
 
     def __init__(self, rig: Rig, stereo: StereoSettings | None = None) -> None:
@@ -63,13 +63,13 @@ class Looker:
         if isinstance(rig.sensor, StereoCamera):
             self._matcher = _matcher(rig.sensor, self._settings)
 
-    def __call__(self, frame: Frame) -> Look:
+    def __call__(self, frame: Frame) -> FrameSample:
         """Everything that is needed of a frame; reads its images."""
         points_m, sigma_m, seen = frame.read(self)
         range_m = np.linalg.norm(points_m, axis=1)
         usable = (range_m > 0.2) & (range_m < RANGE_M) & (sigma_m < MOST_RANGE_SIGMA_M)
         plane, patches = _ground(points_m[usable], sigma_m[usable], self._patch_m)
-        return Look(frame.time_ns, plane, patches, seen)
+        return FrameSample(frame.time_ns, plane, patches, seen)
 
     def pair(self, left: UInt8, right: UInt8) -> _Seen:
         """What a pair shows, seen from the middle of the baseline."""

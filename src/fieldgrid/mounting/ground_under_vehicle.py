@@ -45,7 +45,7 @@ class Patches(NamedTuple):
     sigma_m: Float64
 
 
-class Stands(NamedTuple):
+class MountSamples(NamedTuple):
     """How the sensor stood on the ground under the vehicle, frame by frame; all length n."""
 
     frame: Int64
@@ -54,10 +54,10 @@ class Stands(NamedTuple):
     height_m: Float64
 
 
-def stands(
+def ground_under_vehicle(
     seen: Sequence[Patches], motions: Sequence[RigidMotion | None], start: Plane
-) -> tuple[Stands, Plane]:
-    """The stands of all frames under which enough was seen, and their mean plane.
+) -> tuple[MountSamples, Plane]:
+    """How the sensor stood in all frames under which enough was seen, and their mean plane.
 
     `motions` lead from each frame to the next, in the sensor's frame; None where nothing is known.
     `start` is roughly the plane.
@@ -71,25 +71,25 @@ def stands(
             break
         up = np.median([p.up for _, p in found], axis=0)
         plane = Plane(up / np.linalg.norm(up), float(np.median(rows[:, 3])))
-    return Stands(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
+    return MountSamples(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
 
 
 def _brought(k: int, seen: Sequence[Patches], motions: Sequence[RigidMotion | None]) -> Patches:
     """The patches of the frames around frame k, in its frame."""
     points, sigmas = [], []
     for direction in (-1, 1):
-        R, t, j, way_m = np.eye(3), np.zeros(3), k, 0.0
+        R, t, j, distance_m = np.eye(3), np.zeros(3), k, 0.0
         while True:
             step = _step(j, direction, motions)
             if step is None:
                 break
             R, t = R @ step.R_stop_start, R @ step.t_stop_start_m + t
-            way_m += float(np.linalg.norm(step.t_stop_start_m))
+            distance_m += float(np.linalg.norm(step.t_stop_start_m))
             j += direction
-            if way_m > MOST_WAY_M:
+            if distance_m > MOST_WAY_M:
                 break
             points.append(seen[j].points_m @ R.T + t)
-            sigmas.append(np.hypot(seen[j].sigma_m, DRIFT_M_PER_M * way_m))
+            sigmas.append(np.hypot(seen[j].sigma_m, DRIFT_M_PER_M * distance_m))
     if not points:
         return Patches(np.zeros((0, 3)), np.zeros(0))
     return Patches(np.concatenate(points), np.concatenate(sigmas))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import CalibrationError
-from fieldgrid.mounting.looks import Looker
+from fieldgrid.mounting.frame_probe import FrameProbe
 from fieldgrid.recording import DepthFrame
 from fieldgrid.recording.depth_files import DepthFile, DepthFormat
 from tests.scenes import depth_rig
@@ -23,4 +23,4 @@ def test_depths_of_another_size_are_refused(tmp_path: Path) -> None:
     frame = DepthFrame("1", 1, DepthFile(path, DepthFormat("depth")), size_px)
     told = rf"1\.npy has {size_px[0] // 2} x {size_px[1] // 2} px, but the calibration is for"
     with pytest.raises(CalibrationError, match=told):
-        Looker(rig)(frame)
+        FrameProbe(rig)(frame)
