@@ -11,7 +11,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks import heading_harvester, heading_road, heading_tractor, heading_vineyard
+from benchmarks import (
+    heading_harvester,
+    heading_honesty,
+    heading_road,
+    heading_tractor,
+    heading_vineyard,
+)
 
 
 class Section(NamedTuple):
@@ -24,6 +30,24 @@ class Section(NamedTuple):
 
 
 SECTIONS = (
+    Section(
+        "offset",
+        "how far poses lie from accepted fixes",
+        heading_road.FOLDER,
+        heading_honesty.report_offsets,
+    ),
+    Section(
+        "sigma",
+        "simulated drives whose stated sigma changes: errors in sigmas",
+        Path("."),
+        heading_honesty.report_sigmas,
+    ),
+    Section(
+        "doubt",
+        "garden tractor, whole and with holes: said doubt of the gear against observed",
+        heading_tractor.FOLDER,
+        heading_honesty.report_doubts,
+    ),
     Section(
         "tractor",
         "garden tractor, positions only, beside its two antennas",

@@ -39,7 +39,7 @@ LAYERS = (
         "ros",
     ),
     ("pose", "localgrid", "recording", "layers", "cost"),
-    ("mapfile",),
+    ("mapfile", "track_formats"),
     ("rows", "route", "export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),
     ("inspection", "mounting", "convert", "view"),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fieldgrid import publish
-from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapExistsError, MapWriteError
+from fieldgrid.errors import DatumError, FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
@@ -187,12 +187,6 @@ def test_a_place_where_no_file_can_be(
     with pytest.raises(error, match=r"folder"):
         write_track(estimate(), tmp_path / place)
     assert list(tmp_path.iterdir()) == [tmp_path / "f.csv"]
-
-
-def test_a_name_of_another_kind_of_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"t\.xyz is not named as a CSV"):
-        write_track(estimate(), tmp_path / "t.xyz")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_full_disk_leaves_the_earlier_track(

@@ -18,6 +18,14 @@ from fieldgrid.errors import ConfigError, DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.pose import Estimate, PoseReport
 from fieldgrid.publish import replacing
+from fieldgrid.track_formats import (
+    GEOJSON_START,
+    GPX_START,
+    TUM_START,
+    geojson_lines,
+    gpx_lines,
+    tum_lines,
+)
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 COLUMNS = (
@@ -31,10 +39,21 @@ NO_HEADING_DEG = 90.0
 
 _HEADER = ",".join(COLUMNS)
 
+_OTHERS = {
+    ".gpx": (GPX_START, gpx_lines),
+    ".geojson": (GEOJSON_START, geojson_lines),
+    ".tum": (TUM_START, tum_lines),
+}
+"""Beside the table: how a file begins, and its lines."""
+
+SUFFIXES = (".csv", *_OTHERS)
+"""What the name of a track may end in."""
+
 
 def write_track(estimate: Estimate, path: str | Path) -> None:
-    """Write `track.csv`: a row an input fix, in order of time, rejected ones included.
+    """Write the track in the format of the file's ending: csv, gpx, geojson or tum.
 
+    `track.csv` has a row an input fix, in order of time, rejected ones included.
     Degrees, metres and metres a second (negative in reverse) of the estimated pose; height is
     ellipsoidal; gear is 1, -1, or 0 at rest. A field is empty where nothing is known: all of a
     pose at a rejected fix before the first accepted one or after the last. The file appears
@@ -47,21 +66,30 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
     check_reach(estimate.trajectory)
     check_target(path)
     with replacing(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(track_rows(estimate))
+        if path.suffix.lower() == ".csv":
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            writer.writerows(track_rows(estimate))
+        else:
+            _, lines = _OTHERS[path.suffix.lower()]
+            file.writelines(f"{line}\n" for line in lines(estimate))
 
 
 def check_target(path: Path) -> None:
-    """Raise ConfigError for a name that is none of a CSV, and MapExistsError for an existing file
-    that is no track: it may be the log itself."""
-    if path.suffix.lower() != ".csv":
-        raise ConfigError(f"{path} is not named as a CSV; give a name that ends in .csv.")
+    """Raise ConfigError for a name that is none of a track, MapExistsError for an existing file
+    that is no such track: it may be the log itself."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ConfigError(
+            f"{path} ends in none of {', '.join(SUFFIXES)}; give the track a name that does."
+        )
     if not path.is_file():
         return
+    first = _HEADER if suffix == ".csv" else _OTHERS[suffix][0]
     with path.open("rb") as file:
-        start = file.readline(len(_HEADER) + 2).decode("latin-1").rstrip("\r\n")
-    if start not in ("", _HEADER):
+        start = file.readline(len(first) + 2).decode("latin-1").rstrip("\r\n")
+    ours = start == first if suffix == ".csv" else start.startswith(first)
+    if start and not ours:
         raise MapExistsError(
             f"{path} exists already and is no track; give another name, or remove it first."
         )

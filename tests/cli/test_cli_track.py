@@ -17,6 +17,7 @@ from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
 
 RTK = TWO_LANES / "gnss" / "gnss_rtk.nmea"
+SF1_LOG = RTK.with_name("gnss_sf1.nmea")
 SF1 = ("--gnss", "gnss_sf1.nmea")
 KEYS = {
     *("track", "figure", "drive", "gnss", "datum", "heading_source", "fixes", "ok", "held"),
@@ -118,6 +119,49 @@ def test_a_drive_of_which_no_pose_can_be_used_exits_with_1(
     assert result.status == 1
     assert "No pose can be used, mostly because: heading unknown" in result.out
     assert {row["status"] for row in rows(out)} == {"rejected"}
+
+
+def test_what_is_known_of_a_drive_can_be_said(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
+    """The receiver's accuracy or quality, the gear at the start, and gears of spans."""
+    stated = json.loads(fieldgrid("track", SF1_LOG, "-o", out, "--json").output())
+    better = json.loads(
+        fieldgrid("track", SF1_LOG, "-o", out, "--accuracy", "0.1", "--json").output()
+    )
+    assert better["position_sigma_m"]["median"] < 0.5 * stated["position_sigma_m"]["median"]
+    float_too = json.loads(
+        fieldgrid(
+            "track",
+            SF1_LOG,
+            "-o",
+            out,
+            "--quality",
+            "rtk-float",
+            "--json",
+        ).output()
+    )
+    assert set(
+        float_too["quality"] if "quality" in float_too else float_too["conditioning"]["quality"]
+    ) == {"RTK float"}
+    first = fieldgrid("track", SF1_LOG, "-o", out, "--starts", "reverse", "--json")
+    assert json.loads(first.output())["reverse_s"] > json.loads(first.out)["forward_s"]
+    times = [int(row["time_ns"]) for row in rows(out)]
+    gears = tmp_path / "gears.csv"
+    gears.write_text(f"from,to,gear\n{times[0] - 1},{times[-1]},forward\n")
+    known = fieldgrid("track", SF1_LOG, "-o", out, "--gear", gears, "--json")
+    assert json.loads(known.output())["reverse_s"] < 0.5 * stated["reverse_s"]
+    wrong = fieldgrid("track", SF1_LOG, "-o", out, "--quality", "superb")
+    assert wrong.status == 1
+    assert "there is no quality 'superb' of a fix; give one of" in wrong.err
+
+
+@pytest.mark.parametrize("suffix", ["gpx", "geojson", "tum"])
+def test_a_track_for_other_programs(suffix: str, fieldgrid: Run, tmp_path: Path) -> None:
+    path = tmp_path / f"track.{suffix}"
+    assert str(path) in fieldgrid("track", RTK, "-o", path).output()
+    assert path.stat().st_size > 1000
+    wrong = fieldgrid("track", RTK, "-o", tmp_path / "track.kml")
+    assert wrong.status == 1
+    assert "ends in none of .csv, .gpx, .geojson, .tum" in wrong.err
 
 
 def test_the_datum_can_be_given(fieldgrid: Run, out: Path) -> None:

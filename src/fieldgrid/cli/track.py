@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _LOG = "A GNSS log alone"
 _MOST_REASONS = 6
+_SETTINGS = ("pose.heading", "pose.accuracy_m", "pose.quality", "pose.starts")
 
 
 def command(
@@ -31,14 +32,22 @@ def command(
         typer.Option(
             "--out",
             "-o",
-            metavar="track.csv",
-            help="The table.",
+            metavar="FILE.csv|gpx|geojson|tum",
+            help="The track.",
             rich_help_panel=options.OUTPUT,
             show_default=False,
         ),
     ],
     drive: Drive,
-    settings: Annotated[Overrides, SettingsFlags("pose.heading")],
+    settings: Annotated[Overrides, SettingsFlags(*_SETTINGS)],
+    gear: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Gears that are known: columns from, to (UTC), gear (forward, reverse).",
+            rich_help_panel="Poses",
+        ),
+    ] = None,
     columns: Annotated[
         str | None,
         typer.Option(
@@ -74,16 +83,22 @@ def command(
 
         fieldgrid track june-03 -o track.csv --gnss rtk.nmea --figure track.png
 
-        fieldgrid track tractor.csv -o track.csv --columns lat=Breite,lon=Laenge
+        fieldgrid track tractor.csv -o track.gpx --columns lat=Breite,lon=Laenge
+
+        fieldgrid track mower.nmea -o track.gpx --quality rtk-fixed
     """
     options.check_figure(figure)
     from fieldgrid.build.tracking import track_drive
     from fieldgrid.publish import refuse_input
+    from fieldgrid.recording.gear_file import read_gear_spans
     from fieldgrid.rig import Carrier
     from fieldgrid.settings import resolve
     from fieldgrid.track import check_target, summarise_track, write_track
 
     origin, opening = options.datum(datum), drive.options(columns)
+    if gear is not None:
+        known = {**settings.get("pose", {}), "gear_spans": read_gear_spans(gear)}
+        settings = {**settings, "pose": known}
     chosen = resolve(config, settings)
     carrier = None
     if antenna_ahead is not None or heading_offset is not None:
@@ -175,8 +190,9 @@ def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
     """What was found out about the sensors that the drive has."""
     report = summary.report
     if report.offset is not None:
-        median_m, sigmas = report.offset.median_m, report.offset.median_sigmas
-        yield "poses off their fixes, median", f"{median_m:.3f} m, {sigmas:.2f} of what is stated"
+        lasting_m, sigmas = report.offset.lasting_m, report.offset.lasting_sigmas
+        told = f"{lasting_m:.3f} m, {sigmas:.2f} of what is stated"
+        yield "poses off their fixes, over 20 s", told
     if report.gyro_bias_dps == report.gyro_bias_dps:  # not NaN: there is a gyro
         yield "gyro bias", f"{report.gyro_bias_dps:.3f} °/s"
     if report.recorded is not None:

@@ -12,7 +12,7 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Verdicts
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import Drive, fix_offsets
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.verdict import jumps
@@ -132,24 +132,6 @@ def _positions(log: Conditioned, rows: Int64) -> tuple[Float64, Float64, Float64
     some = log.fixes[rows]
     with np.errstate(invalid="ignore"):  # rejected fixes may hold anything
         return log.datum.to_enu(some.lat_deg, some.lon_deg, some.height_m)
-
-
-OFFSET_S = 20.0
-"""Over so long, pose and fixes lie beside each other by what the receiver states at most."""
-
-
-def fix_offsets(drive: Drive, fixes: AcceptedFixes) -> tuple[Float64, Float64]:
-    """How far the antenna lies from its fixes, on average over :data:`OFFSET_S` around each node,
-    and the error that these fixes state along one axis, metres."""
-    time_ns, half_ns = fixes.time_ns, round(OFFSET_S / 2.0 * 1e9)
-    first = np.searchsorted(time_ns, drive.time_ns - half_ns)
-    last = np.searchsorted(time_ns, drive.time_ns + half_ns, side="right")
-    count = np.maximum(last - first, 1)
-    sums = [
-        np.concatenate([[0.0], np.cumsum(column)]) for column in (*drive.offset_m.T, fixes.sigma_m)
-    ]
-    east, north, stated = ((one[last] - one[first]) / count for one in sums)
-    return np.hypot(east, north), np.where(last > first, stated, np.inf)
 
 
 def _paper_table(

@@ -283,7 +283,12 @@ class PoseSettings(Settings):
     @field_validator("quality", mode="before")
     @classmethod
     def _by_name(cls, given: object) -> object:
-        return Quality.named(given) if isinstance(given, str) else given
+        if not isinstance(given, str):
+            return given
+        try:
+            return Quality.named(given)
+        except ConfigError as error:
+            raise ValueError(str(error).removesuffix(".")) from error
 
     @property
     def uses_camera(self) -> bool:

@@ -12,10 +12,10 @@ from fieldgrid.smoother.envelope import STATES, Envelope, envelope, factor, inve
 from fieldgrid.smoother.measurements import Measurements
 
 MOST_ROUNDS = 25
-ENOUGH_M, ENOUGH_RAD = 3e-3, 3e-4
+ENOUGH_M, ENOUGH_RAD = 3e-3, 1e-3
 """Rounds end when no node moves or turns by more."""
 
-SETTLED_SHARE, SETTLING_ROUNDS = 0.998, 8
+SETTLED_SHARE, SETTLING_ROUNDS = 0.998, 5
 """After so many rounds it is enough that so many of the nodes move no more: where nothing tells a
 heading, it may go to and fro forever, and its sigma says so."""
 
@@ -120,6 +120,7 @@ def converged(
     for rounds in range(1, most_rounds + 1):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         found = improved(problem, found, linear, off)
+        del linear, off  # a long drive's equations are large, and the next round makes its own
         moved_m = np.abs(found.last_change[:, : model.PHI]).max(axis=1)
         turned = np.abs(found.last_change[:, model.PHI])
         settled = (moved_m < enough * ENOUGH_M) & (turned < enough * ENOUGH_RAD)
