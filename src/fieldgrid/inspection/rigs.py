@@ -27,6 +27,9 @@ SCALE_WARN, SCALE_ERROR = 0.03, 0.05
 LEAST_WAY_M, LEAST_STEP_M = 10.0, 0.1
 
 PARTS = 8
+CALIBRATION_SHARE = 0.005
+"""Disparities that are off by a tenth of a pixel, where most points are, make half a per cent."""
+
 
 HEIGHT_SHARE, LEAN_DEG, CLEAR_SIGMAS = 0.08, 1.5, 4.0
 """A mounting disagrees with the ground when height, tilt or roll is off by more than these, and
@@ -162,8 +165,12 @@ def scale(steps: Steps, trajectory: Trajectory, offset_ns: int = 0) -> Scale | N
             for part in parts
         ]
     )
-    sigma = math.sqrt((PARTS - 1) / PARTS * float(((rest - rest.mean()) ** 2).sum()))
-    return Scale(float(by_camera.sum() / by_fixes.sum()), sigma, float(by_fixes.sum()))
+    scatter = math.sqrt((PARTS - 1) / PARTS * float(((rest - rest.mean()) ** 2).sum()))
+    way_m = float(by_fixes.sum())
+    # What all parts share: calibration, and fixes that are off at both ends of the way.
+    ends_m = math.sqrt(2.0) * float(np.median(trajectory.position_sigma_m[trajectory.accepted]))
+    sigma = math.hypot(scatter, CALIBRATION_SHARE, ends_m / way_m)
+    return Scale(float(by_camera.sum()) / way_m, sigma, way_m)
 
 
 def scale_findings(found: Scale | None, rig: Rig) -> Iterator[Finding]:
