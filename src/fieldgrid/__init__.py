@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from fieldgrid.mapfile import merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
     from fieldgrid.recording import DriveOptions, open_drive, open_recording
+    from fieldgrid.rows import Crop, Planting, find_rows
     from fieldgrid.settings import BuildSettings
     from fieldgrid.trajectory import Pose, Trajectory
     from fieldgrid.transfer import Averaging, Transfer
@@ -42,11 +43,13 @@ _HOMES = {
     "BuildSettings": "settings",
     "CostCurve": "cost",
     "Costmap": "costmap",
+    "Crop": "rows",
     "Datum": "geodesy",
     "DriveOptions": "recording",
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
+    "Planting": "rows",
     "Pose": "trajectory",
     "Selection": "export",
     "Trajectory": "trajectory",
@@ -60,6 +63,7 @@ _HOMES = {
     "export_geotiff": "export",
     "export_map": "export",
     "figures": "",
+    "find_rows": "rows",
     "inspect_recording": "inspection",
     "local_grid": "build",
     "merge_maps": "mapfile",
@@ -76,11 +80,13 @@ __all__ = [
     "BuildSettings",
     "CostCurve",
     "Costmap",
+    "Crop",
     "Datum",
     "DriveOptions",
     "FieldgridError",
     "GridSpec",
     "LocalGrid",
+    "Planting",
     "Pose",
     "Selection",
     "Trajectory",
@@ -94,6 +100,7 @@ __all__ = [
     "export_geotiff",
     "export_map",
     "figures",
+    "find_rows",
     "inspect_recording",
     "local_grid",
     "merge_maps",

@@ -36,6 +36,7 @@ COMMANDS: dict[str, Entry] = {
     "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
     "show": Entry(_USE, "Draw a map."),
     "view": Entry(_USE, "Look at maps in the browser."),
+    "rows": Entry(_USE, "Find rows of plants, lanes, gaps and headlands."),
     "export": Entry(_USE, "Write a map for another program."),
     "query": Entry(_USE, "Tell which frames a cell's value comes from."),
     "diff": Entry(_USE, "Compare a map before and after a date."),

@@ -1,0 +1,213 @@
+"""`fieldgrid rows`: rows, lanes, gaps, headlands, blocks and obstacles of a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import options, output
+
+if TYPE_CHECKING:
+    from fieldgrid.rows import Planting
+
+
+def command(
+    map_: options.MapArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="Write .geojson, .gpkg, .csv, .kml or .dxf.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    crop: Annotated[
+        str, typer.Option(metavar="NAME", help="vineyard, bushes, orchard or arable.")
+    ] = "vineyard",
+    spacing: Annotated[
+        str | None, typer.Option(metavar="MIN:MAX", help="Distance between rows, metres.")
+    ] = None,
+    plant_spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Largest usual distance between plants.")
+    ] = None,
+    min_gap: Annotated[
+        float | None, typer.Option(metavar="M", help="A longer hole in a row is a gap.")
+    ] = None,
+    min_row: Annotated[float | None, typer.Option(metavar="M", help="Shortest row.")] = None,
+    half_width: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Half width of a canopy, where no row shows both sides."),
+    ] = None,
+    obstacle_above: Annotated[
+        int, typer.Option(metavar="N", help="Density above which a cell is an obstacle.")
+    ] = 100,
+    hole: Annotated[
+        float,
+        typer.Option(metavar="M", help="Unseen ground counts as seen where no such square fits."),
+    ] = 0.25,
+    headland: Annotated[
+        float, typer.Option(metavar="M", help="How far headlands reach from the plants.")
+    ] = 15.0,
+    bounds: options.BoundsValues = None,
+    at: options.At = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Surveyed points, .csv or .geojson, to compare the rows with."
+        ),
+    ] = None,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Find rows and what lies between them, with their sigma.
+
+    Prints a table of blocks, rows and lanes, as a check of the map: rows of one block are parallel
+    and equally spaced.
+
+    Examples:
+
+        fieldgrid rows vineyard.gpkg -o rows.geojson
+
+        fieldgrid rows orchard.gpkg --crop orchard --spacing 3.5:5 --truth trees.csv
+    """
+    from fieldgrid.mapfile import open_map
+    from fieldgrid.publish import refuse_input
+    from fieldgrid.rows import crop_named, find_rows
+    from fieldgrid.rows.output import write_planting
+    from fieldgrid.rows.report import against_survey, read_survey
+
+    if out is not None:
+        refuse_input(out, [map_, *([truth] if truth else [])])
+    low = high = None
+    if spacing is not None:
+        low, high = options.numbers("--spacing", spacing, ":", "MIN:MAX", "1.5:3")
+    planted = crop_named(crop).changed(
+        min_spacing_m=low,
+        max_spacing_m=high,
+        plant_spacing_m=plant_spacing,
+        min_gap_m=min_gap,
+        min_row_m=min_row,
+        half_width_m=half_width,
+    )
+    with open_map(map_) as universal:
+        survey = read_survey(truth, universal.datum) if truth else None
+        planting = find_rows(
+            universal,
+            crop=planted,
+            bounds=options.bounds(bounds),
+            obstacle_above=obstacle_above,
+            hole_m=hole,
+            headland_m=headland,
+            at=at,
+        )
+    compared = against_survey(planting, survey) if survey is not None else None
+    if out is not None:
+        write_planting(planting, out, overwrite=overwrite)
+    if as_json:
+        value = _as_dict(map_, planting)
+        if compared is not None:
+            value["survey"] = compared._asdict()
+        output.print_json(value)
+        return
+    _print(planting)
+    if compared is not None:
+        output.print_table(
+            ("survey", ""),
+            (
+                ("points on rows", f"{compared.points} on {compared.rows}"),
+                ("mean offset", output.number(compared.offset_m, 3, "m")),
+                ("RMS offset", output.number(compared.rms_m, 3, "m")),
+                ("within 3 sigma", output.percent(compared.within_3_sigma)),
+            ),
+        )
+    if out is not None:
+        output.print_line(f"{out}")
+
+
+def _print(planting: Planting) -> None:
+    from fieldgrid.rows.report import block_quality, row_quality
+
+    if not planting.rows:
+        output.print_line(
+            "no rows found; --crop and --spacing say what to look for, --obstacle-above which "
+            "cells are plants"
+        )
+        return
+
+    def text(value: float, digits: int, unit: str) -> str:
+        return output.number(output.known(value), digits, unit)
+
+    output.print_table(
+        ("block", "rows", "lanes", "heading", "spacing", "its sd", "parallel to", "bend"),
+        [
+            (
+                b.id,
+                str(b.rows),
+                str(b.lanes),
+                text(b.heading_deg, 1, "°"),
+                text(q.spacing_m, 3, "m"),
+                text(q.spacing_sd_m, 3, "m"),
+                text(q.parallel_deg, 2, "°"),
+                text(q.bend_m, 3, "m"),
+            )
+            for b, q in zip(planting.blocks, block_quality(planting), strict=True)
+        ],
+    )
+    quality = {q.row: q for q in row_quality(planting)}
+    output.print_table(
+        ("row", "length", "sigma", "spacing", "half width", "sides", "bend", "turn", "gaps"),
+        [
+            (
+                r.id,
+                text(r.length_m, 1, "m"),
+                text(r.sigma_m, 3, "m"),
+                text(r.spacing_m, 2, "m"),
+                text(r.half_width_m, 2, "m"),
+                text(r.sides, 1, ""),
+                text(quality[r.id].bend_m, 3, "m"),
+                text(quality[r.id].turn_deg, 2, "°"),
+                str(sum(gap.row == r.id for gap in planting.gaps)),
+            )
+            for r in planting.rows
+        ],
+    )
+    output.print_table(
+        ("lane", "between", "length", "free width", "known", "driven", "obstacles"),
+        [
+            (
+                lane.id,
+                " ".join(lane.rows),
+                text(lane.length_m, 1, "m"),
+                text(lane.free_width_m, 2, "m"),
+                output.percent(lane.known, 0),
+                "yes" if lane.driven else "no",
+                str(sum(o.lane == lane.id for o in planting.obstacles)),
+            )
+            for lane in planting.lanes
+        ],
+    )
+
+
+def _as_dict(path: Path, planting: Planting) -> dict[str, Any]:
+    from fieldgrid.rows.output import planting_features
+    from fieldgrid.rows.report import block_quality, row_quality
+    from fieldgrid.vectors import plain_properties
+
+    found: dict[str, Any] = {
+        "map": str(path),
+        "cell_m": planting.cell_m,
+        **{f"{kind}s": [] for kind in ("row", "lane", "gap", "headland", "block", "obstacle")},
+    }
+    for feature in planting_features(planting):
+        found[f"{feature.kind}s"].append(plain_properties(feature))
+    for entry, quality in zip(found["blocks"], block_quality(planting), strict=True):
+        entry.update({k: output.known(v) for k, v in quality._asdict().items() if k != "block"})
+    by_row = {q.row: q for q in row_quality(planting)}
+    for entry in found["rows"]:
+        quality_of = by_row[entry["id"]]
+        entry.update({k: output.known(v) for k, v in quality_of._asdict().items() if k != "row"})
+    return found

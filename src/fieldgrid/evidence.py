@@ -1,0 +1,104 @@
+"""What a map says of a field, as row finding needs it: obstacle cells, free cells, unseen ones.
+
+Rows are measured in *strips*: the cells along a line, straightened, so that columns are distances
+to the left of it. A strip is read by the nearest cell, so nothing is interpolated between an
+obstacle and what was never seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64, UInt8
+from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import MapView
+from fieldgrid.polyline import lengths, normals
+
+UNSEEN, FREE, OBSTACLE = 0, 1, 2
+"""Classes of cells."""
+
+
+class Strip(NamedTuple):
+    """The cells along a line: their classes [n along, m across], the distances along (metres from
+    its first point) and across (to the left) of their middles."""
+
+    cells: UInt8
+    along_m: Float64
+    across_m: Float64
+
+
+class Evidence(NamedTuple):
+    """Classes of the cells of a window, uint8 [rows north, columns east]."""
+
+    lattice: Lattice
+    window: Window
+    cells: UInt8
+
+    @classmethod
+    def of(cls, view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
+        """The classes of a view: an obstacle is a cell whose density is above the threshold."""
+        cells = view.observed.astype(np.uint8)
+        cells[view.observed & (view.density > obstacle_above)] = OBSTACLE
+        return cls(view.lattice, view.window, cells)
+
+    @property
+    def origin_m(self) -> tuple[float, float]:
+        """The south-west corner of the window, metres east and north."""
+        bounds = self.lattice.bounds(self.window)
+        return bounds.west_m, bounds.south_m
+
+    @property
+    def cell_m(self) -> float:
+        """Side of the cells."""
+        return self.lattice.cell_m
+
+    def obstacle_points(self) -> Float64:
+        """The middles of the obstacle cells [n, 2], metres east and north."""
+        j, i = np.nonzero(self.cells == OBSTACLE)
+        east_m, north_m = self.lattice.centres(self.window)
+        return np.column_stack([east_m[i], north_m[j]])
+
+    def at(self, points_m: Float64) -> UInt8:
+        """The classes of the cells that enclose points [..., 2]; outside, nothing was seen."""
+        per_m = self.lattice.cells_per_m
+        i = np.floor(points_m[..., 0] * per_m).astype(np.int64) - self.window.i0
+        j = np.floor(points_m[..., 1] * per_m).astype(np.int64) - self.window.j0
+        height, width = self.cells.shape
+        inside: Bool = (i >= 0) & (j >= 0) & (i < width) & (j < height)
+        found = np.zeros(inside.shape, dtype=np.uint8)
+        found[inside] = self.cells[j[inside], i[inside]]
+        return found
+
+    def strip(self, line: Float64, left_m: float, right_m: float, step_m: float) -> Strip:
+        """The cells from `right_m` right of a line to `left_m` left of it, every `step_m` along."""
+        s = lengths(line)
+        at = np.arange(0.5 * step_m, s[-1], step_m)
+        middle = np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
+        left = normals(line)
+        left = np.column_stack([np.interp(at, s, left[:, k]) for k in (0, 1)])
+        left /= np.hypot(left[:, 0], left[:, 1])[:, None]
+        across = np.arange(-right_m + 0.5 * self.cell_m, left_m, self.cell_m)
+        points = middle[:, None] + across[None, :, None] * left[:, None]
+        return Strip(self.at(points), at, across)
+
+
+def fill_pinholes(evidence: Evidence, hole_m: float) -> Evidence:
+    """The evidence with unseen ground taken for free where no square of `hole_m` of it fits.
+
+    A stereo camera leaves pinholes in ground that it has seen; 0 fills none of them. Ground outside
+    the window is unseen.
+    """
+    size = int(hole_m * evidence.lattice.cells_per_m + 1e-9)
+    if size < 2:
+        return evidence
+    unseen = (evidence.cells == UNSEEN).astype(np.uint8)
+    padded = cv2.copyMakeBorder(unseen, size, size, size, size, cv2.BORDER_CONSTANT, value=1)
+    kernel = np.ones((size, size), np.uint8)
+    wide = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[size:-size, size:-size]
+    cells = evidence.cells.copy()
+    cells[(unseen > 0) & (wide == 0)] = FREE
+    return evidence._replace(cells=cells)

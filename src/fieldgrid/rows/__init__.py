@@ -1,0 +1,20 @@
+"""Rows of plants and what lies between them, found in the evidence of a map."""
+
+from fieldgrid.rows.crops import CROPS, Crop, crop_named
+from fieldgrid.rows.find import find_rows, rows_of_view
+from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
+
+__all__ = [
+    "CROPS",
+    "Block",
+    "Crop",
+    "Gap",
+    "Headland",
+    "Lane",
+    "Obstacle",
+    "Planting",
+    "Row",
+    "crop_named",
+    "find_rows",
+    "rows_of_view",
+]

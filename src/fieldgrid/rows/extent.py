@@ -1,0 +1,182 @@
+"""Where along its line a row stands: its ends, its gaps, and what of it was not seen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
+from fieldgrid.rows.crops import Crop
+
+_OCCUPIED = 0.15
+"""A stretch with this share of the row's usual cells is a part of it."""
+
+_HALF = 0.5
+"""A gap begins where the share of obstacle cells has fallen to half: a blur of the evidence moves
+that place to neither side."""
+
+_END = 0.3
+"""A row ends with its last shoots or its post, which are thinner than the row."""
+
+_OVERHANG_M = 0.3
+"""The line of a row ends a canopy's half width, or this, before its last cells do."""
+
+_STEP_M = 0.1
+_CELLS = 8
+"""Cells that a mean along the row is to have, where the evidence is thin."""
+
+_LOCAL_M = 2.0
+_GAP_SEEN = 0.6
+"""A hole is a gap when this share of its ground was seen; else nobody knows."""
+
+_THING_M = 1.05
+_SMALL_THING_M = 0.6
+_HOLE_M = (0.3, 0.8)
+_CLEAR_HOLE_M = 1.0
+"""A person or a pile of rocks in a gap is shorter than a plant, with some hole on one side and a
+clear one on the other. Two clear holes with nearly a plant between them are two weak plants."""
+
+_EDGE_M = 1.0
+"""Between a gap and the end of its row there is a plant; an end post is none."""
+
+Span = tuple[float, float]
+
+
+class Extent(NamedTuple):
+    """Distances along a line, metres: where the row begins and ends, its gaps, and the stretches
+    of which too little was seen to say."""
+
+    start_m: float
+    stop_m: float
+    gaps_m: tuple[Span, ...]
+    unseen_m: tuple[Span, ...]
+
+
+def runs(flags: Bool) -> list[tuple[int, int]]:
+    """The stretches [first, last + 1) in which flags are True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int] | None:
+    """The stretch of a line that is one row: the longest run of cells, and runs beyond its holes.
+
+    What lies beyond a hole belongs to the row if it is long for that hole: a trailer that stands in
+    line with a row does not lengthen it. None when there is no run.
+    """
+    some = weight > 0.0
+    if not some.any():
+        return None
+    occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
+    parts = _closed(runs(occupied), crop.plant_spacing_m / step_m)
+    sizes = [b - a for a, b in parts]
+    core = int(np.argmax(sizes))
+    first = last = core
+    while True:
+        hole_before = parts[first][0] - parts[first - 1][1] if first else np.inf
+        hole_after = parts[last + 1][0] - parts[last][1] if last + 1 < len(parts) else np.inf
+        before, after = (
+            hole * step_m <= crop.max_bridge_m and size * step_m >= max(1.0, 0.5 * hole * step_m)
+            for hole, size in (
+                (hole_before, sizes[first - 1] if first else 0),
+                (hole_after, sizes[last + 1] if last + 1 < len(parts) else 0),
+            )
+        )
+        if before:
+            first -= 1
+        elif after:
+            last += 1
+        else:
+            return parts[first][0], parts[last][1]
+
+
+def _closed(parts: list[tuple[int, int]], hole: float) -> list[tuple[int, int]]:
+    joined = [parts[0]]
+    for a, b in parts[1:]:
+        if a - joined[-1][1] <= hole:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
+
+
+def find_extent(
+    evidence: Evidence, line: Float64, faces_m: tuple[float, float], crop: Crop
+) -> Extent | None:
+    """Ends and gaps of a row along its fitted line, which reaches beyond them.
+
+    `faces_m` is how far the canopy reaches to the left (positive) and the right (negative).
+    """
+    strip = evidence.strip(line, faces_m[0] + 0.1, 0.1 - faces_m[1], _STEP_M)
+    obstacle = (strip.cells == OBSTACLE).sum(axis=1).astype(np.float64)
+    if not obstacle.any():
+        return None
+    usual = float(np.median(obstacle[obstacle > 0.0]))
+    window = int(np.clip(np.ceil(_CELLS / usual), 3, 15))
+    dense = uniform_filter1d(obstacle, window, mode="constant")
+    usual = float(np.median(dense[dense > 0.0]))
+    span = connected_run(dense, _STEP_M, crop)
+    if span is None:
+        return None
+    start, stop = _end(dense, span), len(dense) - _end(dense[::-1], span, mirrored=True)
+    core = np.abs(strip.across_m - sum(faces_m) / 2.0) < 0.35 * (faces_m[0] - faces_m[1])
+    seen = (strip.cells[:, core] != UNSEEN).mean(axis=1)
+    gaps, unseen = _holes(dense > _HALF * usual, (start, stop), seen, crop)
+
+    def metres(part: tuple[int, int]) -> Span:
+        return part[0] * _STEP_M, part[1] * _STEP_M
+
+    overhang_m = min(_OVERHANG_M, 0.5 * (faces_m[0] - faces_m[1]))
+    return Extent(
+        start * _STEP_M + overhang_m,
+        stop * _STEP_M - overhang_m,
+        tuple(map(metres, gaps)),
+        tuple(map(metres, unseen)),
+    )
+
+
+def _end(dense: Float64, span: tuple[int, int], *, mirrored: bool = False) -> int:
+    """Where a row begins: the first place that has half of what the next metres have."""
+    first = len(dense) - span[1] if mirrored else span[0]
+    local = round(_LOCAL_M / _STEP_M)
+    plateau = float(np.median(dense[first : first + local]))
+    above = np.flatnonzero(dense[first : first + local] >= _END * plateau)
+    return first + int(above[0]) if len(above) else first
+
+
+def _holes(
+    occupied: Bool, span: tuple[int, int], seen: Float64, crop: Crop
+) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Gaps, and stretches that were not seen.
+
+    A person or a pile of rocks in a gap does not divide it.
+    """
+    start, stop = span
+    holes = [(start + a, start + b) for a, b in runs(~occupied[start:stop])]
+    joined: list[tuple[int, int]] = []
+    for a, b in holes:
+        if joined and _is_thing(joined[-1], (a, b), crop):
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    long = [(a, b) for a, b in joined if (b - a) * _STEP_M >= crop.min_gap_m - 0.5 * _STEP_M]
+    edge = round(_EDGE_M / _STEP_M)
+    gaps = [
+        (a, b)
+        for a, b in long
+        if seen[a:b].mean() >= _GAP_SEEN and a - start >= edge and stop - b >= edge
+    ]
+    return gaps, [(a, b) for a, b in long if seen[a:b].mean() < _GAP_SEEN]
+
+
+def _is_thing(before: tuple[int, int], after: tuple[int, int], crop: Crop) -> bool:
+    """Whether what lies between two holes is rather a thing in a gap than a plant."""
+    if crop.plant_spacing_m > 2.0 * _THING_M:
+        return False
+    holes = sorted(round((b - a) * _STEP_M, 6) for a, b in (before, after))
+    length = round((after[0] - before[1]) * _STEP_M, 6)
+    most = crop.min_gap_m if length <= _SMALL_THING_M else _HOLE_M[1]
+    return length <= _THING_M and _HOLE_M[0] <= holes[0] < most and holes[1] >= _CLEAR_HOLE_M

@@ -1,0 +1,327 @@
+"""`find_rows`: from the evidence of a map to rows, lanes, gaps, headlands, blocks and obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import ConfigError
+from fieldgrid.evidence import Evidence, fill_pinholes
+from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import MapFile, MapView, open_map
+from fieldgrid.polyline import part
+from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
+from fieldgrid.rows.chains import reference_lines
+from fieldgrid.rows.crops import Crop, crop_named
+from fieldgrid.rows.ground import (
+    Thing,
+    find_headlands,
+    find_things,
+    measure_lane,
+    without_specks,
+)
+from fieldgrid.rows.measure import Measured, measure_rows
+from fieldgrid.rows.neighbours import oriented
+from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
+from fieldgrid.rows.segments import find_segments, link, thinned
+from fieldgrid.trajectory import Status
+
+MAX_CELLS = 100_000_000
+"""Cells that are looked at at once; a larger map is read in cells twice as large."""
+
+DEFAULT_HOLE_M = 0.25
+DEFAULT_HEADLAND_M = 15.0
+_DRIVEN_SHARE = 0.5
+
+
+class Drives(NamedTuple):
+    """What the drives of a map say beside their evidence: where the vehicle was, what each frame
+    covers, the session it is of, and the sigma of its place."""
+
+    track_m: Float64
+    footprints: Sequence[shapely.Polygon]
+    sessions: Sequence[str]
+    sigma_m: Float64
+
+
+def find_rows(
+    universal: MapFile | str | Path,
+    *,
+    crop: str | Crop = "vineyard",
+    bounds: Bounds | None = None,
+    obstacle_above: int = OBSTACLE_ABOVE,
+    hole_m: float = DEFAULT_HOLE_M,
+    headland_m: float = DEFAULT_HEADLAND_M,
+    at: str | int | None = None,
+) -> Planting:
+    """The rows of a map, and what lies between and beside them.
+
+    `crop` is a preset (vineyard, bushes, orchard, arable) or a :class:`Crop`. A cell is an obstacle
+    when its density is above `obstacle_above`. Unseen ground counts as seen where no square of
+    `hole_m` metres of it fits. Headlands reach `headland_m` from the plants. `at` is a session or a
+    date: the map as of then. Raises ConfigError for what cannot be asked; a map without rows gives
+    a planting without rows.
+    """
+    if not isinstance(universal, MapFile):
+        with open_map(universal) as opened:
+            return find_rows(
+                opened, crop=crop, bounds=bounds, obstacle_above=obstacle_above, hole_m=hole_m,
+                headland_m=headland_m, at=at,
+            )  # fmt: skip
+    if not 0 <= obstacle_above <= 254:
+        raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
+    view = _view(universal, bounds, at)
+    drives = _drives(universal, at)
+    return rows_of_view(
+        view, drives, crop=crop, obstacle_above=obstacle_above, hole_m=hole_m, headland_m=headland_m
+    )
+
+
+def rows_of_view(
+    view: MapView,
+    drives: Drives | None = None,
+    *,
+    crop: str | Crop = "vineyard",
+    obstacle_above: int = OBSTACLE_ABOVE,
+    hole_m: float = DEFAULT_HOLE_M,
+    headland_m: float = DEFAULT_HEADLAND_M,
+) -> Planting:
+    """The same of a view that was read already."""
+    name, crop = ("given", crop) if isinstance(crop, Crop) else (crop, crop_named(crop))
+    evidence = Evidence.of(view, obstacle_above)
+    measured = _measured(evidence, crop)
+    ordered = order_rows(measured, crop)
+    lanes = lane_lines(ordered)
+    clean = fill_pinholes(without_specks(evidence), hole_m)
+    found_lanes = _lanes(clean, ordered, lanes, drives)
+    areas = _block_areas(ordered, lanes)
+    obstacles = _obstacles(
+        find_things(without_specks(evidence), ordered.rows), ordered, found_lanes
+    )
+    return Planting(
+        view.datum,
+        view.bounds,
+        evidence.cell_m,
+        name,
+        _rows(evidence, ordered, drives),
+        found_lanes,
+        _gaps(ordered),
+        _headlands(clean, ordered, areas, headland_m),
+        _blocks(ordered, areas, found_lanes),
+        obstacles,
+    )
+
+
+def _view(universal: MapFile, bounds: Bounds | None, at: str | int | None) -> MapView:
+    area = bounds or universal.bounds
+    cell_m = universal.cell_m
+    size = (area.east_m - area.west_m) * (area.north_m - area.south_m)
+    while size / cell_m**2 > MAX_CELLS:
+        cell_m *= 2.0
+    return universal.read(bounds, cell_m, at=at)
+
+
+def _drives(universal: MapFile, at: str | int | None) -> Drives:
+    active = [info.name for info in universal.sessions() if info.active]
+    names = active if at is None else universal.sessions_at(at)
+    tracks, footprints, sessions, sigmas = [np.zeros((0, 2))], [], [], []
+    for name in names:
+        frames = [
+            frame for frame in universal.frames(name) if frame.pose.status is not Status.REJECTED
+        ]
+        for frame in frames:
+            pose, spec = frame.pose, frame.spec
+            phi = np.radians(pose.heading_deg)
+            x = np.array([-0.5, 0.5, 0.5, -0.5]) * spec.width_m
+            y = np.array([0.0, 0.0, 1.0, 1.0]) * spec.length_m
+            east = pose.east_m + x * np.cos(phi) + y * np.sin(phi)
+            north = pose.north_m - x * np.sin(phi) + y * np.cos(phi)
+            footprints.append(shapely.Polygon(np.column_stack([east, north])))
+            sessions.append(name)
+            sigmas.append(pose.position_sigma_m)
+        tracks.append(np.array([(f.pose.east_m, f.pose.north_m) for f in frames]).reshape(-1, 2))
+    return Drives(np.concatenate(tracks), footprints, sessions, np.array(sigmas))
+
+
+def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
+    points = evidence.obstacle_points()
+    if len(points) < 20:
+        return []
+    points = thinned(points, max(evidence.cell_m, crop.min_spacing_m / 4.0))
+    segments = find_segments(points, crop)
+    if not len(segments.half_m):
+        return []
+    lines = oriented(reference_lines(segments, link(segments, crop), crop))
+    return measure_rows(evidence, lines, crop)
+
+
+def _rows(evidence: Evidence, ordered: Ordered, drives: Drives | None) -> tuple[Row, ...]:
+    spacing: dict[int, list[float]] = {}
+    for pair in ordered.pairs:
+        if pair.is_lane:
+            spacing.setdefault(pair.left, []).append(pair.distance_m)
+            spacing.setdefault(pair.right, []).append(pair.distance_m)
+    tree = shapely.STRtree(drives.footprints) if drives and len(drives.footprints) else None
+    found = []
+    for k, row in enumerate(ordered.rows):
+        line = shapely.LineString(row.line)
+        sessions: tuple[str, ...] = ()
+        position_m = 0.0
+        if tree is not None and drives is not None:
+            seeing = tree.query(line, predicate="intersects")
+            sessions = tuple(dict.fromkeys(drives.sessions[i] for i in np.sort(seeing)))
+            known = drives.sigma_m[seeing][np.isfinite(drives.sigma_m[seeing])]
+            position_m = float(np.median(known)) if len(known) else 0.0
+        length = row.extent.stop_m
+        unseen = sum(b - a for a, b in row.extent.unseen_m)
+        found.append(
+            Row(
+                ordered.ids[k],
+                ordered.block_of[k],
+                line,
+                length,
+                float(np.hypot(np.sqrt((row.sigma_m**2).mean()), position_m)),
+                float(np.mean(spacing[k])) if k in spacing else float("nan"),
+                row.half_width_m,
+                row.sides,
+                1.0 - unseen / length,
+                row.cells,
+                sessions,
+                row.scatter_m,
+            )
+        )
+    return tuple(found)
+
+
+def _lanes(
+    evidence: Evidence, ordered: Ordered, lanes: list[LaneLine], drives: Drives | None
+) -> tuple[Lane, ...]:
+    counts: dict[str, int] = {}
+    found = []
+    for lane in lanes:
+        block = ordered.block_of[lane.left]
+        counts[block] = counts.get(block, 0) + 1
+        half = ordered.rows[lane.left].half_width_m, ordered.rows[lane.right].half_width_m
+        ground = measure_lane(evidence, lane, half)
+        line = shapely.LineString(lane.line)
+        driven = False
+        if drives is not None and len(drives.track_m):
+            shapely.prepare(lane.area)
+            inside = shapely.contains_xy(lane.area, drives.track_m)
+            if inside.sum() > 1:
+                at = shapely.line_locate_point(line, shapely.points(drives.track_m[inside]))
+                driven = bool(np.ptp(at) >= _DRIVEN_SHARE * line.length)
+        found.append(
+            Lane(
+                f"{block}-L{counts[block]}",
+                block,
+                (ordered.ids[lane.left], ordered.ids[lane.right]),
+                line,
+                lane.area,
+                float(line.length),
+                _least(ground.widths_m),
+                ground.widths_m[::4],
+                ground.known,
+                driven,
+            )
+        )
+    return tuple(found)
+
+
+def _least(widths_m: Float64) -> float:
+    known = widths_m[np.isfinite(widths_m)]
+    return float(known.min()) if len(known) else float("nan")
+
+
+def _gaps(ordered: Ordered) -> tuple[Gap, ...]:
+    found = []
+    for row, name in zip(ordered.rows, ordered.ids, strict=True):
+        for number, (start, stop) in enumerate(row.extent.gaps_m, 1):
+            line = shapely.LineString(part(row.line, max(start, 0.0), min(stop, row.extent.stop_m)))
+            found.append(Gap(f"{name}-G{number}", name, line, stop - start))
+    return tuple(found)
+
+
+def _block_areas(ordered: Ordered, lanes: list[LaneLine]) -> dict[str, shapely.Polygon]:
+    areas = {}
+    for block in dict.fromkeys(ordered.block_of):
+        members = [k for k, name in enumerate(ordered.block_of) if name == block]
+        areas[block] = block_area(
+            [ordered.rows[k].line for k in members],
+            [lane.area for lane in lanes if ordered.block_of[lane.left] == block],
+            [ordered.rows[k].half_width_m for k in members],
+        )
+    return areas
+
+
+def _blocks(
+    ordered: Ordered, areas: dict[str, shapely.Polygon], lanes: tuple[Lane, ...]
+) -> tuple[Block, ...]:
+    found = []
+    for name, area in areas.items():
+        lines = [r.line for r, b in zip(ordered.rows, ordered.block_of, strict=True) if b == name]
+        along = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        apart = [
+            p.distance_m for p in ordered.pairs if p.is_lane and ordered.block_of[p.left] == name
+        ]
+        found.append(
+            Block(
+                name,
+                area,
+                len(lines),
+                sum(lane.block == name for lane in lanes),
+                float(np.degrees(np.arctan2(along[0], along[1]))),
+                float(np.median(apart)) if apart else float("nan"),
+            )
+        )
+    return tuple(found)
+
+
+def _headlands(
+    evidence: Evidence, ordered: Ordered, areas: dict[str, shapely.Polygon], reach_m: float
+) -> tuple[Headland, ...]:
+    if not areas:
+        return ()
+    ends = [(row.line[0], row.line[-1]) for row in ordered.rows]
+    found, counts = [], 0
+    for area in find_headlands(evidence, list(areas.values()), reach_m):
+        # Of the end of the rows that it is nearest to, over all of them.
+        near = [[area.distance(shapely.Point(end)) for end in pair] for pair in ends]
+        start, stop = (min(pair[k] for pair in near) for k in (0, 1))
+        closest = int(np.argmin([min(pair) for pair in near]))
+        if min(start, stop) > 3.0:
+            continue
+        counts += 1
+        reached = [k for k, at in enumerate(("start", "stop")) if min(p[k] for p in near) <= 3.0]
+        end = "both" if len(reached) == 2 else ("start", "stop")[reached[0]]
+        found.append(Headland(f"H{counts}", ordered.block_of[closest], end, area, float(area.area)))
+    return tuple(found)
+
+
+def _obstacles(
+    things: list[Thing], ordered: Ordered, lanes: tuple[Lane, ...]
+) -> tuple[Obstacle, ...]:
+    rows = [shapely.LineString(row.line) for row in ordered.rows]
+    found = []
+    for number, thing in enumerate(things, 1):
+        shared = [lane.area.intersection(thing.outline).area for lane in lanes]
+        best = int(np.argmax(shared)) if shared and max(shared) > 0.0 else -1
+        distance = [line.distance(thing.outline.centroid) for line in rows]
+        on = int(np.argmin(distance)) if distance else -1
+        is_on_row = on >= 0 and distance[on] < ordered.rows[on].half_width_m
+        found.append(
+            Obstacle(
+                f"O{number}",
+                lanes[best].id if best >= 0 else "",
+                ordered.ids[on] if is_on_row else "",
+                thing.outline,
+                thing.area_m2,
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,191 @@
+"""Lanes and headlands on the cells: free width, what was seen, what stands in the way."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import shapely
+
+from fieldgrid.array_types import Bool, Float64, UInt8
+from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence
+from fieldgrid.polyline import part
+from fieldgrid.rows.blocks import LaneLine
+from fieldgrid.rows.measure import Measured
+
+_STEP_M = 0.25
+_SPECK_M2 = 0.02
+"""Obstacle cells that stand alone on less ground are noise to a report; to a route they are not."""
+
+_CANOPY_MARGIN_M = 0.2
+"""Shoots of a row reach this much beyond its face, on average."""
+
+_THING_M2 = 0.04
+_PROTRUSION_M = 0.3
+_PROTRUSION_M2 = 0.12
+"""What hangs together with a canopy is a thing of its own when it sticks out so far."""
+
+_JOIN_M = 0.12
+_OPEN_M = 0.6
+_MIN_HEADLAND_M2 = 8.0
+
+
+_SECTION_SEEN = 0.8
+"""A cross-section of a lane has a width when so much of it was seen."""
+
+
+class LaneGround(NamedTuple):
+    """Of a lane: free width every `_STEP_M` along its line, NaN where it was not seen, and the
+    share of its ground that was."""
+
+    widths_m: Float64
+    known: float
+
+
+def without_specks(evidence: Evidence) -> Evidence:
+    """The evidence with lone obstacle cells taken for free ground."""
+    mask = (evidence.cells == OBSTACLE).astype(np.uint8)
+    few = int(_SPECK_M2 / evidence.cell_m**2)
+    if few < 2:
+        return evidence
+    joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    small = stats[:, cv2.CC_STAT_AREA] < few
+    small[0] = False
+    cells = evidence.cells.copy()
+    cells[small[labels] & (mask > 0)] = FREE
+    return evidence._replace(cells=cells)
+
+
+def measure_lane(evidence: Evidence, lane: LaneLine, half_m: tuple[float, float]) -> LaneGround:
+    """The widest free stretch across a lane, between the middles of its rows, all along it.
+
+    `evidence` has its pinholes filled; what is still unseen is not free.
+    """
+    reach = 0.5 * lane.distance_m
+    strip = evidence.strip(lane.line, reach, reach, _STEP_M)
+    free = strip.cells == FREE
+    run = np.zeros(len(free))
+    widest = np.zeros(len(free))
+    for column in range(free.shape[1]):
+        run = (run + 1.0) * free[:, column]
+        np.maximum(widest, run, out=widest)
+    inner = (strip.across_m < reach - half_m[0]) & (strip.across_m > half_m[1] - reach)
+    if not inner.any():
+        return LaneGround(np.full(len(free), np.nan), 0.0)
+    seen = (strip.cells[:, inner] != UNSEEN).mean(axis=1)
+    widths = np.where(seen >= _SECTION_SEEN, widest * evidence.cell_m, np.nan)
+    return LaneGround(widths, float(seen.mean()))
+
+
+class Thing(NamedTuple):
+    """Obstacle cells that are no part of a row: their outline, and the area of the cells."""
+
+    outline: shapely.Polygon
+    area_m2: float
+
+
+def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
+    """What stands in lanes, in gaps and beside the rows."""
+    obstacle = (evidence.cells == OBSTACLE).astype(np.uint8)
+    canopy = _canopies(evidence, rows)
+    size = max(1, round(_JOIN_M / evidence.cell_m)) | 1
+    beside = cv2.morphologyEx(
+        obstacle & ~canopy & 1, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8)
+    ) & (~canopy & 1)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(beside, connectivity=8)
+    grown = cv2.dilate(canopy & obstacle, np.ones((3, 3), np.uint8))
+    touching = np.bincount(labels[grown > 0], minlength=count) > 0
+    depth = cv2.distanceTransform((~canopy & 1).astype(np.uint8), cv2.DIST_L2, 3)
+    cell_m2 = evidence.cell_m**2
+    found = []
+    for k in range(1, count):
+        left, top, width, height = (int(v) for v in stats[k, :4])
+        window = np.s_[top : top + height, left : left + width]
+        mine = labels[window] == k
+        area = float((obstacle[window] & mine).sum()) * cell_m2
+        least = _PROTRUSION_M2 if touching[k] else _THING_M2
+        if area < least:
+            continue
+        if touching[k] and depth[window][mine].max() * evidence.cell_m < _PROTRUSION_M:
+            continue
+        found.append(Thing(_hull(evidence, mine, left, top), area))
+    return found
+
+
+def _canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
+    """A mask of the ground that rows cover, their gaps left out."""
+    mask = np.zeros(evidence.cells.shape, dtype=np.uint8)
+    for row in rows:
+        stretches, start = [], -1.0
+        for gap in row.extent.gaps_m:
+            stretches.append((start, gap[0] + 0.2))
+            start = gap[1] - 0.2
+        stretches.append((start, row.extent.stop_m + 1.0))
+        for low, high in stretches:
+            line = part(row.line, max(low, 0.0), min(high, row.extent.stop_m))
+            end = 0.5 if high > row.extent.stop_m or low < 0.0 else 0.0
+            shape = shapely.LineString(line).buffer(
+                row.half_width_m + _CANOPY_MARGIN_M, cap_style="round" if end else "flat"
+            )
+            _fill(mask, evidence, shape)
+    return mask
+
+
+def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon) -> None:
+    west, south = evidence.origin_m
+    ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
+    cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], 1)
+
+
+def _hull(evidence: Evidence, mine: Bool, left: int, top: int) -> shapely.Polygon:
+    j, i = np.nonzero(mine)
+    west, south = evidence.origin_m
+    corners = np.concatenate([np.column_stack([i + a, j + b]) for a in (0, 1) for b in (0, 1)])
+    places = (corners + np.array([left, top])) * evidence.cell_m + (west, south)
+    return shapely.MultiPoint(places).convex_hull
+
+
+def find_headlands(
+    evidence: Evidence, blocks: list[shapely.Polygon], reach_m: float
+) -> list[shapely.Polygon]:
+    """Seen free ground beside blocks, up to `reach_m` from them, without narrow strips."""
+    free = (evidence.cells == FREE).astype(np.uint8)
+    near = np.zeros_like(free)
+    inside = np.zeros_like(free)
+    for block in blocks:
+        _fill(near, evidence, shapely.Polygon(block.buffer(reach_m).exterior))
+        _fill(inside, evidence, block)
+    size = max(1, round(_OPEN_M / evidence.cell_m)) | 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    ground = cv2.morphologyEx(free & near & ~inside & 1, cv2.MORPH_OPEN, kernel)
+    return polygons_of(evidence, ground, _MIN_HEADLAND_M2)
+
+
+def polygons_of(evidence: Evidence, mask: UInt8, least_m2: float) -> list[shapely.Polygon]:
+    """The areas of a mask as polygons with holes, along the outer edges of their cells."""
+    # Twice as fine, so that an outline runs along cells' edges and not through their middles.
+    fine = np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)
+    contours, tree = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    west, south = evidence.origin_m
+    half_m = 0.5 * evidence.cell_m
+
+    def ring(contour: np.ndarray) -> Float64:
+        places: Float64 = (contour[:, 0].astype(np.float64) + 0.5) * half_m + (west, south)
+        return places
+
+    found = []
+    for k, contour in enumerate(contours):
+        if tree[0][k][3] >= 0 or len(contour) < 3:
+            continue
+        holes, child = [], tree[0][k][2]
+        while child >= 0:
+            if len(contours[child]) >= 3:
+                holes.append(ring(contours[child]))
+            child = tree[0][child][0]
+        shape = shapely.Polygon(ring(contour), holes)
+        shape = shapely.simplify(shape if shape.is_valid else shape.buffer(0), evidence.cell_m)
+        parts = getattr(shape, "geoms", [shape])
+        found += [p for p in parts if isinstance(p, shapely.Polygon) and p.area >= least_m2]
+    return found

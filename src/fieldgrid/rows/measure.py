@@ -1,0 +1,169 @@
+"""Rows in metres: from reference lines to fitted curves with sigma, ends, gaps and width."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.evidence import Evidence
+from fieldgrid.polyline import extended, lengths, part, project, resampled
+from fieldgrid.rows.crops import Crop
+from fieldgrid.rows.extent import Extent, connected_run, find_extent
+from fieldgrid.rows.fit import fit_curve
+from fieldgrid.rows.profile import STATION_M, Profile, moved, take_profile
+
+_BEYOND_M = 4.0
+"""How far a row may go on beyond its reference line."""
+
+_WIDTH_SIGMA_M = 0.05
+"""How much the canopies of two rows of a field differ in half width."""
+
+_PASSES = 2
+
+
+class Measured(NamedTuple):
+    """A row: its middle line from end to end, sigma at its points, extent along the line, half
+    width of the canopy, from how many sides it was seen (0 to 2, a mean), its obstacle cells."""
+
+    line: Float64
+    sigma_m: Float64
+    extent: Extent
+    half_width_m: float
+    sides: float
+    cells: int
+    scatter_m: float
+
+
+class HalfWidth(NamedTuple):
+    """Half width of a field's canopies, metres, with its standard deviation."""
+
+    half_m: float
+    sigma_m: float
+
+
+def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[Measured]:
+    """The rows near reference lines; a line that turns out to be none is left out."""
+    gates = _gates(lines, crop)
+    profiles = []
+    for line, gate in zip(lines, gates, strict=True):
+        profile = _settled(evidence, line, gate, crop)
+        if profile is not None:
+            profiles.append(profile)
+    width = _half_width(profiles, crop)
+    found = [_measured(evidence, profile, width, crop) for profile in profiles]
+    return [row for row in found if row is not None]
+
+
+def _gates(lines: list[Float64], crop: Crop) -> list[float]:
+    """How far from its line the cells of a row may lie: less than half of the way to the next."""
+    most = 0.42 * crop.max_spacing_m
+    if len(lines) < 2:
+        return [0.42 * 0.5 * (crop.min_spacing_m + crop.max_spacing_m)] * len(lines)
+    from scipy.spatial import cKDTree
+
+    points = [resampled(line, 2.0) for line in lines]
+    owner = np.repeat(np.arange(len(lines)), [len(p) for p in points])
+    every = np.concatenate(points)
+    nearest = np.full(len(every), np.inf)
+    tree = cKDTree(every)
+    distance, index = tree.query(every, k=24, distance_upper_bound=4.0 * crop.max_spacing_m)
+    other = owner[np.minimum(index, len(every) - 1)] != owner[:, None]
+    nearest = np.where(other, distance, np.inf).min(axis=1)
+    spacing = np.array([np.median(nearest[owner == k]) for k in range(len(lines))])
+    usual = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else most
+    return [float(np.clip(0.42 * min(s, 1.2 * usual), 0.0, most)) for s in spacing]
+
+
+def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Profile | None:
+    """The profile of a row about its own middle: the line is moved onto the cells, read again."""
+    gate_m = max(gate_m, 3.0 * evidence.cell_m)
+    for last in (False, True):
+        wide = extended(line, _BEYOND_M, _BEYOND_M)
+        profile = take_profile(evidence, wide, gate_m)
+        span = connected_run(profile.weight, STATION_M, crop)
+        if span is None or (span[1] - span[0]) * STATION_M < 0.5 * crop.min_row_m:
+            return None
+        weight = np.zeros(len(profile.weight))
+        weight[slice(*span)] = profile.weight[slice(*span)]
+        if (weight > 0.0).sum() < 6:
+            return None
+        profile = profile._replace(weight=weight)
+        if not last:
+            points = moved(profile, profile.offset_m)[slice(*span)]
+            line = fit_curve(points, weight[slice(*span)]).line
+    return profile
+
+
+def _half_width(profiles: list[Profile], crop: Crop) -> HalfWidth:
+    """Half the width of the canopies: what the rows that were seen from both sides say, beside
+    what is usual for the crop."""
+    widths = np.array([p.full_width_m for p in profiles if np.isfinite(p.full_width_m)])
+    weight = np.array(
+        [p.both_share * p.along_m[-1] for p in profiles if np.isfinite(p.full_width_m)]
+    )
+    if not len(widths) or weight.sum() < 10.0:
+        return HalfWidth(crop.half_width_m, crop.half_width_sigma_m)
+    order = widths.argsort()
+    middle = widths[order][np.searchsorted(weight[order].cumsum(), 0.5 * weight.sum())]
+    measured = _WIDTH_SIGMA_M**-2
+    prior = crop.half_width_sigma_m**-2
+    half = (measured * 0.5 * float(middle) + prior * crop.half_width_m) / (measured + prior)
+    return HalfWidth(half, (measured + prior) ** -0.5)
+
+
+def _measured(
+    evidence: Evidence, profile: Profile, width: HalfWidth, crop: Crop
+) -> Measured | None:
+    """The row of a profile: every station moved from the cells that were seen to the middle."""
+    left_face, right_face = profile.faces_m
+    both = profile.left_seen & profile.right_seen
+    shift = np.zeros(len(profile.offset_m))
+    side_sigma = np.zeros(len(shift))
+    if np.isfinite(left_face) and np.isfinite(right_face) and profile.both_share >= 0.5:
+        shift[:] = 0.5 * (left_face + right_face)
+        half = 0.5 * (left_face - right_face)
+        # A row that looks thinner than the others was hardly seen from both sides.
+        side_sigma[:] = max(width.half_m - half - 2.0 * _WIDTH_SIGMA_M, 0.0)
+    else:
+        half = width.half_m
+        for seen, face, sign in (
+            (profile.left_seen & ~both, left_face, -1.0),
+            (profile.right_seen & ~both, right_face, 1.0),
+        ):
+            if np.isfinite(face):
+                shift[seen] = face + sign * width.half_m
+                side_sigma[seen] = width.sigma_m
+        side_sigma[~(profile.left_seen | profile.right_seen)] = width.half_m
+    used = np.flatnonzero(profile.weight > 0.0)
+    inside = slice(int(used[0]), int(used[-1]) + 1)
+    curve = fit_curve(moved(profile, profile.offset_m + shift)[inside], profile.weight[inside])
+    line = extended(curve.line, 1.5, 1.5)
+    extent = find_extent(evidence, line, (half, -half), crop)
+    if extent is None or extent.stop_m - extent.start_m < 0.6 * crop.min_row_m:
+        return None
+    hole = sum(b - a for a, b in (*extent.gaps_m, *extent.unseen_m))
+    length = extent.stop_m - extent.start_m
+    if length - hole < 0.35 * length:
+        return None
+    side = float(np.sqrt((side_sigma[inside] ** 2).mean()))
+    sigma = np.sqrt(curve.sigma_m**2 + side**2)
+    own = resampled(part(line, extent.start_m, extent.stop_m), 1.0)
+    at, _ = project(own, curve.line)
+    shifted = Extent(
+        0.0,
+        length,
+        tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.gaps_m),
+        tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.unseen_m),
+    )
+    sides = float((profile.left_seen[inside].astype(int) + profile.right_seen[inside]).mean())
+    return Measured(
+        own,
+        np.interp(at, lengths(curve.line), sigma),
+        shifted,
+        float(half),
+        sides,
+        int(profile.weight.sum()),
+        curve.scatter_m,
+    )

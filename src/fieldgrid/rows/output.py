@@ -1,0 +1,74 @@
+"""A planting as features, for every format that :mod:`fieldgrid.vectors` writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fieldgrid.rows.result import Planting
+from fieldgrid.vectors import Feature, write_features
+
+
+def planting_features(planting: Planting) -> list[Feature]:
+    """Blocks, headlands, lanes, rows, gaps and obstacles, in this order: later ones lie on top."""
+    return [
+        *(
+            Feature(
+                "block",
+                b.area,
+                {
+                    "id": b.id, "rows": b.rows, "lanes": b.lanes, "heading_deg": b.heading_deg,
+                    "spacing_m": b.spacing_m, "area_m2": float(b.area.area),
+                },
+            )
+            for b in planting.blocks
+        ),
+        *(
+            Feature(
+                "headland",
+                h.area,
+                {"id": h.id, "block": h.block, "end": h.end, "area_m2": h.area_m2},
+            )
+            for h in planting.headlands
+        ),
+        *(
+            Feature(
+                "lane",
+                lane.line,
+                {
+                    "id": lane.id, "block": lane.block, "rows": lane.rows,
+                    "length_m": lane.length_m, "free_width_m": lane.free_width_m,
+                    "known": lane.known, "driven": lane.driven,
+                },
+            )
+            for lane in planting.lanes
+        ),
+        *(
+            Feature(
+                "row",
+                r.line,
+                {
+                    "id": r.id, "block": r.block, "length_m": r.length_m, "sigma_m": r.sigma_m,
+                    "spacing_m": r.spacing_m, "half_width_m": r.half_width_m, "sides": r.sides,
+                    "known": r.known, "cells": r.cells, "sessions": r.sessions,
+                },
+            )
+            for r in planting.rows
+        ),
+        *(
+            Feature("gap", g.line, {"id": g.id, "row": g.row, "length_m": g.length_m})
+            for g in planting.gaps
+        ),
+        *(
+            Feature(
+                "obstacle",
+                o.area,
+                {"id": o.id, "lane": o.lane or None, "row": o.row or None, "area_m2": o.area_m2},
+            )
+            for o in planting.obstacles
+        ),
+    ]  # fmt: skip
+
+
+def write_planting(planting: Planting, path: Path, *, overwrite: bool = False) -> None:
+    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`."""
+    write_features(path, planting_features(planting), planting.datum, overwrite=overwrite)

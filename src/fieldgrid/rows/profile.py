@@ -1,0 +1,148 @@
+"""A row as it is seen: where its cells lie across it, from which sides, and where its faces are.
+
+A camera in a lane sees the near face of a canopy and some of what is behind it. So the middle of
+the cells that were seen lies 6 to 11 cm on the viewer's side of the middle of the row. The face
+does not: it is the same whether the row was seen from one side or from both. A row that was seen
+from both sides tells the width of the canopy, and with it the middle of one that was not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence, Strip
+from fieldgrid.polyline import lengths, normals
+
+STATION_M = 0.5
+"""Length of a row of which one position across it is taken."""
+
+_SMOOTHED_M = 8.0
+_SEEN_SHARE = 0.4
+_CELLS = 3
+
+
+class Profile(NamedTuple):
+    """Stations of a row: distances along its reference line, the mean offset of their obstacle
+    cells to the left of it with how many there are, and whether either side of the row was seen.
+
+    `faces_m` are the left and the right face beside the offsets, NaN for one that was not seen;
+    for a row of which both sides were seen in parts, those of each part's side.
+    """
+
+    line: Float64
+    along_m: Float64
+    offset_m: Float64
+    weight: Float64
+    left_seen: Bool
+    right_seen: Bool
+    faces_m: tuple[float, float]
+    full_width_m: float
+    both_share: float
+
+
+def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
+    """The profile of a row near a reference line [n, 2], cells up to `gate_m` beside it."""
+    strip = evidence.strip(line, gate_m, gate_m, STATION_M / 5.0)
+    stations, cells = _by_station(strip)
+    band = np.abs(strip.across_m) > 0.65 * gate_m
+    left, right = (_seen(cells[:, :, band & (np.sign(strip.across_m) == side)]) for side in (1, -1))
+    near = np.zeros(len(strip.across_m), dtype=np.bool_)
+    obstacle = cells == OBSTACLE
+    offset = np.zeros(len(stations))
+    # The gate follows the row: first all that is nearer to it than to the next, then the canopy.
+    for reach in (gate_m, 0.75 * gate_m, 0.6 * gate_m):
+        beside = strip.across_m[None, :] - offset[:, None]
+        near = np.abs(beside) < reach
+        inside = obstacle & near[:, None, :]
+        weight = inside.sum(axis=(1, 2)).astype(np.float64)
+        total = (inside * strip.across_m).sum(axis=(1, 2))
+        pooled = uniform_filter1d(weight, 9), uniform_filter1d(total, 9)
+        offset = np.divide(pooled[1], pooled[0], out=offset.copy(), where=pooled[0] > 0.0)
+    mean = np.divide(total, weight, out=offset.copy(), where=weight > 0.0)
+    share = obstacle.mean(axis=1)
+    faces, width, both = _faces(share, strip.across_m, offset, left, right)
+    weight[weight < _CELLS] = 0.0
+    return Profile(line, stations, mean, weight, left, right, faces, width, both)
+
+
+def _by_station(strip: Strip) -> tuple[Float64, np.ndarray]:
+    per = 5
+    count = max(1, len(strip.along_m) // per)
+    cells = strip.cells[: count * per].reshape(count, -1, len(strip.across_m))
+    along = strip.along_m[: count * per].reshape(count, -1).mean(axis=1)
+    return along, cells
+
+
+def _seen(cells: np.ndarray) -> Bool:
+    """Whether the ground beside each station was seen, on the whole of some metres."""
+    share = (cells != UNSEEN).mean(axis=(1, 2))
+    window = max(1, round(_SMOOTHED_M / STATION_M))
+    seen: Bool = uniform_filter1d(share, window, mode="nearest") > _SEEN_SHARE
+    return seen
+
+
+def _faces(
+    share: Float64, across_m: Float64, offset_m: Float64, left: Bool, right: Bool
+) -> tuple[tuple[float, float], float, float]:
+    """Faces beside the mean of the cells, and the width where both sides were seen.
+
+    A face is where the share of obstacle cells, over all stations of which its side was seen, has
+    fallen to half of its plateau: it does not depend on how deep one sees into the canopy.
+    """
+    step = float(across_m[1] - across_m[0])
+    edges = []
+    for select in (left & ~right, right & ~left, left & right):
+        edges.append(_half_height(share[select], across_m, offset_m[select], step))
+    left_only, right_only, both = edges
+    count = np.array([(left & ~right).sum(), (right & ~left).sum(), (left & right).sum()])
+    width = both[0] - both[1]
+    if count[2] >= 0.5 * count.sum() and np.isfinite(width):
+        faces = both
+    else:
+        faces = (left_only[0], right_only[1])
+    return faces, float(width), float(count[2] / max(count.sum(), 1))
+
+
+def _half_height(
+    share: Float64, across_m: Float64, offset_m: Float64, step: float
+) -> tuple[float, float]:
+    """The left and the right half height of the profile, metres beside the offsets."""
+    if len(share) < 8:
+        return np.nan, np.nan
+    # Every station is moved onto the offsets by whole cells.
+    shift = np.rint(offset_m / step).astype(np.int64)
+    columns = np.arange(len(across_m))[None, :] + shift[:, None]
+    inside = (columns >= 0) & (columns < len(across_m))
+    moved = np.take_along_axis(share, columns.clip(0, len(across_m) - 1), axis=1) * inside
+    profile = uniform_filter1d(moved.mean(axis=0), 3, mode="constant")
+    residual = float((offset_m - shift * step).mean())
+    floor = float(np.median(profile[np.abs(across_m) > 0.8 * np.abs(across_m).max()]))
+    profile = np.maximum(profile - floor, 0.0)
+    plateau = float(np.sort(profile)[-5:].mean())
+    if plateau <= 0.0:
+        return np.nan, np.nan
+    above = np.flatnonzero(profile > 0.5 * plateau)
+    first, last = int(above[0]), int(above[-1])
+
+    def crossing(inner: int, outer: int) -> float:
+        if not 0 <= outer < len(profile):
+            return float(across_m[inner])
+        a, b = profile[inner], profile[outer]
+        part = (a - 0.5 * plateau) / max(a - b, 1e-12)
+        return float(across_m[inner] + part * (across_m[outer] - across_m[inner]))
+
+    return crossing(last, last + 1) - residual, crossing(first, first - 1) - residual
+
+
+def moved(profile: Profile, offset_m: Float64) -> Float64:
+    """The reference line moved to the left by the offsets, at the stations [n, 2]."""
+    s = lengths(profile.line)
+    middle = np.column_stack([np.interp(profile.along_m, s, profile.line[:, k]) for k in (0, 1)])
+    left = normals(profile.line)
+    left = np.column_stack([np.interp(profile.along_m, s, left[:, k]) for k in (0, 1)])
+    points: Float64 = middle + offset_m[:, None] * left
+    return points

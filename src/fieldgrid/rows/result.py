@@ -1,0 +1,123 @@
+"""What is found of a planting, as typed values with shapely geometries.
+
+All geometries are in metres east and north of the datum. Rows and lanes of a block run the same
+way, and left and right are meant in that direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from shapely import LineString, Polygon
+
+from fieldgrid.array_types import Float64
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Bounds
+
+
+class Row(NamedTuple):
+    """A row of plants: the middle of its canopy from end to end.
+
+    `sigma_m` is the standard deviation of its place across, in the plane of the map: of the fit, of
+    the side that was not seen, and of the poses. `spacing_m` is the mean distance to its
+    neighbours, NaN without one. `sides` tells from how many sides it was seen, 1 to 2. `known` is
+    the share of its length of which something was seen. It rests on `cells` obstacle cells of
+    `sessions`. `scatter_m` is how far half-metres of it lie off its line.
+    """
+
+    id: str
+    block: str
+    line: LineString
+    length_m: float
+    sigma_m: float
+    spacing_m: float
+    half_width_m: float
+    sides: float
+    known: float
+    cells: int
+    sessions: tuple[str, ...]
+    scatter_m: float
+
+
+class Lane(NamedTuple):
+    """The ground between two neighbouring rows.
+
+    `rows` are the left and the right one. `line` is its middle, from a quarter of a spacing inside
+    one mouth to the same in the other; `area` reaches from row to row. `widths_m` is the free width
+    a metre apart along the line, NaN where too little was seen to tell, and `free_width_m` the
+    least of them. `known` is the share of its ground that was seen. `driven` says whether a
+    vehicle went through it.
+    """
+
+    id: str
+    block: str
+    rows: tuple[str, str]
+    line: LineString
+    area: Polygon
+    length_m: float
+    free_width_m: float
+    widths_m: Float64
+    known: float
+    driven: bool
+
+
+class Gap(NamedTuple):
+    """A stretch of a row in which plants are missing, and the ground was seen."""
+
+    id: str
+    row: str
+    line: LineString
+    length_m: float
+
+
+class Headland(NamedTuple):
+    """Seen free ground before the first (`end` = start) or behind the last plants of a block."""
+
+    id: str
+    block: str
+    end: str
+    area: Polygon
+    area_m2: float
+
+
+class Block(NamedTuple):
+    """Rows that belong together. `heading_deg` is that of its rows, `spacing_m` the usual distance
+    between two, NaN for a single row."""
+
+    id: str
+    area: Polygon
+    rows: int
+    lanes: int
+    heading_deg: float
+    spacing_m: float
+
+
+class Obstacle(NamedTuple):
+    """Something that stands in a lane, in a gap or on a headland and is no part of a row."""
+
+    id: str
+    lane: str
+    row: str
+    area: Polygon
+    area_m2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Planting:
+    """All that was found in a map, within `bounds`, from cells of `cell_m`."""
+
+    datum: Datum
+    bounds: Bounds
+    cell_m: float
+    crop: str
+    rows: tuple[Row, ...]
+    lanes: tuple[Lane, ...]
+    gaps: tuple[Gap, ...]
+    headlands: tuple[Headland, ...]
+    blocks: tuple[Block, ...]
+    obstacles: tuple[Obstacle, ...]
+
+    def lane(self, name: str) -> Lane | None:
+        """A lane by its id, None when there is none."""
+        return next((lane for lane in self.lanes if lane.id == name), None)

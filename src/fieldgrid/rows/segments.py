@@ -1,0 +1,220 @@
+"""Row segments: straight pieces of rows in patches of a field, and the chains that they form.
+
+In a patch of some rows' width a row is a straight line. The direction of a patch is the one along
+which its obstacle cells, projected onto a line across, gather in the fewest places (the projection
+profile of page de-skewing, or a Radon transform that is read at its sharpest angle). Neighbouring
+patches share their profiles, so that a patch with a trailer or with few cells follows the others.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.rows.crops import Crop
+
+_ANGLES = 120
+"""Directions that are tried over half a turn: 1.5° moves the end of a patch by a fifth of a row."""
+
+_MIN_POINTS = 12
+_NEIGHBOUR_WEIGHT = 0.5
+_MAX_TURN_RAD = np.radians(9.0)
+
+
+class Segments(NamedTuple):
+    """Straight pieces: middles [n, 2], unit directions [n, 2], half lengths, thinned cells in each,
+    and the share of the length in which there are any."""
+
+    middle_m: Float64
+    along: Float64
+    half_m: Float64
+    support: Int64
+    filled: Float64
+
+
+class _Patches(NamedTuple):
+    """Patches by their middles [n, 2], and for each the places of its points in `order`."""
+
+    middle_m: Float64
+    members: list[Int64]
+
+
+def thinned(points_m: Float64, cell_m: float) -> Float64:
+    """One point, the mean, for each square of `cell_m` that has any."""
+    keys = np.floor(points_m / cell_m).astype(np.int64)
+    keys -= keys.min(axis=0)
+    flat = keys[:, 0] * (keys[:, 1].max() + 1) + keys[:, 1]
+    _, place, count = np.unique(flat, return_inverse=True, return_counts=True)
+    sums = [np.bincount(place, points_m[:, axis], len(count)) for axis in (0, 1)]
+    return np.column_stack(sums) / count[:, None]
+
+
+def find_segments(points_m: Float64, crop: Crop) -> Segments:
+    """The segments of rows among obstacle cells [n, 2] (metres), which are thinned already."""
+    side = crop.patch_m
+    coarse = _patches(points_m, side, side)
+    profiles = np.stack([_sharpness(points_m[m], crop) for m in coarse.members])
+    directions = _pooled(coarse.middle_m, profiles, side)
+    tree = cKDTree(coarse.middle_m)
+    found = []
+    fine = _patches(points_m, side, side / 2.0)
+    for middle, members in zip(fine.middle_m, fine.members, strict=True):
+        if len(members) < _MIN_POINTS:
+            continue
+        _, near = tree.query(middle, k=min(2, len(coarse.middle_m)))
+        # Where two blocks meet, either direction may be that of a row.
+        angles = {float(directions[k]) for k in np.atleast_1d(near) if np.isfinite(directions[k])}
+        for angle in angles:
+            found += _segments_of(points_m[members], middle, angle, crop)
+    if not found:
+        return Segments(
+            np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, int), np.zeros(0)
+        )
+    columns = zip(*found, strict=True)
+    return Segments(*(np.array(column) for column in columns))
+
+
+def _patches(points_m: Float64, side_m: float, step_m: float) -> _Patches:
+    """Squares of `side_m` about every lattice point of `step_m` that has a point near it."""
+    tree = cKDTree(points_m)
+    keys = np.unique(np.floor(points_m / step_m).astype(np.int64), axis=0)
+    middle = np.asarray((keys + 0.5) * step_m, dtype=np.float64)
+    members = tree.query_ball_point(middle, side_m / 2.0, p=np.inf)
+    return _Patches(middle, [np.asarray(m, dtype=np.int64) for m in members])
+
+
+def _sharpness(points_m: Float64, crop: Crop) -> Float64:
+    """For each direction, how many pairs of points share a bin of the profile across it."""
+    if len(points_m) < _MIN_POINTS:
+        return np.zeros(_ANGLES)
+    angles = np.arange(_ANGLES) * np.pi / _ANGLES
+    across = np.stack([-np.sin(angles), np.cos(angles)])
+    middle = points_m.mean(axis=0)
+    bin_m = crop.min_spacing_m / 5.0
+    v = np.floor(((points_m - middle) @ across) / bin_m).astype(np.int64)
+    v -= v.min()
+    width = int(v.max()) + 1
+    counts = np.bincount((v + np.arange(_ANGLES) * width).ravel(), minlength=_ANGLES * width)
+    squares: Float64 = np.square(counts.reshape(_ANGLES, width).astype(np.float64)).sum(axis=1)
+    return squares / len(points_m)
+
+
+def _pooled(middle_m: Float64, profiles: Float64, side_m: float) -> Float64:
+    """The direction of each patch, radians counter-clockwise from east; NaN without any points."""
+    tree = cKDTree(middle_m)
+    pairs = tree.query_pairs(1.5 * side_m, output_type="ndarray")
+    # What an angle has above the mean of all tells of rows; a blob is the same from everywhere.
+    contrast = profiles - np.median(profiles, axis=1, keepdims=True)
+    pooled = contrast.copy()
+    for a, b in (pairs.T, pairs.T[::-1]):
+        np.add.at(pooled, a, _NEIGHBOUR_WEIGHT * contrast[b])
+    pooled = gaussian_filter1d(pooled, 0.7, axis=1, mode="wrap")
+    best = pooled.argmax(axis=1)
+    left, peak, right = (
+        np.take_along_axis(pooled, ((best + d) % _ANGLES)[:, None], 1)[:, 0] for d in (-1, 0, 1)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = np.nan_to_num(0.5 * (left - right) / (left - 2.0 * peak + right))
+    angle = (best + np.clip(shift, -0.5, 0.5)) * np.pi / _ANGLES
+    return np.where(peak > 0.0, angle, np.nan)
+
+
+def _segments_of(
+    points_m: Float64, middle_m: Float64, angle: float, crop: Crop
+) -> list[tuple[Float64, Float64, float, int, float]]:
+    """The rows of one patch as straight lines of the given direction, each turned as it fits."""
+    side = crop.patch_m
+    along, across = _axes(angle)
+    local = points_m - middle_m
+    s, v = local @ along, local @ across
+    bin_m = crop.min_spacing_m / 12.0
+    first = float(v.min()) - 1.0
+    counts = np.bincount(((v - first) / bin_m).astype(np.int64))
+    profile = gaussian_filter1d(
+        np.pad(counts.astype(np.float64), 12), crop.min_spacing_m / 5.0 / bin_m, mode="constant"
+    )
+    peaks, _ = find_peaks(
+        profile, distance=0.75 * crop.min_spacing_m / bin_m, prominence=0.25 * profile.max()
+    )
+    order = v.argsort()
+    s, v = s[order], v[order]
+    found = []
+    for peak in peaks:
+        line = _fitted(s, v, first + (peak - 12 + 0.5) * bin_m, 0.33 * crop.min_spacing_m, side)
+        if line is None:
+            continue
+        at, slope, inside = line
+        trim = 1 + len(inside) // 40  # specks beyond its ends are no part of a row
+        low, high = inside[trim], inside[-1 - trim]
+        length, centre = float(high - low), 0.5 * (low + high)
+        step = max(crop.plant_spacing_m, 0.5)
+        occupied = np.count_nonzero(np.diff(np.floor(inside / step))) + 1
+        filled = min(1.0, occupied * step / max(length, step))
+        if length < 0.3 * side or filled < 0.5:
+            continue
+        turned = along + slope * across
+        place = middle_m + centre * along + (at + slope * centre) * across
+        found.append((place, turned / np.hypot(*turned), 0.5 * length, len(inside), filled))
+    return found
+
+
+def _fitted(
+    s: Float64, v: Float64, at: float, gate: float, side: float
+) -> tuple[float, float, Float64] | None:
+    """The line v = at + slope·s near a peak, and where along it its points are, in order.
+
+    `v` ascends, so that the points near the line are a slice to choose from.
+    """
+    slope, inside = 0.0, s[:0]
+    for _ in range(3):
+        reach = gate + abs(slope) * side
+        near = slice(*np.searchsorted(v, (at - reach, at + reach)))
+        s_near, v_near = s[near], v[near]
+        close = np.abs(v_near - at - slope * s_near) < gate
+        inside, across = s_near[close], v_near[close]
+        if len(inside) < _MIN_POINTS // 2:
+            return None
+        mean_s, mean_v = inside.mean(), across.mean()
+        spread = inside - mean_s
+        variance = float(spread @ spread)
+        slope = float(spread @ across) / max(variance, 1e-9)
+        # Too short a piece has no direction of its own.
+        long = variance > len(inside) * (0.12 * side) ** 2
+        slope = float(np.clip(slope, -0.15, 0.15)) if long else 0.0
+        at = float(mean_v - slope * mean_s)
+    return at, slope, np.sort(inside)
+
+
+def _axes(angle: float) -> tuple[Float64, Float64]:
+    along = np.array([np.cos(angle), np.sin(angle)])
+    return along, np.array([-along[1], along[0]])
+
+
+def link(segments: Segments, crop: Crop) -> Int64:
+    """Which chain each segment belongs to: segments that lie on each other's lines are one row.
+
+    Both must see the other within a fifth of a row's spacing at the place where they meet.
+    """
+    count = len(segments.half_m)
+    pairs = cKDTree(segments.middle_m).query_pairs(1.1 * crop.patch_m, output_type="ndarray")
+    a, b = pairs.T
+    step = segments.middle_m[b] - segments.middle_m[a]
+    turn = segments.along[a, 0] * segments.along[b, 1] - segments.along[a, 1] * segments.along[b, 0]
+    apart = np.abs((step * segments.along[a]).sum(axis=1))
+    off = [
+        np.abs(step[:, 0] * segments.along[k, 1] - step[:, 1] * segments.along[k, 0])
+        for k in (a, b)
+    ]
+    touching = apart <= segments.half_m[a] + segments.half_m[b] + 0.25 * crop.patch_m
+    near = np.maximum(*off) <= 0.22 * crop.min_spacing_m + 0.03 * apart
+    linked = touching & near & (np.abs(turn) < np.sin(_MAX_TURN_RAD))
+    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(count, count))
+    chain: Int64 = connected_components(graph, directed=False)[1].astype(np.int64)
+    return chain

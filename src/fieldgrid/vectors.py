@@ -1,0 +1,317 @@
+"""Features with a geometry, and the files that other programs take them from.
+
+A feature is a shapely geometry in metres east and north of a datum, with properties. GeoJSON and
+KML are in longitude and latitude, CSV, GeoPackage and DXF in the metres of the datum's plane.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.geodesy import Datum
+from fieldgrid.publish import mentions, replacing
+
+_DECIMALS = 9
+_KML = "http://www.opengis.net/kml/2.2"
+_COLOURS = {
+    "row": "ff2f6b00",
+    "lane": "ff00c8ff",
+    "gap": "ff0000ff",
+    "headland": "ff00a5ff",
+    "block": "ff808080",
+    "obstacle": "ff2020d0",
+    "route": "ffff5500",
+}
+"""Of lines in KML: alpha, blue, green, red."""
+
+
+class Feature(NamedTuple):
+    """One feature: its kind, which is also its layer, a shapely geometry, and its properties.
+
+    A property is a string, a number (NaN for one that is not known), a truth value, or a list of
+    strings.
+    """
+
+    kind: str
+    geometry: Any
+    properties: Mapping[str, Any]
+
+
+def write_features(
+    path: Path, features: Sequence[Feature], datum: Datum, *, overwrite: bool = False
+) -> None:
+    """Write features in the format that the path ends in.
+
+    Raises ConfigError for another ending or a library that is not installed, MapExistsError for a
+    file that may not be overwritten, MapWriteError when it cannot be written.
+    """
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ConfigError(f"{path.name} ends in none of {', '.join(_WRITERS)}; choose one of them.")
+    writer(path, features, datum, overwrite)
+
+
+def geojson(features: Sequence[Feature], datum: Datum) -> dict[str, Any]:
+    """A FeatureCollection as RFC 7946 has it: longitude, latitude, nine decimals, the datum
+    beside it as a foreign member."""
+    return {
+        "type": "FeatureCollection",
+        "datum": {
+            "lat_deg": datum.lat_deg, "lon_deg": datum.lon_deg, "height_m": datum.height_m,
+        },
+        "features": [
+            {
+                "type": "Feature",
+                "properties": {"kind": f.kind, **plain_properties(f)},
+                "geometry": _mapping(in_degrees(f.geometry, datum)),
+            }
+            for f in features
+        ],
+    }  # fmt: skip
+
+
+def plain_properties(feature: Feature) -> dict[str, Any]:
+    """The properties as JSON has them: null for what is not known, lists for tuples."""
+    return {key: _plain(value) for key, value in feature.properties.items()}
+
+
+def in_degrees(geometry: Any, datum: Datum) -> Any:
+    """A geometry in longitude and latitude, of points in the datum's plane."""
+    import shapely
+
+    def turned(places: Float64) -> Float64:
+        lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
+        degrees: Float64 = np.column_stack([lon_deg, lat_deg])
+        return degrees.round(_DECIMALS)
+
+    return shapely.transform(shapely.force_2d(geometry), turned)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return round(value, 4) if math.isfinite(value) else None
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _mapping(geometry: Any) -> dict[str, Any]:
+    import shapely
+
+    # RFC 7946: outer rings run counter-clockwise.
+    found: dict[str, Any] = json.loads(shapely.to_geojson(shapely.orient_polygons(geometry)))
+    return found
+
+
+def _write_geojson(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
+    with _replacing(path, overwrite) as file:
+        file.write_text(json.dumps(geojson(features, datum), allow_nan=False), encoding="utf-8")
+
+
+def _write_csv(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
+    import shapely
+
+    columns = ["kind", *_columns(features), "wkt_m"]
+    with _replacing(path, overwrite) as file, file.open("w", newline="") as table:
+        writer = csv.DictWriter(table, columns, restval="")
+        writer.writeheader()
+        for feature in features:
+            row = {k: _text(v) for k, v in feature.properties.items()}
+            wkt = shapely.to_wkt(feature.geometry, rounding_precision=3)
+            writer.writerow({"kind": feature.kind, **row, "wkt_m": wkt})
+
+
+def _columns(features: Sequence[Feature]) -> list[str]:
+    return list(dict.fromkeys(key for f in features for key in f.properties))
+
+
+def _text(value: Any) -> Any:
+    plain = _plain(value)
+    if isinstance(plain, list):
+        return " ".join(str(one) for one in plain)
+    return "" if plain is None else plain
+
+
+def _write_kml(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
+    root = ElementTree.Element("kml", xmlns=_KML)
+    document = ElementTree.SubElement(root, "Document", id="fieldgrid")
+    ElementTree.SubElement(document, "name").text = path.stem
+    kinds = list(dict.fromkeys(f.kind for f in features))
+    for kind in kinds:
+        style = ElementTree.SubElement(document, "Style", id=kind)
+        line = ElementTree.SubElement(style, "LineStyle")
+        ElementTree.SubElement(line, "color").text = _COLOURS.get(kind, "ffffffff")
+        ElementTree.SubElement(line, "width").text = "2"
+        fill = ElementTree.SubElement(style, "PolyStyle")
+        ElementTree.SubElement(fill, "color").text = "40" + _COLOURS.get(kind, "ffffffff")[2:]
+    for kind in kinds:
+        folder = ElementTree.SubElement(document, "Folder")
+        ElementTree.SubElement(folder, "name").text = kind
+        for feature in features:
+            if feature.kind == kind:
+                _placemark(folder, feature, datum)
+    with _replacing(path, overwrite) as file:
+        ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
+
+
+def _placemark(folder: ElementTree.Element, feature: Feature, datum: Datum) -> None:
+    mark = ElementTree.SubElement(folder, "Placemark")
+    name = feature.properties.get("id", "")
+    ElementTree.SubElement(mark, "name").text = str(name)
+    ElementTree.SubElement(mark, "styleUrl").text = f"#{feature.kind}"
+    extended = ElementTree.SubElement(mark, "ExtendedData")
+    for key, value in feature.properties.items():
+        data = ElementTree.SubElement(extended, "Data", name=key)
+        ElementTree.SubElement(data, "value").text = str(_text(value))
+    shape = in_degrees(feature.geometry, datum)
+    parts = list(getattr(shape, "geoms", [shape]))
+    holder = mark if len(parts) == 1 else ElementTree.SubElement(mark, "MultiGeometry")
+    for part in parts:
+        if part.geom_type == "Polygon":
+            polygon = ElementTree.SubElement(holder, "Polygon")
+            for ring, tag in ((part.exterior, "outerBoundaryIs"),
+                              *((r, "innerBoundaryIs") for r in part.interiors)):  # fmt: skip
+                boundary = ElementTree.SubElement(polygon, tag)
+                _coordinates(ElementTree.SubElement(boundary, "LinearRing"), ring)
+        else:
+            line = ElementTree.SubElement(holder, part.geom_type)
+            ElementTree.SubElement(line, "tessellate").text = "1"
+            _coordinates(line, part)
+
+
+def _coordinates(parent: ElementTree.Element, line: Any) -> None:
+    text = " ".join(f"{lon:.9f},{lat:.9f}" for lon, lat in line.coords)
+    ElementTree.SubElement(parent, "coordinates").text = text
+
+
+def _write_gpkg(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
+    if not features:
+        raise ConfigError(
+            f"There is nothing to write to {path.name}, and a GeoPackage needs a feature; "
+            "write .geojson instead."
+        )
+    with (
+        _replacing(path, overwrite) as file,
+        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+    ):
+        written = Path(folder) / "features.gpkg"
+        for kind in dict.fromkeys(f.kind for f in features):
+            _by_gdal(
+                written, path, [f for f in features if f.kind == kind], kind, "GPKG", datum,
+                append=written.exists(), dataset_options={"VERSION": "1.3"},
+                layer_options={"DESCRIPTION": "found by fieldgrid"},
+            )  # fmt: skip
+        shutil.copyfile(written, file)
+
+
+def _write_dxf(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
+    with (
+        _replacing(path, overwrite) as file,
+        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+    ):
+        written = Path(folder) / "features.dxf"
+        # The driver knows these two columns, and draws outlines of areas.
+        outlines = [
+            Feature(
+                "entities",
+                f.geometry.boundary if f.geometry.geom_type.endswith("Polygon") else f.geometry,
+                {"Layer": f.kind, "Text": str(f.properties.get("id", ""))},
+            )
+            for f in features
+        ]
+        _by_gdal(written, path, outlines, "entities", "DXF", datum)
+        # A comment, by which the file is known as ours.
+        file.write_bytes(b"999\nfound by fieldgrid\n" + written.read_bytes())
+
+
+def _by_gdal(
+    file: Path, target: Path, features: Sequence[Feature], layer: str, driver: str, datum: Datum,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Write one layer by GDAL; MapWriteError names the target when that fails."""
+    import shapely
+
+    try:
+        from pyogrio.errors import DataLayerError, DataSourceError
+        from pyogrio.raw import write
+    except ImportError as error:
+        raise ConfigError(
+            f"Writing {target.suffix} needs pyogrio, which is not installed; "
+            "run: pip install 'fieldgrid[gis]'"
+        ) from error
+    columns = _columns(features)
+    values = [[_plain(f.properties.get(c)) for f in features] for c in columns]
+    data, masks = zip(*(_column(v) for v in values), strict=True) if columns else ((), ())
+    geometry = np.array([f.geometry for f in features], dtype=object)
+    kinds = {f.geometry.geom_type for f in features}
+    try:
+        write(
+            file, geometry=shapely.to_wkb(geometry), field_data=list(data), field_mask=list(masks),
+            fields=columns, layer=layer, driver=driver, encoding="UTF-8",
+            geometry_type=kinds.pop() if len(kinds) == 1 else "Unknown",
+            crs=datum.crs_wkt("WKT1_GDAL"), **options,
+        )  # fmt: skip
+    except (DataSourceError, DataLayerError, RuntimeError) as error:
+        raise MapWriteError(
+            f"{target} could not be written ({error}); check the space on the disk."
+        ) from error
+
+
+def _column(values: list[Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any] | None]:
+    """A column as GDAL takes it, and which of its values are missing."""
+    missing = np.array([v is None for v in values], dtype=np.bool_)
+    known = [v for v in values if v is not None]
+    mask = missing if missing.any() else None
+    if known and all(isinstance(v, bool) for v in known):
+        return np.array([bool(v) for v in values]), mask
+    if known and all(isinstance(v, int | float) for v in known):
+        integers = all(isinstance(v, int) for v in known)
+        dtype = np.int64 if integers else np.float64
+        return np.array([0 if v is None else v for v in values], dtype=dtype), mask
+    return np.array(["" if v is None else str(_text(v)) for v in values], dtype=object), mask
+
+
+def _replacing(path: Path, overwrite: bool) -> AbstractContextManager[Path]:
+    """A file in the place of `path`; of older ones only those that were written here go."""
+    ending = path.suffix.lower()
+    return replacing(
+        path,
+        overwrite=overwrite,
+        ours=partial(mentions, mark=_MARKS[ending]),
+        what=f"features in a {ending}",
+    )
+
+
+_MARKS = {
+    ".geojson": b'"datum": {"lat_deg"',
+    ".json": b'"datum": {"lat_deg"',
+    ".csv": b"wkt_m",
+    ".kml": b'id="fieldgrid"',
+    ".gpkg": b"found by fieldgrid",
+    ".dxf": b"found by fieldgrid",
+}
+"""What a file of each ending holds that was written here."""
+
+_WRITERS: dict[str, Callable[[Path, Sequence[Feature], Datum, bool], None]] = {
+    ".geojson": _write_geojson,
+    ".json": _write_geojson,
+    ".csv": _write_csv,
+    ".kml": _write_kml,
+    ".gpkg": _write_gpkg,
+    ".dxf": _write_dxf,
+}
+"""By the ending of a path."""

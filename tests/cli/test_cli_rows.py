@@ -1,0 +1,119 @@
+"""`fieldgrid rows`: tables, files, surveys, and what it answers to wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldgrid as fg
+from benchmarks.planting import DATUM
+from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.mapfile import MapView
+from tests.cli.conftest import Run
+from tests.rows.fields import straight, view_of, write_map
+
+ROWS = straight(4, 30.0, 2.5, 25.0)
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    view = view_of(ROWS, missing=[(1, 10.0, 13.0)], things=[(9.3, 11.1, 0.3)])
+    return write_map(tmp_path_factory.mktemp("rows") / "field.gpkg", view)
+
+
+def test_tables_tell_of_blocks_rows_and_lanes(fieldgrid: Run, field: Path) -> None:
+    text = fieldgrid("rows", field).output()
+    assert text.startswith("block  rows  lanes")
+    assert "B1-R4" in text
+    assert "B1-R2 B1-R3" in text
+
+
+def test_json_and_the_file_say_the_same(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    out = tmp_path / "rows.geojson"
+    told = json.loads(fieldgrid("rows", field, "-o", out, "--json").output())
+    written = json.loads(out.read_text())["features"]
+    kinds = [f["properties"]["kind"] for f in written]
+    for kind in ("row", "lane", "gap", "headland", "block", "obstacle"):
+        assert kinds.count(kind) == len(told[f"{kind}s"]) > 0
+    rows = [f["properties"] for f in written if f["properties"]["kind"] == "row"]
+    assert len(rows) == 4
+    for row in rows:
+        assert {"id", "block", "length_m", "sigma_m", "spacing_m", "sessions"} <= set(row)
+        assert row["sessions"] == ["june-03"]
+        assert row["sigma_m"] >= 0.02
+    (gap,) = [f["properties"] for f in written if f["properties"]["kind"] == "gap"]
+    assert gap["row"] in {row["id"] for row in rows}
+    assert gap["length_m"] == pytest.approx(3.0, abs=0.5)
+    lanes = [f["properties"] for f in written if f["properties"]["kind"] == "lane"]
+    assert all(lane["known"] > 0.9 for lane in lanes)
+    assert out.read_text().count("NaN") == 0
+
+
+@pytest.mark.parametrize("suffix", ["gpkg", "csv", "kml", "dxf"])
+def test_the_ending_picks_the_format(
+    fieldgrid: Run, field: Path, tmp_path: Path, suffix: str
+) -> None:
+    out = tmp_path / f"rows.{suffix}"
+    fieldgrid("rows", field, "-o", out)
+    assert out.stat().st_size > 1000
+    assert fieldgrid("rows", field, "-o", out).status == 1
+    assert fieldgrid("rows", field, "-o", out, "--overwrite").status == 0
+
+
+def test_a_map_is_never_replaced_by_its_rows(fieldgrid: Run, field: Path) -> None:
+    before = field.read_bytes()
+    assert fieldgrid("rows", field, "-o", field, "--overwrite").status == 1
+    assert field.read_bytes() == before
+
+
+def test_a_survey_is_compared(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    posts = np.concatenate([r[0] + np.array([[0.1], [0.5], [0.9]]) * (r[1] - r[0]) for r in ROWS])
+    path = tmp_path / "posts.csv"
+    path.write_text("east_m,north_m\n" + "".join(f"{e},{n}\n" for e, n in posts.tolist()))
+    told = json.loads(fieldgrid("rows", field, "--truth", path, "--json").output())["survey"]
+    assert told["points"] == 12
+    assert told["rms_m"] < 0.05
+    assert "points on rows" in fieldgrid("rows", field, "--truth", path).output()
+
+
+def test_python_finds_the_same_rows(fieldgrid: Run, field: Path) -> None:
+    told = json.loads(fieldgrid("rows", field, "--json").output())
+    planting = fg.find_rows(field)
+    assert [row.id for row in planting.rows] == [row["id"] for row in told["rows"]]
+    part = fg.find_rows(field, bounds=Bounds(-5.0, 0.0, 8.0, 14.0))
+    assert 0 < max(row.length_m for row in part.rows) < 16.0
+
+
+def test_a_map_without_rows_says_what_to_change(fieldgrid: Run, tmp_path: Path) -> None:
+    lattice = Lattice(0.1)
+    window = lattice.window(Bounds(0.0, 0.0, 16.0, 16.0))
+    seen = np.ones(window.shape, dtype=np.bool_)
+    view = MapView(lattice, window, np.zeros(window.shape, dtype=np.uint8), seen, DATUM)
+    path = write_map(tmp_path / "bare.gpkg", view)
+    assert "no rows found; --crop" in fieldgrid("rows", path).output()
+    assert json.loads(fieldgrid("rows", path, "--json").output())["rows"] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--crop", "hops"], "no crop"),
+        (["--obstacle-above", "300"], "outside 0..254"),
+        (["--spacing", "4:2"], "smaller one first"),
+        (["--min-gap", "-1"], "outside 0..1000"),
+        (["--truth", "missing.csv"], "cannot be read as a survey"),
+        (["-o", "rows.shp"], "ends in none of"),
+        (["--at", "may"], "may"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(
+    fieldgrid: Run, field: Path, arguments: list[str], message: str
+) -> None:
+    assert message in fieldgrid("rows", field, *arguments).sentence()
+
+
+def test_a_spacing_that_is_none_is_a_usage_error(fieldgrid: Run, field: Path) -> None:
+    fieldgrid("rows", field, "--spacing", "wide").usage()

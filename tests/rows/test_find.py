@@ -1,0 +1,250 @@
+"""Rows, lanes, gaps, blocks, headlands and obstacles of plantings that are known."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+
+from benchmarks.planting import DATUM, Sight
+from fieldgrid.errors import ConfigError
+from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.mapfile import MapView
+from fieldgrid.polyline import lengths, project
+from fieldgrid.rows import Crop, crop_named, rows_of_view
+from tests.rows.fields import QUIET, line_of, rms_m, straight, view_of
+
+
+@pytest.mark.parametrize("heading_deg", [3.0, 48.0, 91.0, 137.0])
+def test_straight_rows_are_found_with_their_ends_and_lanes(heading_deg: float) -> None:
+    rows = straight(5, 30.0, 2.5, heading_deg, (-13.7, 8.2))
+    found = rows_of_view(
+        view_of(rows, dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0))
+    )
+    assert len(found.rows) == 5
+    assert len(found.lanes) == 4
+    assert [b.rows for b in found.blocks] == [5]
+    for row in rows:
+        line = line_of(found, row)
+        assert rms_m(line, row) < 0.04
+        at, _ = project(line, row)
+        # Half a canopy is taken off at either end, which these rows do not have.
+        assert abs(at.min()) < 0.4
+        assert abs(at.max() - 30.0) < 0.4
+    for lane in found.lanes:
+        assert lane.known > 0.95
+        assert lane.free_width_m == pytest.approx(2.5 - 0.7, abs=0.35)
+    turn = (found.blocks[0].heading_deg - heading_deg + 90.0) % 180.0 - 90.0
+    assert abs(turn) < 0.3
+    assert found.blocks[0].spacing_m == pytest.approx(2.5, abs=0.03)
+
+
+def test_left_and_right_of_a_lane_are_meant_along_its_line() -> None:
+    found = rows_of_view(view_of(straight(4, 25.0, 2.2, 20.0)))
+    lines = {row.id: np.asarray(row.line.coords) for row in found.rows}
+    for lane in found.lanes:
+        middle = np.asarray(lane.line.coords)
+        left, right = (project(lines[name], middle)[1].mean() for name in lane.rows)
+        assert left > 0.9
+        assert right < -0.9
+
+
+def test_ids_follow_the_rows_from_left_to_right() -> None:
+    found = rows_of_view(view_of(straight(4, 25.0, heading_deg=20.0)))
+    along = np.subtract(*(found.rows[0].line.coords[k] for k in (-1, 0)))
+    right = np.array([along[1], -along[0]])
+    places = [np.asarray(row.line.coords).mean(axis=0) @ right for row in found.rows]
+    assert places == sorted(places)
+    assert [row.id for row in found.rows] == ["B1-R1", "B1-R2", "B1-R3", "B1-R4"]
+
+
+def test_a_field_moved_by_whole_cells_is_the_same_field() -> None:
+    view = view_of(straight(3, 20.0, heading_deg=33.0))
+    window = view.window
+    far = window._replace(i0=window.i0 + 12_345, j0=window.j0 - 6_789)
+    here, there = (rows_of_view(v) for v in (view, dataclasses.replace(view, window=far)))
+    assert len(here.rows) == len(there.rows) == 3
+    for a, b in zip(here.rows, there.rows, strict=True):
+        moved = np.asarray(b.line.coords) - (1234.5, -678.9)
+        assert np.abs(project(moved, np.asarray(a.line.coords))[1]).max() < 0.02
+        assert b.length_m == pytest.approx(a.length_m, abs=0.25)
+
+
+def test_curved_rows_are_followed() -> None:
+    angle = np.linspace(0.0, 0.7, 40)
+    rows = [
+        np.column_stack([r * np.sin(angle), r * np.cos(angle)]) for r in (60.0, 62.5, 65.0, 67.5)
+    ]
+    found = rows_of_view(view_of(rows))
+    assert len(found.rows) == 4
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.06
+    assert found.blocks[0].rows == 4
+
+
+def test_blocks_of_two_directions_are_two() -> None:
+    rows = straight(5, 26.0, 2.5, 10.0) + straight(4, 22.0, 3.0, 70.0, (22.0, 14.0))
+    found = rows_of_view(view_of(rows))
+    assert [b.rows for b in found.blocks] == [5, 4]
+    headings = [b.heading_deg % 180.0 for b in found.blocks]
+    assert headings == pytest.approx([10.0, 70.0], abs=0.5)
+    assert [b.spacing_m for b in found.blocks] == pytest.approx([2.5, 3.0], abs=0.05)
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.06
+
+
+def test_missing_plants_are_gaps_and_do_not_end_a_row() -> None:
+    rows = straight(4, 40.0, heading_deg=15.0)
+    missing = [(1, 12.0, 14.6), (2, 20.0, 28.0)]
+    found = rows_of_view(view_of(rows, missing=missing))
+    assert len(found.rows) == 4
+    assert len(found.gaps) == 2
+    for (row, start, stop), gap in zip(missing, found.gaps, strict=True):
+        at, off = project(np.asarray(gap.line.coords), rows[row])
+        assert np.abs(off).max() < 0.2
+        assert [at.min(), at.max()] == pytest.approx([start, stop], abs=0.35)
+        assert gap.length_m == pytest.approx(stop - start, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_row_that_was_seen_from_one_side_is_not_drawn_to_it(seed: int) -> None:
+    rows = straight(4, 40.0, heading_deg=70.0)
+    sides = [(False, True), (True, True), (True, True), (True, False)]
+    sight = dataclasses.replace(QUIET, sides=sides, depth_m=0.2, seed=seed)
+    found = rows_of_view(view_of(rows, sight, cell_m=0.05))
+    assert len(found.rows) == 4
+    for row, (left, right) in zip(rows, sides, strict=True):
+        line = line_of(found, row)
+        own = next(r for r in found.rows if np.asarray(r.line.coords) is not None
+                   and np.array_equal(np.asarray(r.line.coords), line))  # fmt: skip
+        bias = float(project(line, row)[1].mean())
+        assert abs(bias) < 0.07
+        assert abs(bias) < 3.0 * own.sigma_m
+        if not (left and right):
+            assert own.sides < 1.3
+            # What the far face may be is added to what the fit says.
+            assert own.sigma_m > 0.03
+
+
+def test_an_unseen_lane_says_so_and_has_no_width() -> None:
+    rows = straight(3, 30.0)
+    sides = [(True, True), (True, False), (False, True)]
+    found = rows_of_view(view_of(rows, dataclasses.replace(QUIET, sides=sides)))
+    lanes = {lane.rows: lane for lane in found.lanes}
+    seen, unseen = lanes["B1-R1", "B1-R2"], lanes["B1-R2", "B1-R3"]
+    assert seen.known > 0.95
+    assert unseen.known < 0.3
+    assert np.isnan(unseen.free_width_m)
+    assert np.isfinite(seen.free_width_m)
+    assert not unseen.driven
+
+
+def test_a_stretch_of_a_row_that_was_not_seen_is_no_gap() -> None:
+    rows = straight(3, 40.0)
+    sight = dataclasses.replace(QUIET, unseen=[Bounds(-3.0, 15.0, 1.0, 20.0)])
+    found = rows_of_view(view_of(rows, sight))
+    assert len(found.rows) == 3
+    assert not found.gaps
+    first = min(found.rows, key=lambda r: r.line.coords[0][0])
+    assert first.known == pytest.approx(1.0 - 5.0 / 40.0, abs=0.04)
+
+
+def test_things_in_lanes_belong_to_them_and_narrow_them() -> None:
+    rows = straight(3, 30.0)
+    found = rows_of_view(view_of(rows, things=[(3.75, 12.0, 0.3)], cell_m=0.05))
+    place = shapely.Point(3.75, 12.0)
+    (thing,) = [o for o in found.obstacles if o.area.distance(place) < 0.2]
+    lane = found.lane(thing.lane)
+    assert lane is not None
+    assert lane.area.contains(place)
+    assert lane.free_width_m < 1.1
+    assert thing.area_m2 == pytest.approx(np.pi * 0.3**2, rel=0.3)
+    assert not thing.row
+
+
+def test_headlands_lie_before_and_behind_the_rows() -> None:
+    rows = straight(5, 30.0)
+    found = rows_of_view(view_of(rows))
+    ends = {h.end for h in found.headlands}
+    assert ends <= {"start", "stop", "both"}
+    ground = shapely.union_all([h.area for h in found.headlands])
+    for before in (shapely.box(0.0, -4.0, 10.0, -1.0), shapely.box(0.0, 31.0, 10.0, 34.0)):
+        assert ground.intersection(before).area > 0.9 * before.area
+    for lane in found.lanes:
+        assert ground.intersection(lane.area).area < 0.1 * lane.area.area
+
+
+def test_noise_alone_has_no_rows() -> None:
+    rng = np.random.default_rng(4)
+    lattice = Lattice(0.1)
+    window = lattice.window(Bounds(0.0, 0.0, 40.0, 40.0))
+    density = np.where(rng.random(window.shape) < 0.01, 200, 0).astype(np.uint8)
+    view = MapView(lattice, window, density, np.ones(window.shape, dtype=np.bool_), DATUM)
+    assert not rows_of_view(view).rows
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_a_map_without_obstacles_is_an_empty_planting(observed: bool) -> None:
+    lattice = Lattice(0.1)
+    window = lattice.window(Bounds(0.0, 0.0, 10.0, 10.0))
+    mask = np.full(window.shape, observed)
+    found = rows_of_view(MapView(lattice, window, np.zeros(window.shape, np.uint8), mask, DATUM))
+    assert found.rows == found.lanes == found.gaps == found.blocks == found.headlands == ()
+
+
+def test_a_trailer_in_line_with_a_row_does_not_lengthen_it() -> None:
+    rows = straight(4, 30.0)
+    found = rows_of_view(view_of(rows, things=[(5.0, 36.0, 1.0)]))
+    at, _ = project(line_of(found, rows[2]), rows[2])
+    assert at.max() < 30.5
+
+
+def test_trunks_of_an_orchard_are_rows_by_its_parameters() -> None:
+    rows = straight(4, 48.0, 5.0, 30.0)
+    missing = [(k, 4.0 * n + 0.2, 4.0 * n + 3.8) for k in range(4) for n in range(12)]
+    view = view_of(rows, dataclasses.replace(QUIET, fill=0.95), half_width_m=0.2, missing=missing)
+    found = rows_of_view(view, crop="orchard")
+    assert len(found.rows) == 4
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.1
+    assert not found.gaps
+
+
+def test_sown_rows_are_found_by_their_parameters() -> None:
+    rows = straight(8, 15.0, 0.6, 12.0)
+    sight = Sight(noise_per_m2=0.05, hole_share=0.02, margin_m=2.0, headland_m=2.0)
+    found = rows_of_view(view_of(rows, sight, cell_m=0.05, half_width_m=0.1), crop="arable")
+    assert len(found.rows) == 8
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.03
+
+
+def test_a_sparse_canopy_is_still_a_row() -> None:
+    rows = straight(4, 40.0, heading_deg=5.0)
+    found = rows_of_view(view_of(rows, dataclasses.replace(QUIET, fill=0.15)))
+    assert len(found.rows) == 4
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.08
+
+
+def test_lengths_along_rows_are_those_of_their_lines() -> None:
+    found = rows_of_view(view_of(straight(3, 20.0, heading_deg=12.0)))
+    for row in found.rows:
+        assert row.length_m == pytest.approx(lengths(np.asarray(row.line.coords))[-1], abs=0.05)
+        assert row.cells > 100
+        assert row.sigma_m > 0.0
+
+
+@pytest.mark.parametrize("change", [{"min_spacing_m": -1.0}, {"half_width_m": float("nan")},
+                                    {"min_spacing_m": 5.0}])  # fmt: skip
+def test_a_crop_that_cannot_be_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        crop_named("vineyard").changed(**change)
+
+
+def test_an_unknown_crop_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"'hops' is no crop; known are vineyard"):
+        crop_named("hops")
+    assert crop_named("vineyard") == Crop()

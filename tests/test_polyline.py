@@ -1,0 +1,77 @@
+"""Polylines: along, across, parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fieldgrid.polyline import extended, lengths, normals, part, project, resampled
+
+_TURN = st.floats(-0.4, 0.4)
+_LINES = st.builds(
+    lambda start, turns: np.cumsum(
+        [
+            (0.0, 0.0),
+            *(
+                (3.0 * np.cos(a), 3.0 * np.sin(a))
+                for a in start + np.cumsum(np.asarray(turns, dtype=np.float64))
+            ),
+        ],
+        axis=0,
+    ),
+    st.floats(-3.0, 3.0),
+    st.lists(_TURN, min_size=2, max_size=12),
+)
+
+
+@given(_LINES, st.floats(0.0, 1.0), st.floats(-0.9, 0.9))
+def test_a_point_beside_a_line_is_projected_back(line: np.ndarray, at: float, left: float) -> None:
+    s = lengths(line)
+    place = at * s[-1]
+    k = min(int(np.searchsorted(s, place, side="right")), len(line) - 1)
+    unit = (line[k] - line[k - 1]) / (s[k] - s[k - 1])
+    foot = line[k - 1] + (place - s[k - 1]) * unit
+    point = foot + left * np.array([-unit[1], unit[0]])
+    along, across = project(point[None], line)
+    # At a bend another piece may be nearer, never one that is farther.
+    assert abs(across[0]) <= abs(left) + 1e-9
+    assert abs(along[0] - place) < 1.0
+    assert across[0] * left >= -1e-9 or abs(left) < 0.5
+
+
+@given(_LINES, st.floats(0.3, 2.0))
+def test_resampling_keeps_ends_and_lies_on_the_line(line: np.ndarray, step: float) -> None:
+    fine = resampled(line, step)
+    assert np.allclose(fine[[0, -1]], line[[0, -1]])
+    assert np.abs(project(fine, line)[1]).max() < 1e-9
+
+
+@given(_LINES, st.floats(0.1, 0.45), st.floats(0.55, 0.9))
+def test_a_part_has_the_length_that_was_asked_for(
+    line: np.ndarray, low: float, high: float
+) -> None:
+    total = lengths(line)[-1]
+    inner = part(line, low * total, high * total)
+    assert lengths(inner)[-1] == pytest.approx((high - low) * total)
+
+
+@given(_LINES, st.floats(0.0, 5.0), st.floats(0.0, 5.0))
+def test_extending_adds_to_both_ends(line: np.ndarray, before: float, after: float) -> None:
+    longer = extended(line, before, after)
+    assert lengths(longer)[-1] == pytest.approx(lengths(line)[-1] + before + after)
+    assert np.hypot(*(longer[0] - line[0])) == pytest.approx(before)
+    assert np.hypot(*(longer[-1] - line[-1])) == pytest.approx(after)
+
+
+def test_normals_point_to_the_left() -> None:
+    north = np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]])
+    assert np.allclose(normals(north), [[-1.0, 0.0]] * 3)
+
+
+def test_beyond_its_ends_a_line_goes_on() -> None:
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    along, across = project(np.array([[-3.0, 1.0], [12.0, -2.0]]), line)
+    assert np.allclose(along, [-3.0, 12.0])
+    assert np.allclose(across, [1.0, -2.0])
