@@ -224,10 +224,12 @@ def _line(name: str, one: Measured, loose: bool) -> str:
 def report() -> Iterator[str]:
     """Each log and all together, with the machine's speed and without."""
     yield HEAD
-    yield f"{'asked':<34}{'>= 98 %':>23}{'':>21}{'>= 90 %':>23}"
+    yield f"{'asked':<34}{'>= 99.5 %':>23}{'':>21}{'>= 95 %':>23}"
     for speeds in (False, True):
         label = "with speed" if speeds else "positions"
-        found = [(log, measure(log, estimate(log, speeds))) for log in logs()]
+        drives = [(log, estimate(log, speeds)) for log in logs()]
+        yield _accepted_line(label, drives)
+        found = [(log, measure(log, drive)) for log, drive in drives]
         for log, one in found:
             yield _line(f"{log.name}, {label}", one, loose=False)
         yield _line(f"pooled, {label}", pool([one for _, one in found]), loose=False)
@@ -237,6 +239,18 @@ def report() -> Iterator[str]:
         if raw.exists():
             found_raw = estimate_poses(read_fix_log(raw).fixes)
             yield _line(f"{log.name}, as the terminal wrote it", measure(log, found_raw), False)
+
+
+def _accepted_line(label: str, drives: list[tuple[Log, Estimate]]) -> str:
+    """What is accepted of all fixes, and of those that the machine moves at."""
+    accepted = [found.trajectory.accepted[found.fix_row] for _, found in drives]
+    moves = [moving(log) for log, _ in drives]
+    shares = ", ".join(percent(np.mean(one), 0) for one in accepted)
+    while_moving = np.concatenate([one[of] for one, of in zip(accepted, moves, strict=True)])
+    return (
+        f"accepted, {label} (asked >= 85 %): {percent(np.mean(np.concatenate(accepted)), 1)} "
+        f"({shares}); {percent(np.mean(while_moving), 1)} while moving"
+    )
 
 
 def pool(many: list[Measured]) -> Measured:

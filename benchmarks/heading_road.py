@@ -90,7 +90,7 @@ def report() -> Iterator[str]:
         f"{'of':>6}{'3 sigma':>9}{'sigma/err':>10}{'used > 30°':>12}"
     )
     yield (
-        f"{'asked of the RTK drives; of 0093':<40}{'':>8}{'':>8}{'<= .25°':>8}{'':>8}{'':>8}"
+        f"{'asked of the RTK drives; of 0093':<40}{'':>8}{'':>8}{'<= .20°':>8}{'':>8}{'':>8}"
         f"{'<= 1.5°':>10}{'':>6}{'':>9}{'':>10}{'0':>12}"
     )
     for what in TOLD:

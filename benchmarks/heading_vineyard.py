@@ -179,7 +179,7 @@ _ROW_HEIGHT_M = 145.0
 
 def report_rows() -> Iterator[str]:
     yield f"{'':<34}{'epochs':>8}{'used':>8}{'1.48 MAD':>10}{'std':>8}{'median':>9}{'sigma':>8}"
-    yield f"{'asked':<34}{'':>8}{'':>8}{'<= 0.7°':>10}{'<= 0.7°':>8}"
+    yield f"{'asked':<34}{'':>8}{'':>8}{'<= 0.5°':>10}{'<= 0.5°':>8}"
     for quality, name in ((4, "taken for RTK"), (1, "quality unknown")):
         yield from _rows_lines(quality, name)
 
