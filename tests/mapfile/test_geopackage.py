@@ -175,6 +175,7 @@ def test_the_layers_are_these_and_the_binary_tables_are_none(path: Path) -> None
         "frame_position": "Point",
         "footprint": "Polygon",
         "fieldgrid_session": None,
+        "layer_styles": None,  # QGIS lists it as none of its own
     }
 
 
@@ -186,11 +187,13 @@ def test_the_trajectory_is_a_layer_of_points_at_the_right_place(path: Path) -> N
     meta, _, geometry, columns = read_layer(path, layer="trajectory")
     fields = dict(zip(meta["fields"].tolist(), columns, strict=True))
     assert sorted(fields) == sorted(
-        ["session", "time_ns", "up_m", "heading_deg", "heading_sigma_deg", "position_sigma_m",
-         "speed_mps", "gear", "quality", "status", "reason"]
+        ["session", "time_ns", "time", "up_m", "heading_deg", "heading_sigma_deg",
+         "position_sigma_m", "speed_mps", "gear", "quality", "status", "reason"]
     )  # fmt: skip
     for name in ("time_ns", "up_m", "heading_deg", "position_sigma_m", "speed_mps", "quality"):
         np.testing.assert_array_equal(fields[name], getattr(expected, name))
+    times = fields["time"].astype("datetime64[ns]").astype(np.int64)  # read as a moment
+    assert np.abs(times - expected.time_ns).max() < 1_000_000
     assert fields["status"].tolist() == list(expected.status)
     assert fields["reason"].tolist() == list(expected.reason)
     points = np.array([np.frombuffer(wkb[5:], dtype="<f8") for wkb in geometry])
@@ -215,7 +218,7 @@ def test_the_frames_are_a_layer_of_points(path: Path) -> None:
 def test_the_system_lists_the_same_layers(path: Path) -> None:
     out = tool("ogrinfo", "-ro", "-so", "-al", str(path))
     assert re.findall(r"Layer name: (\w+)", out) == [
-        "trajectory", "frame_position", "footprint", "fieldgrid_session",
+        "trajectory", "frame_position", "footprint", "fieldgrid_session", "layer_styles",
     ]  # fmt: skip
 
 
@@ -240,6 +243,7 @@ def test_the_header_and_tables_are_those_of_geopackage_1_3(path: Path) -> None:
         "frame_position": "features",
         "footprint": "features",
         "fieldgrid_session": "attributes",
+        "layer_styles": "attributes",
     }
     for row in contents.values():
         assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", row["last_change"])

@@ -32,7 +32,18 @@ from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, MapFile, read_datum
 from fieldgrid.settings import Declared, Settings, declared, first_problem
 
-_BUILT_IN = ("geotiff", "png", "kmz", "vector", "taskdata", "nav2", "rosbag", "tables", "arrays")
+_BUILT_IN = (
+    "geotiff",
+    "png",
+    "kmz",
+    "vector",
+    "taskdata",
+    "nav2",
+    "rosbag",
+    "tables",
+    "arrays",
+    "qgz",
+)
 """The modules beside this one that register formats, in the order of their listing."""
 
 
@@ -50,6 +61,7 @@ class Holds(StrEnum):
     GREY = "a layer of 8 bits"
     OCCUPANCY = "the layer density or max"
     SHAPES = "what is traced from the density"
+    MAP = "the density of the map as it is"
 
 
 class Writer(Protocol):
@@ -205,6 +217,7 @@ def _check_layer(chosen: Format, layer: str) -> None:
         Holds.GREY: LAYERS[layer].dtype == "uint8",
         Holds.OCCUPANCY: layer in ("density", "max"),
         Holds.SHAPES: layer == "density",
+        Holds.MAP: layer == "density",
     }
     if not fits[chosen.holds]:
         others = ", ".join(one.name for one in formats().values() if one.holds is Holds.ANY)

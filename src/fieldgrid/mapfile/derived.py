@@ -18,6 +18,7 @@ from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
+from fieldgrid.mapfile.styles import refresh_styles
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -67,7 +68,8 @@ def hide(
 
 
 def settle(connection: sqlite3.Connection, header: Header, path: Path) -> None:
-    """Fill in what commits have left for later, within the caller's transaction."""
+    """Fill in what commits have left for later, within the caller's transaction: tiles, styles."""
+    refresh_styles(connection)
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
@@ -119,6 +121,7 @@ def rebuild(
             for tile in sorted(tiles.tiles):
                 tables.put_session(session_id, tile, tiles.blobs(tile))
     Pyramid(connection, tables, jobs).rebuild()
+    refresh_styles(connection)
     touch(connection)
 
 

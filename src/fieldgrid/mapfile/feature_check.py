@@ -85,17 +85,18 @@ _COMPARED: tuple[tuple[str, str], ...] = (
     ),
     (
         "fix",
-        "SELECT session, time_ns, status, reason, geom, up_m, heading_deg, heading_sigma_deg, "
-        "position_sigma_m, speed_mps, gear, quality FROM trajectory ORDER BY session, time_ns, "
-        "status, reason, geom, up_m, heading_deg",
+        "SELECT session, time_ns, status, reason, geom, time, up_m, heading_deg, "
+        "heading_sigma_deg, position_sigma_m, speed_mps, gear, quality FROM trajectory ORDER BY "
+        "session, time_ns, status, reason, geom, up_m, heading_deg",
     ),
     (
         "frame position",
-        "SELECT session, frame_id, time_ns, status, reason, geom, heading_deg, quality "
+        "SELECT session, frame_id, time_ns, status, reason, geom, time, heading_deg, quality "
         "FROM frame_position ORDER BY session, frame_id",
     ),
     (
         "footprint",
-        "SELECT session, frame_id, time_ns, status, geom FROM footprint ORDER BY session, frame_id",
+        "SELECT session, frame_id, time_ns, status, geom, time FROM footprint "
+        "ORDER BY session, frame_id",
     ),
 )

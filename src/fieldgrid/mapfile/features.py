@@ -8,7 +8,9 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from fieldgrid.array_types import Int64
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile.geometry import encode_point, encode_polygon
 from fieldgrid.mapfile.records import FrameRecord
@@ -18,11 +20,11 @@ from fieldgrid.transfer import to_universal
 
 _COLUMNS = {
     "trajectory": (
-        "session, time_ns, up_m, heading_deg, heading_sigma_deg, position_sigma_m, speed_mps, "
-        "gear, quality, status, reason"
+        "session, time_ns, time, up_m, heading_deg, heading_sigma_deg, position_sigma_m, "
+        "speed_mps, gear, quality, status, reason"
     ),
-    "frame_position": "session, frame_id, time_ns, heading_deg, quality, status, reason",
-    "footprint": "session, frame_id, time_ns, status",
+    "frame_position": "session, frame_id, time_ns, time, heading_deg, quality, status, reason",
+    "footprint": "session, frame_id, time_ns, time, status",
 }
 
 
@@ -64,8 +66,8 @@ def _fixes(name: str, track: Trajectory | None) -> Iterator[_Feature]:
         return
     gear = getattr(track, "gear", None)  # trajectories of heading by course alone may have none
     columns = (
-        track.time_ns, track.up_m, track.heading_deg, track.heading_sigma_deg,
-        track.position_sigma_m, track.speed_mps,
+        track.time_ns, _moments(track.time_ns), track.up_m, track.heading_deg,
+        track.heading_sigma_deg, track.position_sigma_m, track.speed_mps,
     )  # fmt: skip
     gears = [None] * len(track) if gear is None else gear.tolist()
     rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -81,8 +83,8 @@ def _positions(frames: list[FrameRecord]) -> Iterator[_Feature]:
         yield _Feature(
             ((pose.east_m, pose.north_m),),
             (
-                frame.session, frame.frame_id, pose.time_ns, pose.heading_deg, frame.quality,
-                pose.status, pose.reason,
+                frame.session, frame.frame_id, pose.time_ns, _moment(pose.time_ns),
+                pose.heading_deg, frame.quality, pose.status, pose.reason,
             ),
         )  # fmt: skip
 
@@ -98,8 +100,20 @@ def _footprints(frames: list[FrameRecord]) -> Iterator[_Feature]:
             east = north = np.full(4, math.nan)
         yield _Feature(
             tuple(zip(east.tolist(), north.tolist(), strict=True)),
-            (frame.session, frame.frame_id, frame.pose.time_ns, frame.pose.status),
-        )
+            (
+                frame.session, frame.frame_id, frame.pose.time_ns, _moment(frame.pose.time_ns),
+                frame.pose.status,
+            ),
+        )  # fmt: skip
+
+
+def _moments(time_ns: Int64) -> npt.NDArray[np.str_]:
+    """Times as a GIS reads them: UTC to the millisecond."""
+    return np.datetime_as_string(time_ns.astype("datetime64[ns]"), unit="ms", timezone="UTC")
+
+
+def _moment(time_ns: int) -> str:
+    return str(_moments(np.array([time_ns]))[0])
 
 
 def _insert(

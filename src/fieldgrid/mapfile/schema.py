@@ -28,7 +28,11 @@ GEOPACKAGE_VERSION = 10300
 SRS_ID = 100001
 """The map's own plane in gpkg_spatial_ref_sys."""
 
-GEOMETRIES = {"trajectory": "POINT", "frame_position": "POINT", "footprint": "POLYGON"}
+GEOMETRIES = {
+    "trajectory": "POINT",
+    "frame_position": "POINT",
+    "footprint": "POLYGON",
+}
 """Of the layers of features."""
 
 NOW_SQL = "strftime('%Y-%m-%dT%H:%M:%fZ','now')"
@@ -97,11 +101,15 @@ CREATE TABLE density (
     tile_data BLOB NOT NULL,
     UNIQUE (zoom_level, tile_column, tile_row)
 );
+"""
+
+_FEATURES = """
 CREATE TABLE trajectory (
     fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
     geom POINT,
     session TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
+    time DATETIME NOT NULL,
     up_m DOUBLE,
     heading_deg DOUBLE,
     heading_sigma_deg DOUBLE,
@@ -119,6 +127,7 @@ CREATE TABLE frame_position (
     session TEXT NOT NULL,
     frame_id TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
+    time DATETIME NOT NULL,
     heading_deg DOUBLE,
     quality INTEGER,
     status TEXT NOT NULL,
@@ -131,6 +140,7 @@ CREATE TABLE footprint (
     session TEXT NOT NULL,
     frame_id TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
+    time DATETIME NOT NULL,
     status TEXT NOT NULL
 );
 CREATE INDEX footprint_by_session ON footprint (session);
@@ -267,7 +277,7 @@ def create(
     """Lay out an empty map whose tiles hold these channel groups, within one transaction."""
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {GEOPACKAGE_VERSION}")
-    for statement in (_GEOPACKAGE + _OWN).split(";\n"):
+    for statement in (_GEOPACKAGE + _FEATURES + _OWN).split(";\n"):
         connection.execute(statement)
     connection.executemany(
         "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", reference_systems(datum)
@@ -277,6 +287,14 @@ def create(
         "INSERT INTO fieldgrid_meta VALUES (?, ?)",
         _meta(datum, matrices.lattice, transfer, groups).items(),
     )
+
+
+def renew_features(connection: sqlite3.Connection) -> None:
+    """Put empty tables of features in place of those of an older format."""
+    for table in GEOMETRIES:
+        connection.execute(f"DROP TABLE IF EXISTS {table}")
+    for statement in _FEATURES.split(";\n"):
+        connection.execute(statement)
 
 
 def own_tables() -> list[str]:

@@ -1,0 +1,160 @@
+"""How QGIS shows a map: a style for each of its layers, in QGIS's own XML (QML).
+
+Obstacles are red on pale ground, drives have the colours of their sessions, footprints are hollow
+and seen from near only. The same styles are in the map file, for a layer that is opened by itself,
+and in a project.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+from xml.etree.ElementTree import Element
+
+from fieldgrid import palette
+
+VERSION = "3.22.0"
+"""Of QGIS, whose styles these are; later ones read them, too."""
+
+_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+
+_ALPHA_BAND = 4
+"""GDAL shows the grey and alpha of a GeoPackage's tiles as red, green, blue and alpha."""
+
+
+_VALUES = (0, 50, 100, 101, 255)
+"""The densities at which the colours of the palette begin: its edge lies between two of them."""
+
+_LABELS = {0: "0: free", 101: "101: obstacle"}
+
+
+_LONGEST_LABEL = 80
+
+
+class _Look(NamedTuple):
+    """A layer of features: its kind of symbol, and the smallest scale (1 in n) it is seen at."""
+
+    symbol: str
+    from_scale: int | None
+
+
+_LOOKS = {
+    "trajectory": _Look("marker", None),
+    "frame_position": _Look("marker", 1500),
+    "footprint": _Look("fill", 400),
+}
+
+LAYERS = ("density", *_LOOKS)
+"""The layers that have a style, from the lowest to the uppermost as they are to be drawn."""
+
+
+def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
+    """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
+    root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering|Temporal")
+    fill_style(root, layer, sessions)
+    ET.indent(root)
+    return _DOCTYPE + ET.tostring(root, encoding="unicode")
+
+
+def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -> None:
+    """Put the parts of a layer's style into an element: a document's root, or a project's layer."""
+    if layer == "density":
+        _fill_density(root)
+        return
+    look = _LOOKS[layer]
+    if look.from_scale is not None:
+        root.set("hasScaleBasedVisibilityFlag", "1")
+        root.set("minScale", str(look.from_scale))
+        root.set("maxScale", "0")
+    temporal = ET.SubElement(root, "temporal", mode="1", enabled="1", startField="time")
+    temporal.set("durationUnit", "min")
+    temporal.set("accumulate", "1")
+    renderer = ET.SubElement(root, "renderer-v2", type="RuleRenderer", symbollevels="0")
+    rules = ET.SubElement(renderer, "rules", key="{root}")
+    symbols = ET.SubElement(renderer, "symbols")
+    named: dict[str, list[str]] = {}
+    for name, colour in sessions:
+        if name.isprintable():  # another one XML cannot have: it is drawn as one of the others
+            named.setdefault(colour, []).append(name)
+    for colour, names in named.items():
+        key = str(len(symbols))
+        label = ", ".join(names)
+        quoted = ", ".join(map(_quoted, names))
+        ET.SubElement(
+            rules, "rule", key=f"{{{key}}}", symbol=key,
+            label=label if len(label) <= _LONGEST_LABEL else f"{label[:_LONGEST_LABEL]}...",
+            filter=f"\"session\" IN ({quoted}) AND \"status\" <> 'rejected'",
+        )  # fmt: skip
+        symbols.append(_symbol(key, look.symbol, layer, colour))
+    for label, condition, colour in (
+        ("rejected", "\"status\" = 'rejected'", palette.REJECTED),
+        ("other sessions", "ELSE", palette.REJECTED),
+    ):
+        key = str(len(symbols))
+        ET.SubElement(rules, "rule", key=f"{{{key}}}", symbol=key, label=label, filter=condition)
+        symbols.append(_symbol(key, look.symbol, layer, colour, rejected=label == "rejected"))
+
+
+def _fill_density(root: Element) -> None:
+    pipe = ET.SubElement(root, "pipe")
+    renderer = ET.SubElement(
+        pipe, "rasterrenderer", type="singlebandpseudocolor", band="1",
+        alphaBand=str(_ALPHA_BAND), opacity="1", classificationMin="0", classificationMax="255",
+    )  # fmt: skip
+    shader = ET.SubElement(
+        ET.SubElement(renderer, "rastershader"), "colorrampshader", colorRampType="INTERPOLATED",
+        classificationMode="1", minimumValue="0", maximumValue="255", clip="0",
+    )  # fmt: skip
+    for stop, value in zip(palette.DENSITY, _VALUES, strict=True):
+        ET.SubElement(
+            shader, "item", value=str(value), color=stop.colour, alpha="255",
+            label=_LABELS.get(value, str(value)),
+        )  # fmt: skip
+    ET.SubElement(pipe, "rasterresampler", maxOversampling="2")
+    ET.SubElement(root, "blendMode").text = "0"
+
+
+def _symbol(name: str, kind: str, layer: str, colour: str, *, rejected: bool = False) -> Element:
+    symbol = Element("symbol", name=name, type=kind, alpha="1", clip_to_extent="1")
+    fill = ",".join(map(str, palette.rgb(colour)))
+    if kind == "fill":
+        values = {
+            "style": "no",
+            "color": f"{fill},0",
+            "outline_color": f"{fill},160",
+            "outline_style": "dash" if rejected else "solid",
+            "outline_width": "0.2",
+            "outline_width_unit": "MM",
+        }
+        part = ET.SubElement(symbol, "layer", {"class": "SimpleFill"}, enabled="1", locked="0")
+    else:
+        near = layer == "frame_position"
+        values = {
+            "name": "cross2" if rejected else "circle",
+            "color": f"{fill},255",
+            "outline_color": f"{fill},255" if rejected else "255,255,255,255",
+            "outline_style": "solid" if rejected or near else "no",
+            "outline_width": "0.3" if rejected else "0.2",
+            "outline_width_unit": "MM",
+            "size": "2.2" if near else "1.2",
+            "size_unit": "MM",
+        }
+        part = ET.SubElement(symbol, "layer", {"class": "SimpleMarker"}, enabled="1", locked="0")
+    part.set("pass", "0")
+    _add_values(part, values)
+    return symbol
+
+
+def _add_values(part: Element, values: Mapping[str, str]) -> None:
+    """Values in the form of QGIS 3.22 and later, and in that of those before."""
+    options = ET.SubElement(part, "Option", type="Map")
+    for key, value in values.items():
+        ET.SubElement(options, "Option", name=key, value=value, type="QString")
+    for key, value in values.items():
+        ET.SubElement(part, "prop", k=key, v=value)
+
+
+def _quoted(text: str) -> str:
+    """Text as a value of QGIS's expressions."""
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
