@@ -164,10 +164,14 @@ export interface Source {
   cell: ((map: MapAbout, east: number, north: number, sessions: number[] | null) => Promise<Cell>) | null;
   image: ((map: MapAbout, frame: SeenBy, image: number) => Promise<Picture>) | null;
   actions: Actions | null;
+  /** What is drawn of a cell, where nothing else is known of it. */
+  value: ((map: MapAbout, east: number, north: number) => Promise<number | null>) | null;
 }
 
 /** The server that the page came from. */
 export class Server implements Source {
+  readonly value = null;
+
   constructor(private readonly token: string) {}
 
   about(): Promise<About> {

@@ -6,6 +6,7 @@ import "./style.css";
 
 import { type About, type Cell, type Source, Server } from "./data";
 import { announce, el } from "./dom";
+import { embedded } from "./embedded";
 import { MapView } from "./mapview";
 import { Measure } from "./measure";
 import { EvidencePanel } from "./panels/evidence";
@@ -20,7 +21,7 @@ const POSE_PX = 8;
 
 async function start(): Promise<void> {
   document.body.append(el("div", { id: "announcements", role: "status", "aria-live": "polite" }));
-  const source: Source = new Server(token());
+  const source: Source = embedded() ?? new Server(token());
   try {
     build(await source.about(), source);
   } catch (error) {
@@ -43,7 +44,7 @@ function build(about: About, source: Source): void {
   const readout = el("output", { id: "readout", "aria-label": "Position" });
   const target = el("div", { id: "map", tabindex: 0, role: "application", "aria-label": "Map. Arrow keys move it, plus and minus zoom, Enter asks why the cell in the middle has its value." });
   const tool = el("output", { id: "tool-says", "aria-live": "polite" });
-  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), comparePanel(store));
+  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), source.cell && comparePanel(store));
   const evidence = new EvidencePanel(store);
   let tracks: MapView;
   const timeline = new Timeline(store, () => tracks.tracks);
@@ -117,14 +118,16 @@ function build(about: About, source: Source): void {
 
   async function ask([east, north]: number[], pixel: number[] | null): Promise<void> {
     const number = ++asked;
-    if (!source.cell) return;
     evidence.wait();
     try {
-      const found = await source.cell(store.state.map, east, north, store.shownSessions());
+      const found = source.cell && (await source.cell(store.state.map, east, north, store.shownSessions()));
+      const value = source.value && (await source.value(store.state.map, east, north));
       if (number !== asked) return; // another place was asked about meanwhile
-      cell = found;
-      view.drawn.select(cell);
-      evidence.show(cell);
+      if (found) {
+        cell = found;
+        view.drawn.select(cell);
+        evidence.show(cell);
+      } else evidence.showValue(value);
       requestAnimationFrame(() => view.reveal([east, north], evidence.element));
       const frame = pixel && view.drawn.frameAt(pixel);
       if (frame) {

@@ -49,6 +49,22 @@ def vineyard(two_lanes_map: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 @pytest.fixture(scope="session")
+def obstacle(vineyard: Path) -> tuple[float, float]:
+    """A place in the middle of many obstacle cells that the first drive alone saw."""
+    with open_map(vineyard) as universal:
+        view = universal.read(layers=["sessions"], sessions=["two_lanes"])
+        both = universal.read(layers=["sessions"])
+    dense = (view.density > 150) & (both.layer("sessions") == 1)
+    inside = dense.copy()
+    for shift in range(-2, 3):
+        for axis in (0, 1):
+            inside &= np.roll(dense, shift, axis)
+    j, i = np.argwhere(inside)[len(np.argwhere(inside)) // 2]
+    east, north = view.lattice.centres(view.window)
+    return float(east[i]), float(north[j])
+
+
+@pytest.fixture(scope="session")
 def server(vineyard: Path) -> Iterator[Server]:
     """Serves the vineyard; for tests that do not change it."""
     with serving(vineyard, recordings=(TWO_LANES,)) as running:

@@ -24,22 +24,6 @@ def is_colour(pixels: UInt8, colour: tuple[int, int, int], within: int = 40) -> 
     return np.abs(pixels.astype(int) - np.array(colour)).max(axis=-1) <= within
 
 
-@pytest.fixture(scope="session")
-def obstacle(vineyard: Path) -> tuple[float, float]:
-    """A place in the middle of many obstacle cells that the first drive alone saw."""
-    with open_map(vineyard) as universal:
-        view = universal.read(layers=["sessions"], sessions=["two_lanes"])
-        both = universal.read(layers=["sessions"])
-    dense = (view.density > 150) & (both.layer("sessions") == 1)
-    inside = dense.copy()
-    for shift in range(-2, 3):
-        for axis in (0, 1):
-            inside &= np.roll(dense, shift, axis)
-    j, i = np.argwhere(inside)[len(np.argwhere(inside)) // 2]
-    east, north = view.lattice.centres(view.window)
-    return float(east[i]), float(north[j])
-
-
 def test_a_map_opens_with_its_cells_and_nothing_from_outside(look: Any, server: Server) -> None:
     page = look(server.link)
     pixels = page.map_pixels()

@@ -48,19 +48,26 @@ export class EvidencePanel {
     );
   }
 
-  showValue(layer: string, value: number | null, unit: string): void {
-    const text = value === null ? "This cell was never seen." : `${layer} ${number(value, 1, unit)}`;
-    this.begin(el("p", { id: "verdict" }, text));
+  /** Where the density of a cell is all that is known of it. */
+  showValue(density: number | null): void {
+    const verdict = this.verdict(density);
+    this.begin(
+      el("p", { id: "verdict", class: verdict === "Obstacle" ? "obstacle" : "" }, verdict),
+      density !== null && el("p", {}, `density ${density} of 255`),
+      density !== null && el("p", { class: "says" }, "The frames that saw it are in the map file."),
+    );
+  }
+
+  private verdict(density: number | null | undefined): string {
+    if (density === null || density === undefined) return "Never seen";
+    const threshold = this.store.state.map.layers.find((layer) => layer.name === "density")?.obstacle_above ?? 100;
+    return density > threshold ? "Obstacle" : density <= 50 ? "Free" : "In doubt";
   }
 
   show(cell: Cell): void {
     const { values, frames } = cell;
-    const { map } = this.store.state;
-    const threshold = map.layers.find((layer) => layer.name === "density")?.obstacle_above ?? 100;
     const density = values.density;
-    const verdict = density === undefined || density === null
-      ? "Never seen"
-      : density > threshold ? "Obstacle" : density <= 50 ? "Free" : "In doubt";
+    const verdict = this.verdict(density);
     const sessions = new Set(frames.map((frame) => frame.session));
     this.begin(
       el("p", { id: "verdict", class: verdict === "Obstacle" ? "obstacle" : "" }, verdict),
@@ -72,11 +79,11 @@ export class EvidencePanel {
     if (frames.length) this.element.append(this.frames(cell));
   }
 
-  private begin(...children: HTMLElement[]): void {
+  private begin(...children: (HTMLElement | false)[]): void {
     this.forget();
     this.element.hidden = false;
     const close = el("button", { type: "button", class: "close", "aria-label": "Close", click: () => this.close() }, "×");
-    this.element.replaceChildren(el("h2", { tabindex: -1 }, "Why"), close, ...children);
+    this.element.replaceChildren(el("h2", { tabindex: -1 }, "Why"), close, ...children.filter((child) => child !== false));
   }
 
   private table(values: Record<string, number | null>): HTMLElement {

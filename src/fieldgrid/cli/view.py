@@ -28,6 +28,10 @@ def command(
         bool | None,
         typer.Option("--read-only/--writable", help="Whether the page may change the map."),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write a page to send, up to 20 MB; serve nothing."),
+    ] = None,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
@@ -42,7 +46,20 @@ def command(
         fieldgrid view vineyard.gpkg
 
         fieldgrid view vineyard.gpkg --recording june-03 --port 8765
+
+        fieldgrid view vineyard.gpkg --html vineyard.html
     """
+    if html is not None:
+        from fieldgrid.view import write_report
+
+        report = write_report(maps, html)
+        if as_json:
+            output.print_json({"page": str(html), **report._asdict()})
+            return
+        for map_, cell_m in zip(maps, report.cells_m, strict=True):
+            output.report_line(f"{map_.name} in cells of {cell_m * 100:g} cm")
+        output.report_line(f"page {html}, {report.size_bytes / 1e6:.1f} MB")
+        return
     from fieldgrid.view import view_maps
 
     def ready(link: str) -> None:

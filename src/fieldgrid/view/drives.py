@@ -23,7 +23,7 @@ MOST_FRAMES = 1_500
 """What is drawn at once: more points than these no screen shows."""
 
 
-def track(universal: MapFile, session: str) -> dict[str, Any]:
+def track(universal: MapFile, session: str, most_rows: int = MOST_ROWS) -> dict[str, Any]:
     """A drive in columns: positions, heading, sigmas, speed, gear, quality, verdict, residual.
 
     `time_ms` counts from `start_ms`, milliseconds of UTC; None is NaN. `reasons` are the texts
@@ -34,7 +34,7 @@ def track(universal: MapFile, session: str) -> dict[str, Any]:
         found = universal.trajectory(session)
     except MapError:
         return {"rows": 0, "start_ms": 0.0}
-    rows = _thinned(found)
+    rows = _thinned(found, most_rows)
     reasons = list(dict.fromkeys(found.reason[k] for k in rows if found.reason[k]))
     number = {text: k for k, text in enumerate(reasons)}
     start_ns = int(found.time_ns[0]) if len(found) else 0
@@ -61,15 +61,15 @@ def track(universal: MapFile, session: str) -> dict[str, Any]:
     }
 
 
-def _thinned(found: Trajectory) -> Index:
-    every = -(-len(found) // MOST_ROWS)
+def _thinned(found: Trajectory, most_rows: int) -> Index:
+    every = -(-len(found) // most_rows)
     if every < 2:
         return np.arange(len(found))
     keep = np.zeros(len(found), dtype=np.bool_)
     keep[::every] = keep[-1] = True
     changes = (np.diff(found.gear) != 0) | (np.diff(found.accepted.astype(np.int8)) != 0)
     after = np.flatnonzero(changes) + 1
-    if len(after) < MOST_ROWS:
+    if len(after) < most_rows:
         keep[after] = keep[after - 1] = True
     return np.flatnonzero(keep)
 

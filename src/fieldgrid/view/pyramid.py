@@ -14,6 +14,9 @@ from typing import NamedTuple
 from fieldgrid.lattice import TileIndex
 from fieldgrid.mapfile.database import connect, reading
 
+_NAME_BYTES = 32
+"""At most, of the level and the place of a tile as text."""
+
 
 class Levels(NamedTuple):
     """The zoom levels of the density: `base_zoom` has the map's own cells, `above` levels above it
@@ -40,6 +43,36 @@ def read_levels(connection: sqlite3.Connection) -> Levels:
         "SELECT min(zoom_level), max(zoom_level) FROM density"
     ).fetchone()
     return Levels(base or 1, 0 if base is None else base - top)
+
+
+def finest_within(connection: sqlite3.Connection, levels: Levels, room_bytes: int) -> int:
+    """The lowest level from which all tiles up to the top, in base 64 and named, take no more
+    than some bytes together; the top one where not even that does."""
+    sizes = dict(
+        connection.execute(
+            "SELECT zoom_level, sum((length(tile_data) + 2) / 3 * 4 + ?) FROM density "
+            "GROUP BY zoom_level",
+            (_NAME_BYTES,),
+        ).fetchall()
+    )
+    taken = 0
+    for level in range(levels.above, -1, -1):
+        taken += sizes.get(levels.base_zoom - level, 0)
+        if taken > room_bytes:
+            return min(level + 1, levels.above)
+    return 0
+
+
+def pictures(
+    connection: sqlite3.Connection, levels: Levels, finest: int
+) -> Iterator[tuple[int, int, int, bytes]]:
+    """Every tile from a level up: level, ty, tx, PNG."""
+    for zoom, column, row, picture in connection.execute(
+        "SELECT zoom_level, tile_column, tile_row, tile_data FROM density WHERE zoom_level <= ?",
+        (levels.base_zoom - finest,),
+    ):
+        half = 1 << (zoom - 1)
+        yield levels.base_zoom - zoom, half - 1 - row, column - half, bytes(picture)
 
 
 def read_picture(
