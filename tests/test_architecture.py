@@ -21,6 +21,7 @@ LAYERS = (
         *("documents", "errors", "quality", "geodesy", "angles", "kernel", "palette"),
         *("plane_fit", "publish"),
     ),
+    ("notebook",),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion", "qgis", "polyline", "vectors"),
     ("settings",),
     ("cloud", "depth", "lens"),

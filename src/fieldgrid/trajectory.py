@@ -12,6 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from fieldgrid import notebook, palette
 from fieldgrid.angles import interpolate_deg
 from fieldgrid.array_types import Bool, Float64, Index, Int64
 from fieldgrid.errors import GnssError
@@ -102,6 +103,24 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def _repr_html_(self) -> str:
+        """The path by gear, and what was accepted, for a notebook."""
+        lines = []
+        for gear, colour in palette.GEARS.items():
+            runs = np.flatnonzero(np.diff(self.accepted & (self.gear == gear), prepend=0, append=0))
+            for first, end in runs.reshape(-1, 2):
+                # On to the first pose of the next gear, so that the path is whole.
+                part = slice(first, end + 1)
+                lines.append(notebook.Line(colour, self.east_m[part], self.north_m[part]))
+        seconds = float(np.ptp(self.time_ns)) / 1e9 if len(self) else 0.0
+        facts = (
+            ("poses", f"{len(self)}, {int(self.accepted.sum())} accepted"),
+            ("duration", f"{seconds:.1f} s"),
+            ("length", f"{self.length_m():.1f} m"),
+            ("heading", self.heading_source),
+        )
+        return notebook.drawing(lines) + notebook.table(facts)
 
     def length_m(self) -> float:
         """Length of the accepted path in metres."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from fieldgrid import notebook
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
@@ -29,7 +30,7 @@ from fieldgrid.mapfile.metadata import SessionMetadata, find, name_is_taken, ses
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
 from fieldgrid.mapfile.provenance import Provenance, trace
 from fieldgrid.mapfile.reading import Request, extent_of, read_change, read_view, sessions_at
-from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
+from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record, sessions_html
 from fieldgrid.mapfile.root import check_root, read_root, seal
 from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
@@ -92,6 +93,17 @@ class MapFile:
         """The extent of the observed cells in metres; MapError when there are none."""
         with reading(self._connection, self.path):
             return self._header.lattice.bounds(self._evidence.data_window())
+
+    def _repr_html_(self) -> str:
+        """Where the map lies, its cells and its sessions, for a notebook."""
+        if not self._release.alive:
+            return notebook.table([("map", self.path.name), ("state", "closed")])
+        facts = (
+            ("map", self.path.name),
+            ("datum", self.datum.described()),
+            ("cells", f"{self.cell_m * 100:g} cm"),
+        )
+        return notebook.table(facts) + sessions_html(self.sessions())
 
     def __enter__(self) -> Self:
         return self

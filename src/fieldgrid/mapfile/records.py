@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldgrid import notebook
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
@@ -70,10 +71,26 @@ class SessionInfo:
             return "-"
         return str(np.datetime_as_string(np.datetime64(self.last_time_ns, "ns"), unit="D"))
 
+    def _repr_html_(self) -> str:
+        """What is known of it, for a notebook."""
+        return sessions_html([self])
+
     @property
     def active(self) -> bool:
         """Whether the session is in the universal grid, or was removed."""
         return self.removed is None
+
+
+def sessions_html(infos: Sequence[SessionInfo]) -> str:
+    """A table of sessions, for a notebook."""
+    rows = [
+        (
+            info.name, info.driven, f"{info.accepted} of {info.frames}", info.source,
+            "" if info.active else "removed",
+        )
+        for info in infos
+    ]  # fmt: skip
+    return notebook.table(rows, ("session", "driven", "frames used", "GNSS", ""))
 
 
 @dataclass(frozen=True, slots=True)

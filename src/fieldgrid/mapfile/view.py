@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldgrid import notebook
 from fieldgrid.array_types import AnyArray, Bool, Float32, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
@@ -59,6 +60,10 @@ class MapView:
     def crs_wkt(self) -> str:
         """The plane of east and north as well-known text, for a GIS."""
         return self.datum.crs_wkt("WKT2_2019")
+
+    def _repr_png_(self) -> bytes:
+        """The density, north up, for a notebook."""
+        return notebook.picture(self.density, self.observed, LAYERS["density"].colours.ramp)
 
     def layer(self, name: str) -> AnyArray:
         """A layer by its name; ConfigError when it was not asked for."""
