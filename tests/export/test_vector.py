@@ -229,6 +229,8 @@ def test_bounds_keep_what_touches_them(universal: MapFile, tmp_path: Path) -> No
     out = tmp_path / "part.geojson"
     export_map(universal, out, Selection(Bounds(9.0, -6.5, 13.0, -4.5)))
     features = read_geojson(out)
+    drawn = list(features)  # in the order of the file
+    assert drawn.index("footprint") < drawn.index("obstacle")
     assert [round(f.properties["mean_density"]) for f in features["obstacle"]] == [120]
     assert {f.properties["session"] for f in features["pose"]} == {SUMMER}
 

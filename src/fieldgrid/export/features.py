@@ -19,8 +19,8 @@ from fieldgrid.mapfile import FrameRecord, MapFile
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
 
-LAYERS = ("obstacle", "trajectory", "pose", "footprint")
-"""The layers of features there are."""
+LAYERS = ("footprint", "obstacle", "trajectory", "pose")
+"""The layers of features there are, as they are to be drawn: footprints lie under obstacles."""
 
 
 class FeatureLayer(NamedTuple):
