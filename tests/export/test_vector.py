@@ -248,7 +248,7 @@ def test_spring_alone(universal: MapFile, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"features": "trees"}, "'trees' is no layer of features; known are obstacle"),
+        ({"features": "trees"}, "'trees' is no layer of features; known are footprint, obstacle"),
         (
             {"obstacle_above": 255},
             "obstacle_above = 255 of the format .* equal to 254",
