@@ -22,13 +22,19 @@ import rasterio
 
 from benchmarks.lasting import Line
 from benchmarks.synthetic import DATUM, full_grid, pose_at
+from fieldgrid.array_types import UInt64
 from fieldgrid.export import Selection, export_geotiff
 from fieldgrid.grids import GridSpec
-from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex
+from fieldgrid.lattice import TILE_CELLS, TileIndex
+from fieldgrid.layers import Cells
+from fieldgrid.layers.window import empty_cells
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.mapfile.database import connect, writing
-from fieldgrid.mapfile.pyramid import Backlog, Pyramid, Sums
-from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.derived import tables_of
+from fieldgrid.mapfile.header import read_header
+from fieldgrid.mapfile.placing import encode_groups, stored_of_session
+from fieldgrid.mapfile.pyramid import Pyramid
+from fieldgrid.mapfile.root import seal
 
 _CELL_M = 0.05
 _SMALL_TILES, _LARGE_TILES = 40, 78
@@ -75,27 +81,31 @@ def write_tiles(path: Path, side: int, share: float) -> Path:
         if (tx * 0.125) % 1.0 < share or abs(2 * ty + 1) == abs(2 * tx + 1) == side - 1
     }
 
-    def delta(tile: TileIndex) -> Sums:
-        kind = kinds[(3 * tile.ty + tile.tx) % len(kinds)]
-        return np.roll(kind, (31 * tile.ty + 57 * tile.tx) % TILE_CELLS, axis=tile.ty % 2)
-
     with create_map(path, DATUM, cell_m=_CELL_M) as universal, universal.add_session("s") as one:
         one.add(full_grid(GridSpec(10.0, 12.0), 1), pose_at(1.0, 1.0, 10.0, 0))
     with closing(connect(path, path, writable=True)) as connection, writing(connection, path):
-        backlog = Backlog()
-        try:
-            pyramid = Pyramid(connection, TileMatrixSet(Lattice(_CELL_M)), backlog)
-            pyramid.change(tiles, delta, shrinks=False)
-        finally:
-            backlog.close()
+        header = read_header(connection, path)
+        tables = tables_of(connection, header, path)
+        for table in ("fieldgrid_tile", "fieldgrid_session_tile", "density"):
+            connection.execute(f"DELETE FROM {table}")
+        for tile in sorted(tiles):
+            roll, axis = (31 * tile.ty + 57 * tile.tx) % TILE_CELLS, tile.ty % 2
+            weight, total = kinds[(3 * tile.ty + tile.tx) % len(kinds)]
+            cells = dict(empty_cells(tables.groups, weight.shape))
+            cells["weight"], cells["sum"] = np.roll(weight, roll, axis), np.roll(total, roll, axis)
+            stored = stored_of_session(tables.groups)
+            tables.put_session(1, tile, encode_groups(stored, Cells(cells), base=True))
+        Pyramid(connection, tables).rebuild()
+        seal(connection)
     return path
 
 
-def _noise(random: np.random.Generator) -> Sums:
+def _noise(random: np.random.Generator) -> tuple[UInt64, UInt64]:
+    """Weights and sums of a tile."""
     shape = (TILE_CELLS, TILE_CELLS)
     weight = 16 * random.integers(1, 20, shape)
     density = np.where(random.random(shape) < 0.1, random.integers(1, 256, shape), 0)
-    return np.stack([weight, weight * density], axis=-1).astype(np.uint64)
+    return weight.astype(np.uint64), (weight * density).astype(np.uint64)
 
 
 def _timed(what: str, source: Path, out: Path) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,18 @@ from fieldgrid.motion import Steps
 from fieldgrid.mounting import Measured
 from fieldgrid.pose import ClockOffset
 from tests.conftest import TWO_LANES
+
+
+@pytest.mark.parametrize(
+    "name", sorted(path.stem for path in Path(mounting.__file__).parent.glob("*.py"))
+)
+def test_every_measurement_can_be_loaded(name: str) -> None:
+    """They follow the code that they measure."""
+    try:
+        importlib.import_module(f"benchmarks.{name}")
+    except ModuleNotFoundError as missing:
+        assert not str(missing.name).startswith(("fieldgrid", "benchmarks"))
+        pytest.skip(f"{missing.name} is not installed")
 
 
 def test_a_mount_beside_its_truth(
