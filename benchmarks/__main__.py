@@ -183,7 +183,7 @@ def _fused_kernel(gridder: LocalGridder, values: np.ndarray, row_start: int) -> 
     plane, patches = estimate_ground(coded, rig, spec.width_m / 2, spec.length_m)
     within = np.ones(spec.shape, dtype=np.bool_)
     above = local_ground(patches, spec, within), spec.cell_m, np.float32(0.2), np.float32(2.2)
-    geometry = depth.rays(rig, plane.R_level_camera, plane.height_m)
+    geometry = depth.rays(rig, plane.A_grid_sensor, plane.height_m)
     yield from _beside_numpy(
         "disparity to counts",
         lambda: bin_pixels(*coded, *geometry, *above),
@@ -197,7 +197,7 @@ def _fused_kernel(gridder: LocalGridder, values: np.ndarray, row_start: int) -> 
     x = (columns - camera.cx_px) / camera.focal_px * z
     y = (rows + row_start - camera.cy_px) / camera.focal_px * z
     points = np.column_stack([x, y, z]).astype(np.float32)[:CLOUD_POINTS]
-    pose = plane.R_level_camera.astype(np.float32), plane.height_m
+    pose = plane.A_grid_sensor.astype(np.float32), plane.height_m
     yield from _beside_numpy(
         f"cloud of {len(points):,} points to counts",
         lambda: bin_points(points, *pose, *above),

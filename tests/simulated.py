@@ -205,4 +205,6 @@ def steps_of(
         np.degrees(np.diff(phi)) + noise * random.normal(0.0, sigma_deg, n),
         np.full(n, sigma_m),
         np.full(n, sigma_deg),
+        *np.zeros((3, n)),
+        np.full(n, sigma_deg),
     )

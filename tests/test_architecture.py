@@ -18,7 +18,7 @@ PACKAGE = "fieldgrid"
 LAYERS = (
     ("array_types", "choices", "closing", "limits"),
     (
-        *("documents", "errors", "quality", "geodesy", "angles", "kernel", "palette"),
+        *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
         *("plane_fit", "publish"),
     ),
     ("notebook",),
@@ -39,6 +39,7 @@ LAYERS = (
         "rectify",
         "ros",
     ),
+    ("attitude",),
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile", "track_formats"),
     ("evidence",),

@@ -12,8 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.depth import CodedDepth, depth_table, rays
+from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground, follow_ground
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.rig import Mount, Rig
+from fieldgrid.rotations import Tilt
+from fieldgrid.stereo import Disparity
 from tests.scenes import Box, Ground, paper_rig, render
 
 _Float64 = npt.NDArray[np.float64]
@@ -40,7 +44,7 @@ def estimate(
 
 def up_error_deg(plane: GroundPlane, mount: Mount) -> float:
     """The angle between the vertical that was found and the true one, in camera axes."""
-    found, true = plane.R_level_camera[2], mount.rotation()[2]
+    found, true = plane.A_grid_sensor[2], mount.rotation()[2]
     return math.degrees(math.asin(min(1.0, float(np.linalg.norm(np.cross(found, true))))))
 
 
@@ -53,7 +57,7 @@ def true_heights(
         (np.arange(nx) + 0.5) * PATCH_M - HALF_WIDTH_M, (np.arange(ny) + 0.5) * PATCH_M
     )
     level = np.stack([x, y, patches - plane.height_m])
-    in_vehicle = np.tensordot(mount.rotation() @ plane.R_level_camera.T, level, axes=1)
+    in_vehicle = np.tensordot(mount.rotation() @ plane.A_grid_sensor.T, level, axes=1)
     return in_vehicle[0], in_vehicle[1], in_vehicle[2] + mount.height_m
 
 
@@ -114,7 +118,7 @@ def test_a_plane_off_the_mount_is_recovered(change: tuple[float, float, float]) 
     assert plane.height_m == pytest.approx(mount.height_m, abs=0.025)
     assert plane.pitch_deg == pytest.approx(d_tilt, abs=0.2)
     assert plane.roll_deg == pytest.approx(d_roll, abs=0.2)
-    assert np.abs(plane.R_level_camera @ plane.R_level_camera.T - np.eye(3)).max() < 1e-9
+    assert np.abs(plane.A_grid_sensor @ plane.A_grid_sensor.T - np.eye(3)).max() < 1e-9
     x, y, z = true_heights(plane, patches, mount)
     assert np.abs(z[seen(x, y)]).max() < 0.03
 
@@ -134,7 +138,7 @@ def test_noisy_disparities_spoil_the_plane_little(change: tuple[float, float, fl
 def test_levelling_does_not_turn_the_vehicle() -> None:
     mount = Mount(2.8, 16.5, 1.5)
     plane, _ = estimate(LEVEL, mount)
-    ahead = plane.R_level_camera @ mount.rotation().T @ np.array([0.0, 1.0, 0.0])
+    ahead = plane.A_grid_sensor @ mount.rotation().T @ np.array([0.0, 1.0, 0.0])
     assert abs(math.degrees(math.atan2(ahead[0], ahead[1]))) < 1.0
 
 
@@ -240,7 +244,7 @@ def test_without_data_the_mount_is_kept() -> None:
     table = depth_table(RIG, DISPARITIES, 16)
     plane, patches = estimate_ground(CodedDepth(empty, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert not plane.refined
-    assert np.array_equal(plane.R_level_camera, RIG.mount.rotation())
+    assert np.array_equal(plane.A_grid_sensor, RIG.mount.rotation())
     assert plane.height_m == 2.8
     assert (plane.pitch_deg, plane.roll_deg) == (0.0, 0.0)
     assert patches.shape == (30, 20)
@@ -267,3 +271,49 @@ def test_the_first_row_is_minded() -> None:
     b, _ = estimate_ground(CodedDepth(cut, start, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert b.height_m == pytest.approx(a.height_m, abs=0.01)
     assert b.pitch_deg == pytest.approx(a.pitch_deg, abs=0.05)
+
+
+# --- vertical columns where the vehicle's tilt is known
+
+
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0.0, 9.0), (0.0, -9.0), (7.0, 0.0)])
+def test_with_the_tilt_known_the_plane_keeps_its_slope(roll_deg: float, pitch_deg: float) -> None:
+    """A vehicle that stands on a slope: the camera leans by its tilt, the ground by the slope."""
+    rise = -math.tan(math.radians(roll_deg)), math.tan(math.radians(pitch_deg))
+    above_m = RIG.mount.height_m / math.cos(math.radians(max(roll_deg, pitch_deg, -pitch_deg)))
+    leaning = Mount(above_m, RIG.mount.tilt_deg - pitch_deg, roll_deg)
+    scene = [Ground(0.0, *rise)]
+    disparity = render(RIG, scene, DISPARITIES, mount=leaning)
+    coded = CodedDepth(disparity, 0, depth_table(RIG, DISPARITIES, 16))
+    tilt = Tilt(roll_deg, pitch_deg)
+    plane, patches = estimate_ground(coded, RIG, HALF_WIDTH_M, LENGTH_M, tilt)
+    assert plane.refined
+    assert plane.tilt == tilt
+    np.testing.assert_allclose(plane.rise, rise, atol=0.005)
+    np.testing.assert_allclose(plane.A_grid_sensor[:2], leaning.rotation()[:2], atol=1e-12)
+    assert plane.height_m == pytest.approx(above_m, abs=0.02)
+    y, x = np.mgrid[0 : patches.shape[0], 0 : patches.shape[1]]
+    near = seen((x + 0.5) * PATCH_M - HALF_WIDTH_M, (y + 0.5) * PATCH_M)
+    assert float(np.nanmax(np.abs(patches[near]))) < 0.03
+
+
+@pytest.mark.parametrize("pitch_deg", [10.0, -10.0])
+def test_a_post_on_a_slope_stands_where_it_is_seen_from_above(pitch_deg: float) -> None:
+    """With the tilt its face is at its own distance; without it, at that along the slope."""
+    slope, up = math.tan(math.radians(pitch_deg)), math.cos(math.radians(pitch_deg))
+    leaning = Mount(RIG.mount.height_m / up, RIG.mount.tilt_deg - pitch_deg)
+    post = Box((-0.3, 0.3), (9.02, 9.3), (9.0 * slope - 1.0, 9.0 * slope + 1.6))
+    gridder = LocalGridder(RIG)
+    region = gridder.region
+    values = render(
+        RIG, [Ground(0.0, 0.0, slope), post], region.num_disparities,
+        row_start=region.row_start, mount=leaning,
+    )  # fmt: skip
+    seen_m = []
+    for tilt in (Tilt(0.0, pitch_deg), None):
+        grid, ground = gridder.from_disparity(Disparity(values, region.row_start), tilt)
+        assert ground.refined
+        rows = np.flatnonzero((grid.density > OBSTACLE_ABOVE).any(axis=1))
+        seen_m.append(float(rows[0]) * grid.spec.cell_m)
+    assert seen_m[0] == pytest.approx(9.0, abs=0.051)
+    assert abs(seen_m[1] - 9.0) > 0.25

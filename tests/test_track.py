@@ -65,7 +65,7 @@ def report() -> PoseReport:
     fixes = FixColumns.of_rows(log_of(30))
     verdicts = condition(fixes)
     summary = summarise(fixes, verdicts)
-    return PoseReport(summary, None, None, float("nan"), None, None, None, ("A remark.",))
+    return PoseReport(summary, None, None, None, float("nan"), None, None, None, ("A remark.",))
 
 
 def trajectory(**changes: Any) -> Trajectory:

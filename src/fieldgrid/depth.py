@@ -52,8 +52,9 @@ class CameraRays(NamedTuple):
     offset_m: Float32
 
 
-def rays(rig: Rig, R_level_camera: Float64, height_m: float) -> CameraRays:
-    """The rays of the camera that the depths are of, for an attitude and a height above ground."""
+def rays(rig: Rig, A_grid_camera: Float64, height_m: float) -> CameraRays:
+    """The rays of the camera that the depths are of, for the axes of a grid and a height above
+    its ground."""
     camera = rig.sensor
     if isinstance(camera, StereoCamera):
         per_px_x = per_px_y = 1.0 / camera.focal_px
@@ -64,10 +65,10 @@ def rays(rig: Rig, R_level_camera: Float64, height_m: float) -> CameraRays:
     else:
         raise CalibrationError("A lidar has no pixels; give its points as a cloud.")
     vectors = (
-        R_level_camera @ np.array([-camera.cx_px * per_px_x, -camera.cy_px * per_px_y, 1.0]),
-        R_level_camera[:, 0] * per_px_x,
-        R_level_camera[:, 1] * per_px_y,
-        R_level_camera @ centre + np.array([0.0, 0.0, height_m]),
+        A_grid_camera @ np.array([-camera.cx_px * per_px_x, -camera.cy_px * per_px_y, 1.0]),
+        A_grid_camera[:, 0] * per_px_x,
+        A_grid_camera[:, 1] * per_px_y,
+        A_grid_camera @ centre + np.array([0.0, 0.0, height_m]),
     )
     return CameraRays(*(vector.astype(np.float32) for vector in vectors))
 

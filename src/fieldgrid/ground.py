@@ -18,7 +18,8 @@ from fieldgrid.cloud import Cloud
 from fieldgrid.depth import CodedDepth, rays
 from fieldgrid.kernel import kernel
 from fieldgrid.plane_fit import narrowing, robust_plane
-from fieldgrid.rig import Rig
+from fieldgrid.rig import Mount, Rig
+from fieldgrid.rotations import R_level_vehicle, Tilt
 
 PATCH_M = 0.5
 """Side of the square patches on which the ground is estimated."""
@@ -46,44 +47,57 @@ canopies and cars do not."""
 
 
 class GroundPlane(NamedTuple):
-    """The ground plane of one frame and what it corrects.
+    """The ground plane of one frame, and the axes of its grid.
 
-    `R_level_camera` turns the sensor's axes into the frame that is level with the
-    ground; `height_m` is the sensor's height above it. `refined` is False where the mount was kept.
+    Where the vehicle's tilt is known, a grid's columns are vertical and its x and y are level; else
+    they are square to the plane. `A_grid_sensor` [3, 3] carries the sensor's axes to x right,
+    y forward and the height above the plane along a column, in which the sensor itself is at
+    `height_m`: a rotation in the one case, sheared along the columns in the other.
+
+    `pitch_deg` and `roll_deg` are the plane's against the mount; `refined` is False where the mount
+    was kept. `tilt` is the vehicle's against the grid's axes, and `rise` the plane's, metres per
+    metre right and forward.
     """
 
-    R_level_camera: Float64
+    A_grid_sensor: Float64
     height_m: float
     pitch_deg: float
     roll_deg: float
     refined: bool
+    tilt: Tilt
+    rise: tuple[float, float]
 
 
 def estimate_ground(
-    seen: CodedDepth | Cloud, rig: Rig, half_width_m: float, length_m: float
+    seen: CodedDepth | Cloud,
+    rig: Rig,
+    half_width_m: float,
+    length_m: float,
+    tilt: Tilt | None = None,
 ) -> tuple[GroundPlane, Float64]:
     """The plane of a frame, and the ground's height above it on patches [ny, nx], metres.
 
     Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
-    points in the sensor's frame.
+    points in the sensor's frame. `tilt` is the vehicle's against gravity, where it is known.
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
-    def low_above(R_level_sensor: Float64, height_m: float) -> Float64:
+    def low_above(A_grid_sensor: Float64, height_m: float) -> Float64:
         counts: Int32
         if isinstance(seen, CodedDepth):
-            geometry = rays(rig, R_level_sensor, height_m)
+            geometry = rays(rig, A_grid_sensor, height_m)
             counts = collect_heights(*seen, *geometry, half_width_m, nx, ny)
         else:
-            R_level = R_level_sensor.astype(np.float32)
-            counts = collect_point_heights(seen, R_level, height_m, half_width_m, nx, ny)
+            A_grid = A_grid_sensor.astype(np.float32)
+            counts = collect_point_heights(seen, A_grid, height_m, half_width_m, nx, ny)
         return low_heights(counts)
 
-    R_mount, mounted_m = rig.mount.rotation(), rig.mount.height_m
-    low = low_above(R_mount, mounted_m)
+    plane = _of_mount(rig.mount, tilt)
+    low = low_above(plane.A_grid_sensor, plane.height_m)
     c, patches = _plane_of_patches(low, half_width_m)
-    plane = _levelled(R_mount, mounted_m, c, patches >= MIN_PATCHES)
-    return plane, follow_ground(low_above(plane.R_level_camera, plane.height_m))
+    if patches >= MIN_PATCHES:
+        plane = _along_columns(plane, c) if tilt is not None else _levelled(rig.mount, c)
+    return plane, follow_ground(low_above(plane.A_grid_sensor, plane.height_m))
 
 
 def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
@@ -100,22 +114,50 @@ def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
     return robust_plane(x, y, low[j, i], sigma, cutoff, prior_sigma=MOUNT_SIGMA)
 
 
-def _levelled(R_mount: Float64, height_m: float, c: Float64, trusted: bool) -> GroundPlane:
-    """The mount turned by the least rotation that levels the plane z = c0 + c1·x + c2·y."""
-    if not trusted:
-        return GroundPlane(R_mount, height_m, 0.0, 0.0, False)
-    norm = math.sqrt(1.0 + c[1] * c[1] + c[2] * c[2])
-    normal = np.array([-c[1], -c[2], 1.0]) / norm
-    # Rodrigues' formula for the rotation that takes `normal` to the vertical.
-    axis = np.cross(normal, [0.0, 0.0, 1.0])
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    R_level_mount = np.eye(3) + cross + cross @ cross / (1.0 + normal[2])
+def _of_mount(mount: Mount, tilt: Tilt | None) -> GroundPlane:
+    """The plane that the vehicle stands on, which is what the mount tells of the ground ahead."""
+    height_m, R_mount = mount.height_m, mount.rotation()
+    if tilt is None:
+        return GroundPlane(R_mount, height_m, 0.0, 0.0, False, Tilt(0.0, 0.0), (0.0, 0.0))
+    R_level = R_level_vehicle(*tilt)
+    right, ahead, up = R_level[:, 2]  # the plane's normal, in level axes
+    rise = (-float(right / up), -float(ahead / up))
+    A = R_level @ R_mount
+    A[2] -= rise[0] * A[0] + rise[1] * A[1]
+    return GroundPlane(A, height_m / float(up), 0.0, 0.0, False, tilt, rise)
+
+
+def _along_columns(plane: GroundPlane, c: Float64) -> GroundPlane:
+    """The plane raised by c0 + c1·x + c2·y along the columns of its grid, which stay vertical."""
+    A = plane.A_grid_sensor.copy()
+    A[2] -= c[1] * A[0] + c[2] * A[1]
     return GroundPlane(
-        R_level_mount @ R_mount,
-        (height_m - float(c[0])) / norm,
+        A,
+        plane.height_m - float(c[0]),
         math.degrees(math.atan(c[2])),
         math.degrees(math.atan(c[1])),
         True,
+        plane.tilt,
+        (plane.rise[0] + float(c[1]), plane.rise[1] + float(c[2])),
+    )
+
+
+def _levelled(mount: Mount, c: Float64) -> GroundPlane:
+    """The mount turned so that the plane z = c0 + c1·x + c2·y is level, its heading kept."""
+    norm = math.sqrt(1.0 + c[1] * c[1] + c[2] * c[2])
+    # The plane's normal is the vertical of the grid, as the vehicle sees it.
+    tilt = Tilt(
+        math.degrees(math.atan(float(c[1]))),
+        math.degrees(math.atan2(-float(c[2]), math.hypot(1.0, float(c[1])))),
+    )
+    return GroundPlane(
+        R_level_vehicle(*tilt) @ mount.rotation(),
+        (mount.height_m - float(c[0])) / norm,
+        math.degrees(math.atan(c[2])),
+        math.degrees(math.atan(c[1])),
+        True,
+        tilt,
+        (0.0, 0.0),
     )
 
 

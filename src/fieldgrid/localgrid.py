@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8
+from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Int16, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.cloud import Cloud
 from fieldgrid.depth import (
@@ -25,9 +25,10 @@ from fieldgrid.depth import (
     rays,
 )
 from fieldgrid.errors import CalibrationError
-from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import DensitySettings, StereoSettings
 from fieldgrid.stereo import (
     SUBPIXELS,
@@ -47,12 +48,30 @@ _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
 class FrameGround(NamedTuple):
-    """What was found of the ground in one frame: for tables and for doubt."""
+    """What was found of the ground in one frame: for tables, for doubt, and for the terrain.
+
+    `heights_cm` [n_y, n_x] is the channel `GROUND_CHANNEL`; None where the vehicle's tilt is not
+    known.
+    """
 
     camera_height_m: float
     pitch_deg: float
     roll_deg: float
     refined: bool
+    heights_cm: Int16 | None = None
+
+    def channels(self) -> dict[str, AnyArray]:
+        """What a frame keeps of it beside its grid."""
+        return {} if self.heights_cm is None else {GROUND_CHANNEL: self.heights_cm}
+
+
+MOST_ABOVE_M = 100.0
+"""No ground is seen that lies so much higher or lower than the vehicle."""
+
+
+TERRAIN_M = 0.2
+"""Heights of the ground, which is followed in patches of half a metre, are kept for blocks of this
+size: a fifth of the bytes, and 1 cm on a slope of 10°."""
 
 
 class LocalGridder:
@@ -106,17 +125,27 @@ class LocalGridder:
         """The rows and disparities that are searched; CalibrationError as for `matcher`."""
         return self.matcher.region
 
-    def __call__(self, left: UInt8, right: UInt8) -> tuple[LocalGrid, FrameGround]:
-        """The local grid of a rectified grey pair [height, width]."""
-        return self.from_disparity(self.matcher.disparity(left, right))
+    def __call__(
+        self, left: UInt8, right: UInt8, tilt: Tilt | None = None
+    ) -> tuple[LocalGrid, FrameGround]:
+        """The local grid of a rectified grey pair [height, width].
 
-    def from_disparity(self, disparity: Disparity) -> tuple[LocalGrid, FrameGround]:
+        With the vehicle's `tilt` against gravity, here and below, x and y of the grid are level and
+        its columns vertical; without it they are square to the ground ahead.
+        """
+        return self.from_disparity(self.matcher.disparity(left, right), tilt)
+
+    def from_disparity(
+        self, disparity: Disparity, tilt: Tilt | None = None
+    ) -> tuple[LocalGrid, FrameGround]:
         """The local grid of a disparity image of the rig's own matcher."""
         if self._matcher is None:
             raise CalibrationError(_gives_no(self.rig, "disparities"))
-        return self._from_seen(CodedDepth(*disparity, self._depth_m))
+        return self._from_seen(CodedDepth(*disparity, self._depth_m), tilt)
 
-    def from_depth(self, depth_m: Float32) -> tuple[LocalGrid, FrameGround]:
+    def from_depth(
+        self, depth_m: Float32, tilt: Tilt | None = None
+    ) -> tuple[LocalGrid, FrameGround]:
         """The local grid of an image of depths along the optical axis [height, width], metres,
         NaN where there is none."""
         camera = self.rig.sensor
@@ -129,9 +158,9 @@ class LocalGridder:
                 f"{camera.height_px}; use the calibration of these images."
             )
         depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
-        return self._from_seen(encode_depth(depth_m, self._depth_m))
+        return self._from_seen(encode_depth(depth_m, self._depth_m), tilt)
 
-    def from_cloud(self, points: Cloud) -> tuple[LocalGrid, FrameGround]:
+    def from_cloud(self, points: Cloud, tilt: Tilt | None = None) -> tuple[LocalGrid, FrameGround]:
         """The local grid of points [n, 3] in the lidar's frame, metres: x right, y down, z
         forward. What is not finite is left out."""
         if not isinstance(self.rig.sensor, Lidar):
@@ -140,11 +169,13 @@ class LocalGridder:
             raise CalibrationError(
                 f"The cloud is an array of shape {points.shape}; give its points as [n, 3]."
             )
-        return self._from_seen(np.ascontiguousarray(points, dtype=np.float32))
+        return self._from_seen(np.ascontiguousarray(points, dtype=np.float32), tilt)
 
-    def _from_seen(self, seen: CodedDepth | Cloud) -> tuple[LocalGrid, FrameGround]:
+    def _from_seen(
+        self, seen: CodedDepth | Cloud, tilt: Tilt | None
+    ) -> tuple[LocalGrid, FrameGround]:
         spec = self.spec
-        plane, patches = estimate_ground(seen, self.rig, spec.width_m / 2.0, spec.length_m)
+        plane, patches = estimate_ground(seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt)
         if not plane.refined:
             # Heights above a ground that was not found are not known, so nothing is claimed.
             unseen = np.zeros(spec.shape, dtype=np.uint8)
@@ -152,7 +183,28 @@ class LocalGridder:
         ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
-        return LocalGrid(spec, density, observed), _summary(plane)
+        ground = _summary(plane)
+        if tilt is not None:
+            heights_cm = self._heights_cm(plane, ground_m, counts[0] >= self._needed[0])
+            ground = ground._replace(heights_cm=heights_cm)
+        return LocalGrid(spec, density, observed), ground
+
+    def _heights_cm(self, plane: GroundPlane, ground_m: Float32, seen: Bool) -> Int16:
+        """Heights of the ground, above the place below the sensor that is its mounted height lower,
+        in blocks in which it was seen."""
+        block = max(round(TERRAIN_M / self.spec.cell_m), 1)
+        j, i = (np.arange(n) // block for n in self.spec.shape)
+        count = np.zeros((j[-1] + 1, i[-1] + 1), dtype=np.int64)
+        np.add.at(count, (j[:, None], i), seen)
+        middle = [np.minimum(k * block + block // 2, k.size - 1) for k in (j, i)]
+        x, y = (at[k] for at, k in zip(self.spec.centres_m(), middle[::-1], strict=True))
+        level_m = self.rig.mount.height_m - plane.height_m
+        above_m = ground_m[middle[0]][:, middle[1]] + level_m
+        above_m = above_m + plane.rise[0] * x + plane.rise[1] * y[:, None]
+        within = (count[j][:, i] > 0) & (np.abs(above_m) < MOST_ABOVE_M)  # not where it is NaN
+        heights_cm = np.full(self.spec.shape, NO_GROUND_CM, dtype=np.int16)
+        heights_cm[within] = np.rint(100.0 * above_m[within])
+        return heights_cm
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""
@@ -161,12 +213,10 @@ class LocalGridder:
         above = (ground_m, self.spec.cell_m, bottom_m, top_m)
         counts: Int32
         if isinstance(seen, CodedDepth):
-            counts = bin_pixels(
-                *seen, *rays(self.rig, plane.R_level_camera, plane.height_m), *above
-            )
+            counts = bin_pixels(*seen, *rays(self.rig, plane.A_grid_sensor, plane.height_m), *above)
         else:
-            R_level = plane.R_level_camera.astype(np.float32)
-            counts = bin_points(seen, R_level, plane.height_m, *above)
+            A_grid_sensor = plane.A_grid_sensor.astype(np.float32)
+            counts = bin_points(seen, A_grid_sensor, plane.height_m, *above)
         return counts
 
 

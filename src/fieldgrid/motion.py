@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Float32, Float64, Int64
 
 
 class Gyro(NamedTuple):
@@ -16,6 +16,31 @@ class Gyro(NamedTuple):
 
     time_ns: Int64
     rate_rad_s: Float64
+
+
+class Inertial(NamedTuple):
+    """An IMU with all its axes, length n, in order of time, in the vehicle's axes: x right,
+    y forward, z up.
+
+    `rate_rad_s` [n, 3] is the rate of turn about them, right-handed; `force_mps2` [n, 3] the
+    specific force, which at rest on level ground is (0, 0, 9.8): NaN without an accelerometer.
+    """
+
+    time_ns: Int64
+    rate_rad_s: Float32
+    force_mps2: Float32
+
+
+class RecordedTilt(NamedTuple):
+    """Roll and pitch that a recording states, length n, in order of time, with 1-sigma errors.
+
+    Pitch is positive with the nose up, roll with the right side down.
+    """
+
+    time_ns: Int64
+    roll_deg: Float64
+    pitch_deg: Float64
+    sigma_deg: Float64
 
 
 class WheelSpeed(NamedTuple):
@@ -30,7 +55,9 @@ class Steps(NamedTuple):
 
     The displacement is given in the vehicle frame at the start of the step; the turn is that of
     the heading, clockwise. `sigma_m` is the 1-sigma error of the displacement along one axis,
-    `sigma_deg` that of the turn.
+    `sigma_deg` that of the turn. `roll_deg` and `pitch_deg` are those of the vehicle at the stop
+    against its own axes at the start, `tilt_sigma_deg` their error; they and `up_m` are NaN where
+    a step does not tell them.
     """
 
     start_ns: Int64
@@ -40,6 +67,10 @@ class Steps(NamedTuple):
     turn_deg: Float64
     sigma_m: Float64
     sigma_deg: Float64
+    up_m: Float64
+    roll_deg: Float64
+    pitch_deg: Float64
+    tilt_sigma_deg: Float64
 
 
 class Motion(NamedTuple):
@@ -48,3 +79,5 @@ class Motion(NamedTuple):
     gyro: Gyro | None = None
     wheels: WheelSpeed | None = None
     steps: Steps | None = None
+    inertial: Inertial | None = None
+    tilt: RecordedTilt | None = None

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fieldgrid.build.inputs import Inputs, from_arrays, to_arrays
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.motion import Gyro, Motion, Steps, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps, WheelSpeed
 from fieldgrid.quality import Quality
 
 NS = st.integers(0, 2**62)
@@ -53,7 +53,11 @@ def motions(draw: st.DrawFn) -> Motion:
         n = draw(st.integers(0, 4))
         return kind(*(column(n, name.endswith("_ns")) for name in kind._fields))
 
-    return Motion(part(Gyro), part(WheelSpeed), part(Steps))
+    sensed = part(Inertial)
+    if sensed is not None:
+        three = (np.outer(column, [1.0, 2.0, 3.0]).astype(np.float32) for column in sensed[1:])
+        sensed = Inertial(sensed.time_ns, *three)
+    return Motion(part(Gyro), part(WheelSpeed), part(Steps), sensed, part(RecordedTilt))
 
 
 def inputs(rows: list[Fix], motion: Motion | None = None) -> Inputs:
@@ -143,7 +147,7 @@ def test_a_session_of_a_writer_that_kept_no_fixes_is_told() -> None:
 MOTION = Motion(
     Gyro(np.arange(3), np.zeros(3)),
     WheelSpeed(np.arange(3), np.zeros(3)),
-    Steps(*np.zeros((7, 3))),
+    Steps(*np.zeros((11, 3))),
 )
 
 

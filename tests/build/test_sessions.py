@@ -13,6 +13,7 @@ from fieldgrid.build import (
     local_grid,
 )
 from fieldgrid.build.inputs import from_arrays
+from fieldgrid.build.poses import estimate_drive
 from fieldgrid.errors import (
     ConfigError,
     RecordingError,
@@ -59,11 +60,15 @@ def test_a_map_has_the_same_bits_whatever_the_number_of_threads(
 
 
 def test_a_grid_by_hand_is_the_one_in_the_map(two_lanes_map: Path) -> None:
-    with open_recording(TWO_LANES, "gnss_rtk.nmea") as drive:
-        frame = list(drive.frames())[7]
-        grid = local_grid(frame, drive.rig)
     with open_map(two_lanes_map) as universal:
         record = list(universal.frames(with_grid=True))[7]
+        datum = universal.datum
+    with open_recording(TWO_LANES, "gnss_rtk.nmea") as drive:
+        frame = list(drive.frames())[7]
+        attitude = estimate_drive(drive, datum=datum).report.attitude
+        assert attitude is not None  # the drive has an IMU
+        tilt = attitude.tilt_at(frame.time_ns + drive.rig.image_time_offset_ns)
+        grid = local_grid(frame, drive.rig, tilt=tilt)
     assert record.frame_id == frame.frame_id
     np.testing.assert_array_equal(record.grid().density, grid.density)
     np.testing.assert_array_equal(record.grid().observed, grid.observed)

@@ -367,7 +367,8 @@ def test_images_of_another_size_are_refused() -> None:
 
 
 def test_steps_of_a_drive_leave_the_refused_ones_out() -> None:
-    first, last = Step(1.0, 0.1, 2.0, 0.01, 0.1, 50), Step(-0.5, 0.0, -3.0, 0.02, 0.2, 40)
+    first = Step(1.0, 0.1, 2.0, 0.01, 0.1, 0.3, 1.0, -2.0, 0.05, 50)
+    last = Step(-0.5, 0.0, -3.0, 0.02, 0.2, 0.4, 1.5, -2.5, 0.06, 40)
     steps = steps_of([10, 20, 30, 40], [first, Refusal.FEW_AGREE, last])
     assert steps.start_ns.tolist() == [10, 30]
     assert steps.stop_ns.tolist() == [20, 40]
@@ -377,6 +378,10 @@ def test_steps_of_a_drive_leave_the_refused_ones_out() -> None:
     assert steps.turn_deg.tolist() == [2.0, -3.0]
     assert steps.sigma_m.tolist() == [0.01, 0.02]
     assert steps.sigma_deg.tolist() == [0.1, 0.2]
+    assert steps.up_m.tolist() == [0.3, 0.4]
+    assert steps.roll_deg.tolist() == [1.0, 1.5]
+    assert steps.pitch_deg.tolist() == [-2.0, -2.5]
+    assert steps.tilt_sigma_deg.tolist() == [0.05, 0.06]
     assert len(steps_of([10], []).start_ns) == 0
 
 

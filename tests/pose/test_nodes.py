@@ -52,7 +52,7 @@ def test_every_fix_is_a_node_and_no_two_are_far_apart(
 def steps_at(*seconds: float) -> Steps:
     """Steps from each instant to the next."""
     one = np.ones(len(seconds) - 1)
-    return Steps(at(*seconds)[:-1], at(*seconds)[1:], one, one, one, one, one)
+    return Steps(at(*seconds)[:-1], at(*seconds)[1:], *[one] * 9)
 
 
 def test_images_are_nodes_and_lead_beyond_the_fixes() -> None:

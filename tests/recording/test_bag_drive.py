@@ -216,7 +216,7 @@ def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
             yield Said(time_ns, "/wheels/odom", maker.odometry(time_ns, speed))
 
     with opened(said) as recording:
-        gyro, wheels, _ = recording.motion()
+        gyro, wheels = recording.motion().gyro, recording.motion().wheels
         assert gyro is None
         assert wheels is not None
         assert wheels.time_ns.tolist() == [UTC, UTC + 1, UTC + 2]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fieldgrid.errors import RecordingError
@@ -98,3 +99,71 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     write(tmp_path, "imu", "timestamp_utc_s,gyro_z_rad_s", [f"{START_S},fast"])
     with pytest.raises(RecordingError, match=r"a\.csv, line 2: gyro_z_rad_s 'fast' is not a num"):
         read_motion(tmp_path)
+
+
+SENSED = "timestamp_utc_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2"
+
+
+@pytest.mark.parametrize(
+    ("axes", "sample"),
+    [
+        ("flu", "0.1,0.2,0.3,0.5,-0.7,9.8"),
+        ("frd", "0.1,-0.2,-0.3,0.5,0.7,-9.8"),
+        ("rfu", "-0.2,0.1,0.3,0.7,0.5,9.8"),
+    ],
+)
+def test_all_axes_of_an_imu_are_those_of_the_vehicle(
+    axes: str, sample: str, tmp_path: Path
+) -> None:
+    write(tmp_path, "imu", SENSED, [f"{START_S}.5,{sample}", f"{START_S}.6,{sample}"])
+    read = read_motion(tmp_path, axes)
+    assert read.notes == ()
+    sensed = read.motion.inertial
+    assert sensed is not None
+    np.testing.assert_allclose(sensed.rate_rad_s, [[-0.2, 0.1, 0.3]] * 2, rtol=1e-6)
+    np.testing.assert_allclose(sensed.force_mps2, [[0.7, 0.5, 9.8]] * 2, rtol=1e-6)
+    assert read.motion.gyro is not None
+    np.testing.assert_allclose(read.motion.gyro.rate_rad_s, -0.3)
+
+
+def test_an_accelerometer_in_g_is_known_by_its_size(tmp_path: Path) -> None:
+    write(tmp_path, "imu", SENSED, [f"{START_S}.{k},0,0,0,0.1,0,0.99" for k in range(5)])
+    read = read_motion(tmp_path)
+    assert read.motion.inertial is not None
+    np.testing.assert_allclose(read.motion.inertial.force_mps2[0], [0, 0.980665, 9.7085835])
+    assert read.notes == ("The accelerometer is taken to be in g.",)
+
+
+@pytest.mark.parametrize("sample", ["0,0,-9.8", "9.8,0,0", "0,0,5.0", "0,0,981"])
+def test_an_accelerometer_that_does_not_see_gravity_upward_is_not_used(
+    sample: str, tmp_path: Path
+) -> None:
+    write(tmp_path, "imu", SENSED, [f"{START_S}.{k},0,0,0.1,{sample}" for k in range(5)])
+    read = read_motion(tmp_path)
+    sensed = read.motion.inertial
+    assert sensed is not None
+    assert np.isnan(sensed.force_mps2).all()
+    assert np.isfinite(sensed.rate_rad_s).all()
+    assert "correct imu_axes in mounting.json" in read.notes[0]
+
+
+def test_samples_without_their_force_are_left_out_of_the_imu_alone(tmp_path: Path) -> None:
+    rows = [f"{START_S}.{k},0,0,0.1,0,0,{'' if k == 3 else 9.8}" for k in range(9)]
+    write(tmp_path, "imu", SENSED, rows)
+    motion = read_motion(tmp_path).motion
+    assert motion.gyro is not None
+    assert motion.inertial is not None
+    assert (len(motion.gyro.time_ns), len(motion.inertial.time_ns)) == (9, 8)
+    assert np.isfinite(motion.inertial.force_mps2).all()
+    write(tmp_path, "imu", SENSED, [f"{START_S}.{k},0,0,0.1,,," for k in range(9)])
+    motion = read_motion(tmp_path).motion
+    assert motion.inertial is not None
+    assert len(motion.inertial.time_ns) == 9
+    assert np.isnan(motion.inertial.force_mps2).all()
+
+
+def test_a_gyro_of_one_axis_is_no_inertial_unit(tmp_path: Path) -> None:
+    write(tmp_path, "imu", "timestamp_utc_s,gyro_z_rad_s", [f"{START_S}.5,0.1"])
+    motion = read_motion(tmp_path).motion
+    assert motion.inertial is None
+    assert motion.gyro is not None

@@ -14,11 +14,14 @@ import numpy.typing as npt
 from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix, FixColumns, known_codes
-from fieldgrid.motion import Gyro, Motion, Steps, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps, WheelSpeed
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
-_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps)
+_LATER = frozenset({"steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"})
+"""Columns that sessions of earlier versions do not have: they are NaN."""
+
+_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt)
 
 
 class Inputs(NamedTuple):
@@ -57,6 +60,8 @@ def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Inputs:
             _part(Gyro, "gyro", arrays),
             _part(WheelSpeed, "wheels", arrays),
             _part(Steps, "steps", arrays),
+            _part(Inertial, "inertial", arrays),
+            _part(RecordedTilt, "tilt", arrays),
         )
         frame_ns = np.asarray(arrays["frame_ns"], dtype=np.int64)
         ground = np.asarray(arrays["ground_found"]).astype(np.bool_)
@@ -87,5 +92,9 @@ def _part(
 ) -> _Part | None:
     if f"{name}.{kind._fields[0]}" not in arrays:
         return None
-    columns: list[Any] = [arrays[f"{name}.{field}"] for field in kind._fields]
+    first = arrays[f"{name}.{kind._fields[0]}"]
+    columns: list[Any] = []
+    for key in (f"{name}.{field}" for field in kind._fields):
+        unsaid = key in _LATER and key not in arrays
+        columns.append(np.full(len(first), np.nan) if unsaid else arrays[key])
     return kind(*columns)

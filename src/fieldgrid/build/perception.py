@@ -14,12 +14,14 @@ from typing import NamedTuple, TypeVar
 import cv2
 
 from fieldgrid.array_types import Float32
+from fieldgrid.attitude import Attitude
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import FrameGround, LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
 from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import Rig, StereoCamera
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
 
 _T = TypeVar("_T")
@@ -45,10 +47,24 @@ class Perceived(NamedTuple):
 
 
 def perceive(
-    frames: Iterable[Frame], gridder: LocalGridder, jobs: int, *, odometry: bool = False
+    frames: Iterable[Frame],
+    gridder: LocalGridder,
+    jobs: int,
+    *,
+    odometry: bool = False,
+    attitude: Attitude | None = None,
 ) -> Iterator[Perceived]:
-    """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory."""
-    return side_by_side(lambda frame: frame.read(_Stages(frame, gridder, odometry)), frames, jobs)
+    """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory.
+
+    With the vehicle's `attitude` their columns are vertical.
+    """
+
+    def look(frame: Frame) -> Perceived:
+        time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
+        tilt = None if attitude is None else attitude.tilt_at(time_ns)
+        return frame.read(_Stages(frame, gridder, odometry, tilt))
+
+    return side_by_side(look, frames, jobs)
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -129,8 +145,11 @@ def side_by_side(work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int)
 class _Stages:
     """Makes what is perceived of one frame once it is read, and times it from here on."""
 
-    def __init__(self, frame: Frame, gridder: LocalGridder, odometry: bool) -> None:
+    def __init__(
+        self, frame: Frame, gridder: LocalGridder, odometry: bool, tilt: Tilt | None
+    ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
+        self._tilt = tilt
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perceived:
@@ -139,7 +158,7 @@ class _Stages:
         decoded = time.thread_time()
         disparity = gridder.matcher.disparity(left, right)
         matched = time.thread_time()
-        grid, ground = gridder.from_disparity(disparity)
+        grid, ground = gridder.from_disparity(disparity, self._tilt)
         gridded = time.thread_time()
         seen = features(gridder.rig.camera, left, right) if self._odometry else None
         done = time.thread_time()
@@ -164,10 +183,12 @@ class _Stages:
         return self._gridded(self._gridder.from_cloud, points_m)
 
     def _gridded(
-        self, to_grid: Callable[[Float32], tuple[LocalGrid, FrameGround]], seen: Float32
+        self,
+        to_grid: Callable[[Float32, Tilt | None], tuple[LocalGrid, FrameGround]],
+        seen: Float32,
     ) -> Perceived:
         hashes, decoded = self._hashes(), time.thread_time()
-        grid, ground = to_grid(seen)
+        grid, ground = to_grid(seen, self._tilt)
         grid_s = time.thread_time() - decoded
         return Perceived(
             self._frame, grid, ground, None, hashes, decoded - self._start, 0.0, grid_s, 0.0
@@ -182,8 +203,10 @@ def _gridder(rig: Rig, settings: BuildSettings) -> LocalGridder:
     return LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
 
 
-def local_grid(frame: Frame, rig: Rig, settings: BuildSettings | None = None) -> LocalGrid:
+def local_grid(
+    frame: Frame, rig: Rig, settings: BuildSettings | None = None, tilt: Tilt | None = None
+) -> LocalGrid:
     """The vehicle-fixed local grid of one frame, a pair, a depth image or a cloud: read, decoded,
-    matched and gridded here."""
+    matched and gridded here. With the vehicle's `tilt` its columns are vertical."""
     gridder = _gridder(rig, settings or BuildSettings())
-    return frame.read(_Stages(frame, gridder, odometry=False)).grid
+    return frame.read(_Stages(frame, gridder, odometry=False, tilt=tilt)).grid

@@ -41,6 +41,9 @@ def estimate_drive(
     the vehicle of a drive that has no rig.
     """
     settings = settings or BuildSettings()
+    frame_ns = None
+    if isinstance(drive, Recording):
+        frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
     return estimate_poses(
         drive.fixes(),
         drive.rig or carrier,
@@ -48,6 +51,7 @@ def estimate_drive(
         settings.pose,
         drive.motion()._replace(steps=steps),
         None if drive.rig is None else cell_budget(drive.rig, settings),
+        frame_ns=frame_ns,
     )
 
 

@@ -72,7 +72,7 @@ def _repose(
     settings = _settings(session, pose_settings)
     rig = rig_from_config(session.config.get("rig", {}), session.name)
     inputs = from_arrays(universal.session_inputs(session.name))
-    estimate = _estimate(universal, inputs, rig, settings)
+    estimate = _estimate(universal, session, inputs, rig, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
     before = {frame.frame_id: frame.driven for frame in universal.frames(session.name)}
     after = {key: _pose(estimate, pose.time_ns, found, rig) for key, pose in before.items()}
@@ -94,12 +94,21 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
         ) from error
 
 
-def _estimate(universal: MapFile, inputs: Inputs, rig: Rig, settings: BuildSettings) -> Estimate:
+def _estimate(
+    universal: MapFile, session: SessionInfo, inputs: Inputs, rig: Rig, settings: BuildSettings
+) -> Estimate:
     motion = inputs.motion
     if not settings.pose.uses_camera:
         motion = motion._replace(steps=None)
     return estimate_poses(
-        inputs.fixes, rig, universal.datum, settings.pose, motion, cell_budget(rig, settings)
+        inputs.fixes,
+        rig,
+        universal.datum,
+        settings.pose,
+        motion,
+        cell_budget(rig, settings),
+        frame_ns=inputs.frame_ns,
+        level_grids=bool(session.config.get("level_grids", False)),
     )
 
 

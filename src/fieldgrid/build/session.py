@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldgrid.attitude import Attitude
 from fieldgrid.build.doubt import camera_notes, doubted_cameras, doubted_rows, sensor_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.perception import CameraMotion, follows_camera, perceive
@@ -39,6 +40,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
 from fieldgrid.motion import Steps
+from fieldgrid.pose import tells_attitude
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.rig import Rig, StereoCamera
@@ -83,7 +85,12 @@ def add_recording(
     report.notes += settle(doubted_rows(recording, every), settings)
     with StageFile.temporary(universal.path) as staged:
         look = trajectory is None and follows_camera(recording.rig, settings)
-        perceiving = _Perceiving(recording, gridder, every, jobs or os.cpu_count() or 1, progress)
+        attitude = None
+        if trajectory is None and tells_attitude(recording.motion()):
+            attitude = estimate_drive(recording, settings, universal.datum).report.attitude
+        perceiving = _Perceiving(
+            recording, gridder, attitude, every, jobs or os.cpu_count() or 1, progress
+        )
         steps = perceiving(staged, report, odometry=look)
         found = sum(entry.ground_found for entry in staged.entries)
         report.notes += settle(doubted_cameras(recording, report, found, every), settings)
@@ -95,7 +102,9 @@ def add_recording(
         with universal.add_session(
             report.session,
             trajectory=trajectory,
-            config=session_config(settings, recording.rig, gridder, every),
+            config=session_config(
+                settings, recording.rig, gridder, every, level_grids=attitude is not None
+            ),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
             inputs=to_arrays(_inputs(recording, steps, staged)),
@@ -113,6 +122,7 @@ class _Perceiving(NamedTuple):
 
     recording: Recording
     gridder: LocalGridder
+    attitude: Attitude | None
     every: int
     jobs: int
     progress: Callable[[Progress], None] | None
@@ -123,7 +133,10 @@ class _Perceiving(NamedTuple):
         frames = (frame for k, frame in enumerate(recording.frames()) if k % self.every == 0)
         motion = CameraMotion(recording.rig) if odometry else None
         self._tell(report.session, 0, total, motion)
-        for seen in perceive(frames, self.gridder, self.jobs, odometry=odometry):
+        perceived = perceive(
+            frames, self.gridder, self.jobs, odometry=odometry, attitude=self.attitude
+        )
+        for seen in perceived:
             start = time.thread_time()
             frame = seen.frame
             time_ns = frame.time_ns + recording.rig.image_time_offset_ns
@@ -136,6 +149,7 @@ class _Perceiving(NamedTuple):
                     images=names,
                     images_sha256=seen.sources_sha256,
                     ground_found=seen.ground.refined,
+                    channels=seen.ground.channels(),
                 )
             )
             written = time.thread_time()
@@ -224,9 +238,15 @@ def _inputs(recording: Recording, steps: Steps | None, staged: StageFile) -> Inp
 
 
 def session_config(
-    settings: BuildSettings, rig: Rig, gridder: LocalGridder, every: int
+    settings: BuildSettings,
+    rig: Rig,
+    gridder: LocalGridder,
+    every: int,
+    *,
+    level_grids: bool = False,
 ) -> dict[str, Any]:
-    """The resolved settings and the rig, as they are kept with the session."""
+    """The resolved settings and the rig, as they are kept with the session; `level_grids` says
+    whether the columns of its local grids are vertical."""
     searched = isinstance(rig.sensor, StereoCamera)
     return {
         "settings": settings.model_dump(mode="json"),
@@ -234,6 +254,7 @@ def session_config(
         "max_range_m": gridder.max_range_m,
         **({"search": gridder.region._asdict()} if searched else {}),
         "every": every,
+        "level_grids": level_grids,
     }
 
 

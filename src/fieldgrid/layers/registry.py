@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.layers import count, density, height, highest, sessions, variance
+from fieldgrid.layers import count, density, ground, height, highest, sessions, variance
 from fieldgrid.layers.declaration import ChannelGroup, Layer
 
 _GROUPS: dict[str, ChannelGroup] = {}
@@ -83,6 +83,7 @@ for _group in (
     highest.GROUP,
     sessions.GROUP,
     height.GROUP,
+    ground.GROUP,
 ):
     register_group(_group)
 
@@ -94,6 +95,9 @@ for _layer in (
     sessions.SESSIONS,
     sessions.PERSISTENCE,
     height.HEIGHT,
+    ground.HEIGHT,
+    ground.SIGMA,
+    ground.SLOPE,
     density.PEAK,
     density.SEEN_SHARE,
 ):

@@ -15,6 +15,7 @@ from fieldgrid.odometry.corners import EDGE_PX, Features, nearest_disparity_px
 from fieldgrid.odometry.matching import Matches, match_anywhere, match_near
 from fieldgrid.odometry.rigid import Lens, Refined, RigidMotion, predicted, refine, search
 from fieldgrid.rig import Rig
+from fieldgrid.rotations import roll_pitch_deg
 
 MAX_STEP_M = 5.0
 """How far matches are looked for; a vehicle of this class goes no farther between two frames."""
@@ -52,7 +53,9 @@ class Step(NamedTuple):
 
     `forward_m` is negative in reverse; `turn_deg` is that of the heading, clockwise. `sigma_m`
     is the 1-sigma error of the displacement along its less certain axis, `sigma_deg` that of
-    the turn. `inliers` is the number of points that agree.
+    the turn. `roll_deg` and `pitch_deg` are those of the vehicle at the second exposure against
+    its axes at the first, `tilt_sigma_deg` the error of the less certain one. `inliers` is the
+    number of points that agree.
     """
 
     forward_m: float
@@ -60,6 +63,10 @@ class Step(NamedTuple):
     turn_deg: float
     sigma_m: float
     sigma_deg: float
+    up_m: float
+    roll_deg: float
+    pitch_deg: float
+    tilt_sigma_deg: float
     inliers: int
 
 
@@ -207,7 +214,8 @@ def _in_vehicle_frame(found: Refined, rig: Rig) -> Step:
     """The motion of the point below the middle of the baseline, seen from above."""
     right_m, forward_m, up_m = _displacement_m(found.motion, rig)
     turned = _turn_of_vehicle(found.motion, rig)
-    random_m, random_deg = _random_errors(found, rig)
+    random_m, random_deg, tilt_sigma_deg = _random_errors(found, rig)
+    roll_deg, pitch_deg = roll_pitch_deg(turned)
     floor_m = FLOOR_M + FLOOR_SHARE * math.hypot(right_m, forward_m)
     lean_deg = math.degrees(LEVEL_SIGMA_RAD * math.hypot(*_lean_rad(found.motion, rig)))
     return Step(
@@ -216,12 +224,17 @@ def _in_vehicle_frame(found: Refined, rig: Rig) -> Step:
         turn_deg=math.degrees(math.atan2(turned[0, 1], turned[1, 1])),
         sigma_m=math.hypot(random_m, floor_m, LEVEL_SIGMA_RAD * up_m),
         sigma_deg=math.hypot(random_deg, FLOOR_DEG, lean_deg),
+        up_m=float(up_m),
+        roll_deg=float(roll_deg),
+        pitch_deg=float(pitch_deg),
+        tilt_sigma_deg=math.hypot(tilt_sigma_deg, FLOOR_DEG),
         inliers=int(found.inliers.sum()),
     )
 
 
-def _random_errors(found: Refined, rig: Rig) -> tuple[float, float]:
-    """1-sigma of displacement (metres, the worse direction) and turn (degrees) by covariance.
+def _random_errors(found: Refined, rig: Rig) -> tuple[float, float, float]:
+    """1-sigma of displacement (metres, the worse direction), turn and tilt (degrees, the worse
+    axis) by covariance.
 
     With X_stop = exp(w) · R · X + t + d, small w and d move the stop, seen from the start,
     by R' · ((m - t) x w - d), m being the middle of the baseline, and turn it by -R' · w.
@@ -232,8 +245,13 @@ def _random_errors(found: Refined, rig: Rig) -> tuple[float, float]:
     to_vehicle = rig.mount.rotation() @ R.T
     level = np.hstack([to_vehicle @ cross, -to_vehicle])[:2]
     worst_m2 = np.linalg.eigvalsh(level @ found.covariance @ level.T)[-1]
-    turn_rad2 = to_vehicle[2] @ found.covariance[:3, :3] @ to_vehicle[2]
-    return math.sqrt(max(worst_m2, 0.0)), math.degrees(math.sqrt(max(turn_rad2, 0.0)))
+    rad2 = to_vehicle @ found.covariance[:3, :3] @ to_vehicle.T
+    tilt_rad2 = np.linalg.eigvalsh(rad2[:2, :2])[-1]
+    return (
+        math.sqrt(max(worst_m2, 0.0)),
+        math.degrees(math.sqrt(max(rad2[2, 2], 0.0))),
+        math.degrees(math.sqrt(max(tilt_rad2, 0.0))),
+    )
 
 
 def steps_of(times_ns: Sequence[int], found: Sequence[Step | Refusal]) -> Steps:
@@ -241,5 +259,5 @@ def steps_of(times_ns: Sequence[int], found: Sequence[Step | Refusal]) -> Steps:
     kept = [(k, one) for k, one in enumerate(found) if isinstance(one, Step)]
     times = np.asarray(times_ns, dtype=np.int64)
     rows = np.array([k for k, _ in kept], dtype=np.int64)
-    values = np.array([one[:5] for _, one in kept], dtype=np.float64).reshape(len(kept), 5)
+    values = np.array([one[:-1] for _, one in kept], dtype=np.float64).reshape(len(kept), 9)
     return Steps(times[rows], times[rows + 1], *values.T.copy())

@@ -4,6 +4,7 @@ from fieldgrid.pose.accepted import datum_of, no_fix_sentence
 from fieldgrid.pose.clock import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, carry_lever, conditioned, estimate_poses
+from fieldgrid.pose.levelled import tells_attitude
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.report import FixOffset, PoseReport
 from fieldgrid.pose.settings import HeadingSource, heading_source
@@ -25,4 +26,5 @@ __all__ = [
     "estimate_poses",
     "heading_source",
     "no_fix_sentence",
+    "tells_attitude",
 ]

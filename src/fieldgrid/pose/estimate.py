@@ -18,6 +18,13 @@ from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.drive import Drive, axle_forward_m, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
+from fieldgrid.pose.levelled import (
+    find_lean,
+    leaning,
+    levelled_fixes,
+    levelled_motion,
+    tells_attitude,
+)
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
@@ -43,11 +50,17 @@ def estimate_poses(
     settings: PoseSettings | None = None,
     motion: Motion | None = None,
     budget: Budget | None = None,
+    *,
+    frame_ns: Int64 | None = None,
+    level_grids: bool = True,
 ) -> Estimate:
     """The trajectory of the grid origin (without a rig: of the antenna) over one drive.
 
-    The plane is that of `datum`, of the first accepted fix without one. Raises GnssError when no
-    fix can be used, or when a recorded heading contradicts the drive.
+    The plane is that of `datum`, of the first accepted fix without one. Where the drive tells how
+    the vehicle leans, all goes through its full attitude, which is known best at `frame_ns`.
+    Without `level_grids` the grids of such a drive are square to the ground all the same, as those
+    of older versions. Raises GnssError when no fix can be used, or when a recorded heading
+    contradicts the drive.
     """
     settings, motion = settings or PoseSettings(), motion or Motion()
     source = heading_source(settings.heading)
@@ -56,6 +69,13 @@ def estimate_poses(
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, rig, hints=hints)
+    # The same of a vehicle that stands level, once its headings have told how it leans.
+    lean = find_lean(log.accepted, drive, motion, rig, frame_ns)
+    level_grids = level_grids and tells_attitude(motion)
+    if lean is not None:
+        log = log._replace(accepted=levelled_fixes(log.accepted, lean))
+        motion = levelled_motion(motion, lean)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, rig, hints=hints)
     # A recorded heading joins once the drive has shown what it means.
     recorded_deg, comparison, notes = _recorded(log, drive, rig, source, settings)
     if source.kind == "smooth" and np.isfinite(recorded_deg).any():
@@ -66,9 +86,12 @@ def estimate_poses(
     # A row for each fix and each instant between, carried to the grid origin and judged.
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
     trajectory = _judged(table, log.datum, rig, settings, budget, source)
+    if lean is not None:
+        trajectory = leaning(trajectory, lean, level_grids=level_grids)
     clock = clock_offset(drive, log.accepted, motion, rig)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
+        attitude=None if lean is None else lean.attitude,
         recorded=comparison,
         clock=clock,
         gyro_bias_dps=drive.gyro_bias_dps,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.attitude import Attitude
 from fieldgrid.gnss import ConditioningSummary
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.clock import ClockOffset
@@ -46,13 +47,15 @@ class FixOffset(NamedTuple):
 class PoseReport:
     """What was found out about a drive besides its poses.
 
-    `recorded` is a recorded heading beside the estimate; `clock` the time offset between
-    images and fixes, as seen from the camera's motion; `gyro_bias_dps` NaN without a gyro.
-    `offset` compares poses with their fixes. `camera_scale` and `wheel_scale` are by what share
-    the distances of camera and wheels are too long.
+    `attitude` is how the vehicle leans, None where nothing tells it. `recorded` is a recorded
+    heading beside the estimate; `clock` the time offset between images and fixes, as seen from the
+    camera's motion; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with their fixes.
+    `camera_scale` and `wheel_scale` are by what share the distances of camera and wheels are too
+    long.
     """
 
     conditioning: ConditioningSummary
+    attitude: Attitude | None
     recorded: Comparison | None
     clock: ClockOffset | None
     gyro_bias_dps: float
@@ -73,6 +76,7 @@ class PoseReport:
         }
         return {
             "conditioning": self.conditioning.as_dict(),
+            "attitude": None if self.attitude is None else self.attitude.as_dict(),
             **{name: None if part is None else part._asdict() for name, part in parts.items()},
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "notes": list(self.notes),

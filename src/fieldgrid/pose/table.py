@@ -157,9 +157,12 @@ def _paper_table(
     for k in np.flatnonzero(ok)[jumping].tolist():
         rejection[k] = "heading jumps away from that of both neighbours"
     gears = everywhere(gear.astype(np.float64), 0.0).astype(np.int64)
+    positions = _positions(log, np.arange(n))
+    for column, accepted in zip(positions, (used.east_m, used.north_m, used.up_m), strict=True):
+        column[ok] = accepted
     return PoseTable(
         log.fixes.time_ns,
-        *_positions(log, np.arange(n)),
+        *positions,
         everywhere(found.heading_deg, np.nan),
         everywhere(found.sigma_deg, np.inf),
         log.fixes.position_sigma_m(),

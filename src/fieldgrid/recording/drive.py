@@ -68,7 +68,7 @@ class Drive(Closing):
         return self.log.fixes
 
     def motion(self) -> Motion:
-        """Gyro and wheels, as far as the drive has them; empty when it has neither."""
+        """Gyro, wheels, IMU and recorded tilt, as far as the drive has them."""
         return self.log.motion
 
     def gnss_sha256(self) -> str:
@@ -82,7 +82,7 @@ class Drive(Closing):
         """Everything that was recorded, also what is not used."""
         if self.topics:
             return self.topics
-        fixes_ns, (gyro, wheels, _) = self.fixes().time_ns, self.motion()
+        fixes_ns, gyro, wheels = self.fixes().time_ns, self.motion().gyro, self.motion().wheels
         found = []
         if self.gnss_source:
             found.append(Stream(self.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns))
@@ -159,7 +159,8 @@ def with_frames(drive: Drive, make: Callable[[Drive], Recording]) -> Drive:
 def with_motion(drive: Drive, motion: Motion, notes: tuple[str, ...] = ()) -> Drive:
     """A drive with motion of its own, which goes before that of its log, and remarks on it."""
     of_log = drive.motion()
-    joined = Motion(motion.gyro or of_log.gyro, motion.wheels or of_log.wheels)
+    own = {name: said for name, said in motion._asdict().items() if said is not None}
+    joined = of_log._replace(**own)
     return replace(drive, log=drive.log._replace(motion=joined), notes=drive.notes + notes)
 
 

@@ -1,4 +1,4 @@
-"""`imu/*.csv` and `odometry/*.csv` of a recording: the gyro and the wheels."""
+"""`imu/*.csv` and `odometry/*.csv` of a recording: gyro, accelerometer and wheels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.recording.columns import Columns, speed_factor, take_apart
 from fieldgrid.recording.table_time import find_time
 from fieldgrid.recording.tables import Table, open_table
@@ -32,6 +32,17 @@ _RATES = (
     ("w_{}", False), ("g{}", False), ("rate_{}", False), ("angvel_{}", False),
     ("gyro_{}_deg_s", True), ("gyro_{}_dps", True), ("gyro_{}_degps", True),
 )  # fmt: skip
+# The same of the accelerometer, then whether they are in g.
+_FORCES = (
+    ("acc_{}_m_s2", False), ("acc_{}_mps2", False), ("acc_{}", False), ("accel_{}", False),
+    ("acc{}", False), ("accel{}", False), ("linear_acceleration_{}", False), ("a{}", False),
+    ("a_{}", False), ("acceleration_{}", False), ("accel_{}_m_s2", False),
+    ("acc_{}_g", True), ("accel_{}_g", True),
+)  # fmt: skip
+_STANDARD_GRAVITY_MPS2 = 9.80665
+
+MOSTLY = 0.5
+"""An accelerometer that says something in fewer of its rows than this says nothing."""
 _SPEEDS = (
     *("speed", "wheel_speed", "velocity", "vel", "v", "vx", "twist_linear_x", "linear_x"),
     *("linear_velocity", "linear_velocity_x", "forward_speed", "odometry_speed"),
@@ -46,7 +57,7 @@ class MotionFiles(NamedTuple):
 
 
 class Series(NamedTuple):
-    """Values with their times, increasing."""
+    """Values [n] or [n, k] with their times, increasing."""
 
     time_ns: Int64
     values: Float64
@@ -72,15 +83,46 @@ def check_axes(axes: str) -> str:
 def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
     """What `imu/` and `odometry/` of a recording hold; nothing where they are not."""
     notes: list[str] = []
-    gyro = _joined([s for p in _tables(folder / "imu") if (s := _read_gyro(p, imu_axes, notes))])
+    found = [s for p in _tables(folder / "imu") if (s := _read_imu(p, imu_axes, notes))]
+    turning = _joined(found)
+    whole = _joined([(path, s) for path, s in found if np.isfinite(s.values[:1, 0]).all()])
     wheels = _joined([s for p in _tables(folder / "odometry") if (s := _read_speed(p, notes))])
     return MotionFiles(
         Motion(
-            gyro=None if gyro is None else Gyro(*gyro),
+            gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
             wheels=None if wheels is None else WheelSpeed(*wheels),
+            inertial=None if whole is None else _inertial(whole, notes),
         ),
         tuple(notes),
     )
+
+
+def _inertial(sensed: Series, notes: list[str]) -> Inertial:
+    """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
+    gravity, in m/s² or in g, and sees it above it."""
+    complete = np.isfinite(sensed.values).all(axis=1)
+    if complete.mean() > MOSTLY:  # a sample without its force is as if there were none
+        sensed = Series(sensed.time_ns[complete], sensed.values[complete])
+    rates, forces = sensed.values[:, :3], sensed.values[:, 3:]
+    inertial = Inertial(sensed.time_ns, rates.astype(np.float32), forces.astype(np.float32))
+    usual = np.median(forces, axis=0)
+    size, up = float(np.linalg.norm(usual)), float(usual[2])
+    if not np.isfinite(size):
+        return inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
+    in_g = 0.9 < size < 1.1
+    if not (in_g or 9.0 < size < 10.6) or up < 0.8 * size:
+        notes.append(
+            "The accelerometer is not used: it should see gravity upward, 9.8 m/s² or 1 g, and "
+            f"sees {usual[0]:.2f} to the right, {usual[1]:.2f} forward, {up:.2f} up; correct "
+            "imu_axes in mounting.json."
+        )
+        return inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
+    if in_g:
+        notes.append("The accelerometer is taken to be in g.")
+        return inertial._replace(
+            force_mps2=inertial.force_mps2 * np.float32(_STANDARD_GRAVITY_MPS2)
+        )
+    return inertial
 
 
 def _tables(folder: Path) -> list[Path]:
@@ -90,31 +132,53 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings))
 
 
-def _read_gyro(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | None:
-    """The clockwise rate about the vehicle's vertical, rad/s; None without a gyro."""
+def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | None:
+    """Rates (rad/s) and forces (m/s²) along the vehicle's axes right, forward, up, [n, 6]; NaN
+    where a file has fewer axes. None without a gyro about the vertical."""
     vertical = next(k for k, axis in enumerate(axes) if axis in "ud")
     with open_table(path) as table:
-        found = _find_rate(table, "xyz"[vertical])
-        if found is None:
+        rates = [_find(table, _RATES, axis, "w_RS_S_{} [rad s^-1]") for axis in "xyz"]
+        forces = [_find(table, _FORCES, axis, "a_RS_S_{} [m s^-2]") for axis in "xyz"]
+        upward = rates[vertical]
+        if upward is None:
             notes.append(f"{path.name}: no column gyro_{'xyz'[vertical]}_rad_s; it is not used.")
             return None
-        name, in_degrees = found
-        factor = math.radians(1.0) if in_degrees else 1.0
-        series = _read(table, name, -factor if axes[vertical] == "u" else factor, notes)
+        name, in_degrees = upward
         if not name.startswith("gyro_") or not name.endswith("_rad_s"):
             unit = "deg/s" if in_degrees else "rad/s"
             notes.append(f"{path.name}: gyro from '{name}', taken as {unit}.")
-    return path, series
+        turning = [found for found in rates if found is not None]
+        pushing = [found for found in forces if found is not None]
+        turning = turning if len(turning) == 3 else [upward]
+        pushing = pushing if len(pushing) == len(turning) == 3 else []
+        factors = [math.radians(1.0) if found[1] else 1.0 for found in turning]
+        factors += [_STANDARD_GRAVITY_MPS2 if found[1] else 1.0 for found in pushing]
+        named = [found[0] for found in turning + pushing]
+        read = _read(table, named, factors, notes, len(turning))
+    sensed = np.full((len(read.time_ns), 6), np.nan)
+    R_vehicle_imu = _R_vehicle_flu @ np.array(directions(axes), dtype=np.float64).T
+    if len(turning) == 1:
+        sensed[:, 2] = read.values[:, 0] * R_vehicle_imu[2, vertical]
+    for part in range(len(turning + pushing) // 3):
+        three = slice(3 * part, 3 * part + 3)
+        sensed[:, three] = read.values[:, three] @ R_vehicle_imu.T
+    return path, Series(read.time_ns, sensed)
 
 
-def _find_rate(table: Table, axis: str) -> tuple[str, bool] | None:
-    for pattern, in_degrees in _RATES:
+_R_vehicle_flu = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From forward, left, up to the vehicle's axes right, forward, up."""
+
+
+def _find(
+    table: Table, known: tuple[tuple[str, bool], ...], axis: str, euroc: str
+) -> tuple[str, bool] | None:
+    """The column of an axis, and whether its unit is the second one of its kind."""
+    for pattern, other_unit in known:
         for name in table.header:
             plain = "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
             if plain in (pattern.format(axis), pattern.format(axis) + "_rad_s"):
-                return name, in_degrees
-    euroc = f"w_RS_S_{axis} [rad s^-1]"
-    return (euroc, False) if euroc in table.header else None
+                return name, other_unit
+    return (euroc.format(axis), False) if euroc.format(axis) in table.header else None
 
 
 def _read_speed(path: Path, notes: list[str]) -> tuple[Path, Series] | None:
@@ -125,21 +189,25 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, Series] | None:
         if apart is None:
             notes.append(f"{path.name}: no column speed_mps; it is not used.")
             return None
-        series = _read(table, named[apart], apart.factor * speed_factor(apart.unit), notes)
+        series = _read(table, [named[apart]], [apart.factor * speed_factor(apart.unit)], notes)
         if named[apart] != "speed_mps":
             notes.append(
                 f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
             )
-    return path, series
+    return path, Series(series.time_ns, series.values[:, 0])
 
 
-def _read(table: Table, name: str, factor: float, notes: list[str]) -> Series:
-    """A column with its times, increasing; rows without either are dropped and counted."""
-    time, place = find_time(table, Columns()), table.header.index(name)
-    blocks = [(time.utc_ns(block), table.numbers(block, place)) for block in table.blocks()]
-    times_ns = np.concatenate([times for times, _ in blocks] or [np.zeros(0, dtype=np.int64)])
-    values = np.concatenate([values for _, values in blocks] or [np.zeros(0)]) * factor
-    series, lost = in_order(times_ns, values)
+def _read(
+    table: Table, names: list[str], factors: list[float], notes: list[str], needed: int = 1
+) -> Series:
+    """Columns [n, k] with their times, increasing; rows without one of the first `needed` of them
+    are dropped and counted."""
+    time, places = find_time(table, Columns()), [table.header.index(name) for name in names]
+    times, rows = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(names)))]
+    for block in table.blocks():
+        times.append(time.utc_ns(block))
+        rows.append(np.stack([table.numbers(block, place) for place in places], axis=1))
+    series, lost = in_order(np.concatenate(times), np.concatenate(rows) * factors, needed)
     if lost:
         notes.append(
             f"{table.path.name}: {lost} rows without a time or value, or repeated, skipped."
@@ -148,9 +216,10 @@ def _read(table: Table, name: str, factor: float, notes: list[str]) -> Series:
     return series
 
 
-def in_order(times_ns: Int64, values: Float64) -> tuple[Series, int]:
-    """The values with a time, times increasing, the first of each; and how many are left out."""
-    known = (times_ns > 0) & np.isfinite(values)
+def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[Series, int]:
+    """The rows with a time and their first `needed` values, times increasing, the first of each;
+    and how many are left out."""
+    known = (times_ns > 0) & np.isfinite(values.reshape(len(values), -1)[:, :needed]).all(axis=1)
     kept_ns, kept = times_ns[known], values[known]
     if np.any(np.diff(kept_ns) <= 0):
         kept_ns, first = np.unique(kept_ns, return_index=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from fieldgrid.angles import heading_from_yaw_rad
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Float32, Float64, Int64
 from fieldgrid.fixes import NOT_SAID, FixColumns
-from fieldgrid.motion import Gyro, Motion
+from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt
 from fieldgrid.quality import Quality
 
 FIELDS = (
@@ -18,7 +18,7 @@ FIELDS = (
 """The names of a row's numbers, in their order: degrees, metres, radians, seconds."""
 
 _MOST_SATELLITES = 1000
-_HEADING_SIGMA_DEG = 0.1  # of the RT3003 by its data sheet
+_HEADING_SIGMA_DEG, _TILT_SIGMA_DEG = 0.1, 0.03  # of the RT3003 by its data sheet
 
 # Qualities of OXTS's position modes. -1 is a row that KITTI interpolated for a packet that
 # was lost: its position and time stamp do not belong together, so it is "estimated".
@@ -55,11 +55,27 @@ def oxts_fixes(time_ns: Int64, rows: Float64) -> FixColumns:
 
 
 def oxts_motion(time_ns: Int64, rows: Float64) -> Motion:
-    """The gyro about the vehicle's vertical, without the rows that KITTI interpolated."""
+    """Gyro, accelerometer and stated tilt, without the rows that KITTI interpolated."""
     real = rows[:, FIELDS.index("posmode")] != _INTERPOLATED
     order = np.argsort(time_ns[real], kind="stable")
     times_ns, kept = np.unique(time_ns[real][order], return_index=True)
     if times_ns.size == 0:
         return Motion()
-    upward_rad_s = rows[real, FIELDS.index("wu")][order][kept]
-    return Motion(gyro=Gyro(times_ns, -upward_rad_s))
+    value = dict(zip(FIELDS, rows[real][order][kept].T, strict=True))
+
+    def vehicle(forward: str, left: str, up: str) -> Float32:
+        """In the vehicle's axes: right, forward, up."""
+        return np.stack([-value[left], value[forward], value[up]], axis=1).astype(np.float32)
+
+    # The level components f, l and u would hide the tilt: x, y and z are the unit's own axes. Its
+    # pitch is positive with the nose down, its roll with the left side up.
+    return Motion(
+        gyro=Gyro(times_ns, -value["wu"]),
+        inertial=Inertial(times_ns, vehicle("wx", "wy", "wz"), vehicle("ax", "ay", "az")),
+        tilt=RecordedTilt(
+            times_ns,
+            np.degrees(value["roll"]),
+            -np.degrees(value["pitch"]),
+            np.full(len(times_ns), _TILT_SIGMA_DEG),
+        ),
+    )

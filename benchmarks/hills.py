@@ -1,0 +1,236 @@
+"""`python -m benchmarks.hills`: attitude, poses, map and terrain of drives that lean.
+
+The hillside is beside the repository in ../shared/data, and left out where it is absent. Simulated
+drives vary slope, crest, receiver and sensors. Each is compared with its exact truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sqlite3
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from benchmarks import EXAMPLE
+from fieldgrid.attitude import Attitude, Track, estimate_attitude
+from fieldgrid.build import build_map, visual_odometry
+from fieldgrid.build.poses import estimate_drive
+from fieldgrid.evaluation import evaluate, read_truth
+from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.motion import Motion, Steps
+from fieldgrid.recording import DriveOptions, Recording, open_recording
+from fieldgrid.rotations import roll_pitch_deg
+from fieldgrid.settings import BuildSettings
+from tests.hilly import (
+    Ground,
+    Hike,
+    antenna_fixes,
+    camera_steps,
+    hike,
+    hills,
+    inertial,
+    recorded_tilt,
+    rows,
+    slope,
+)
+from tests.simulated import time_ns
+
+SLOPE = Path(__file__).resolve().parents[1] / "../shared/data/vineyard_slope"
+ANTENNA_M = (-0.12, -0.45, 0.35)
+RECEIVERS = {"RTK": (0.012, 0.01), "SF1": (0.03, 0.3)}
+GROUNDS: dict[str, Ground] = {
+    "level": slope(0.0),
+    "3° across": slope(3.0, 120.0),
+    "8° down": slope(8.0, 30.0),
+    "15° across": slope(15.0, 120.0),
+    "15° down": slope(15.0, 30.0),
+    "crests of 8°": hills(8.0, 45.0),
+    "crests of 14°": hills(14.0, 60.0, seed=5),
+}
+
+
+class Spread(NamedTuple):
+    """Absolute errors: median, 95th percentile, largest, and how many are within 3 sigma."""
+
+    median: float
+    most: float
+    worst: float
+    within: float
+
+    def line(self, unit: str) -> str:
+        return (
+            f"median {self.median:.3f}{unit}, 95 % {self.most:.3f}{unit}, worst {self.worst:.3f}"
+            f"{unit}, within 3 sigma {100 * self.within:.1f} %"
+        )
+
+
+def spread(error: np.ndarray, sigma: np.ndarray) -> Spread:
+    """The spread of errors with their sigmas."""
+    away = np.abs(error)
+    middle, most = np.percentile(away, [50, 95])
+    return Spread(middle, most, away.max(), np.mean(away <= 3.0 * sigma))
+
+
+def pooled(found: Attitude, roll_deg: np.ndarray, pitch_deg: np.ndarray) -> Spread:
+    """Roll and pitch together."""
+    error = np.concatenate([found.roll_deg - roll_deg, found.pitch_deg - pitch_deg])
+    return spread(error, np.concatenate([found.roll_sigma_deg, found.pitch_sigma_deg]))
+
+
+def main() -> None:
+    """Print every figure beside what is asked."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=("simulated", "drives"))
+    only = parser.parse_args().only
+    if only != "drives":
+        print("\n".join(simulated()))
+    if only != "simulated":
+        for folder in (EXAMPLE, SLOPE):
+            if folder.is_dir():
+                print("\n".join(measured(folder)))
+
+
+def simulated() -> Iterator[str]:
+    """Roll and pitch of simulated drives, by what tells them."""
+    yield "simulated drives: roll and pitch; asked: 0.3°, 0.8° with an IMU; 0.6°, 1.5° without"
+    for name, ground in GROUNDS.items():
+        way = hike(ground, rows(4, 40.0))
+        frames = time_ns(np.arange(1.03, way.drive.time_s[-1] - 1.0, 1.0))
+        evidence = {
+            "IMU": {"sensed": inertial(way)},
+            "IMU, 1.5 m/s² of noise": {
+                "sensed": inertial(way, force_noise_mps2=1.5, gyro_noise_dps=1.5)
+            },
+            "camera": {"steps": camera_steps(way)},
+            "recorded": {"tilt": recorded_tilt(way)},
+            "fixes alone": {},
+        }
+        for receiver, (noise_m, wander_m) in RECEIVERS.items():
+            track = _track(way, noise_m, wander_m)
+            for what, said in evidence.items():
+                at = frames
+                if "steps" in said:
+                    at = np.union1d(said["steps"].start_ns, said["steps"].stop_ns)
+                found = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=at, **said).at(at)
+                true = roll_pitch_deg(way.at((at - time_ns(np.zeros(1))) / 1e9).R)
+                yield f"  {name:<14}{receiver:<5}{what:<24}{pooled(found, *true).line('°')}"
+
+
+def _track(way: Hike, noise_m: float, wander_m: float) -> Track:
+    times, enu = antenna_fixes(way, ANTENNA_M, 0.2, noise_m, wander_m)
+    heading = np.degrees(way.at(np.arange(0.0, way.drive.time_s[-1], 0.2)).drive.heading_rad)
+    n = len(times)
+    noise = np.tile(np.array([1.0, 1.0, 2.0]) * noise_m, (n, 1))
+    return Track(times, enu, noise, np.full(n, wander_m), heading + 0.2, np.full(n, 0.3))
+
+
+def measured(folder: Path) -> Iterator[str]:
+    """A rendered drive: its attitude, poses, map and terrain."""
+    yield folder.name
+    with open_recording(folder, "gnss_rtk.nmea") as drive:
+        steps = visual_odometry(drive)
+    for gnss in ("gnss_rtk.nmea", "gnss_sf1.nmea"):
+        with open_recording(folder, gnss) as drive:
+            yield from _poses(folder, drive, steps)
+        yield from _map(folder, gnss)
+
+
+def _poses(folder: Path, drive: Recording, steps: Steps) -> Iterator[str]:
+    with (folder / "truth" / "poses_frames.csv").open() as table:
+        true = list(csv.DictReader(table))
+    column = {key: np.array([float(row[key]) for row in true]) for key in _NUMBERS}
+    datum = read_truth(folder / "truth").datum
+    frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
+    blind = replace(drive, log=drive.log._replace(motion=Motion()))
+    for what, source in (("IMU", drive), ("camera alone", blind)):
+        began = time.process_time()
+        estimate = estimate_drive(source, None, datum, steps)
+        took_s = time.process_time() - began
+        attitude = estimate.report.attitude
+        assert attitude is not None
+        leaning = pooled(attitude.at(frame_ns), column["roll_deg"], column["pitch_deg"])
+        yield f"  {drive.gnss_source}, {what}: roll and pitch {leaning.line('°')}"
+        if source is drive:
+            poses = [estimate.trajectory.at(at) for at in frame_ns.tolist()]
+            place = np.array([[pose.east_m, pose.north_m] for pose in poses])
+            off = np.hypot(*(place - np.stack([column["cam_mid_E"], column["cam_mid_N"]], 1)).T)
+            position = spread(off, np.array([pose.position_sigma_m for pose in poses]))
+            yield f"    position {position.line(' m')} (poses and attitude: {took_s:.2f} s)"
+            turned = np.array([pose.heading_deg for pose in poses]) - column["heading_deg"]
+            turned = (turned + 180.0) % 360.0 - 180.0
+            sigma = np.array([pose.heading_sigma_deg for pose in poses])
+            yield f"    heading {spread(turned, sigma).line('°')}; asked: 95 % <= 0.2°"
+
+
+_NUMBERS = ("roll_deg", "pitch_deg", "heading_deg", "cam_mid_E", "cam_mid_N")
+
+
+def _map(folder: Path, gnss: str) -> Iterator[str]:
+    truth = read_truth(folder / "truth")
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place) / "map.gpkg"
+        build_map([folder], out, BuildSettings(), DriveOptions(gnss), datum=truth.datum)
+        with open_map(out) as universal:
+            found = evaluate(universal, truth).groups[0].obstacles
+            yield (
+                f"    precision, recall within 10 cm {found.precision['0.10']:.3f}, "
+                f"{found.recall['0.10']:.3f}; free with an obstacle "
+                f"{100 * (found.free_with_obstacle or 0.0):.2f} %"
+            )
+            yield f"    {_terrain(universal, folder)}"
+        yield f"    bytes a cell of the terrain: {_bytes(out)}"
+
+
+def _terrain(universal: MapFile, folder: Path) -> str:
+    view = universal.read(cell_m=0.25, layers=("ground", "ground_sigma"))
+    with np.load(folder / "truth" / "ground_dtm_25cm.npz") as stored:
+        true_m, east0, north0, cell_m = (
+            stored[key] for key in ("ground_U", "east0", "north0", "cell")
+        )
+    found, sigma = view.layer("ground"), view.layer("ground_sigma")
+    row, column = np.nonzero(np.isfinite(found))
+    east, north = (
+        (first + at + 0.5) * 0.25 for first, at in zip(view.window[:2], (column, row), strict=True)
+    )
+    at = np.stack([(north - north0) / cell_m - 0.5, (east - east0) / cell_m - 0.5])
+    inside = ((at >= 0.0) & (at <= np.array(true_m.shape)[:, None] - 1)).all(axis=0)
+    error = found[row, column] - map_coordinates(true_m.astype(float), at, order=1)
+    error, sigma = error[inside], sigma[row, column][inside]
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return (
+        f"ground: RMSE {100 * rmse:.1f} cm over {error.size} cells of 25 cm, bias "
+        f"{100 * error.mean():+.1f} cm, {spread(error, sigma).line(' m')}; asked: RMSE <= 5 cm"
+    )
+
+
+def _bytes(path: Path) -> str:
+    with open_map(path) as universal:
+        cells = int(universal.read().observed.sum())
+    database = sqlite3.connect(path)
+    sizes = [
+        database.execute(f"SELECT sum(length(data)) FROM {table} WHERE {where}").fetchone()[0] or 0
+        for table, where in (
+            ("fieldgrid_grid", "channel = 'ground_cm'"),
+            ("fieldgrid_session_tile", "channels = 'ground'"),
+            ("fieldgrid_tile", "channels = 'ground'"),
+        )
+    ]
+    database.close()
+    own, session, tiles = (size / cells for size in sizes)
+    whole = path.stat().st_size / cells
+    return (
+        f"evidence {own:.2f}, a session's tiles {session:.2f}, tiles of all levels {tiles:.2f}; "
+        f"the whole file {whole:.1f} (asked: <= 10)"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Symmetric banded systems: their solution by LAPACK, and the variances of their unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from fieldgrid.array_types import Float64
+from fieldgrid.kernel import kernel
+
+
+def factor(band: Float64) -> Float64:
+    """Cholesky factor of a positive definite matrix in LAPACK's lower banded form.
+
+    `band[i - j, j]` is element (i, j), i >= j; the factor has the same form.
+    """
+    result: Float64 = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+    return result
+
+
+def solve(lower: Float64, right: Float64) -> Float64:
+    """Solution of the system whose factor is `lower`."""
+    result: Float64 = scipy.linalg.cho_solve_banded((lower, True), right, check_finite=False)
+    return result
+
+
+@kernel
+def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
+    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix.
+
+    Takahashi's recursion from the last column to the first: an element of the inverse inside
+    the band needs only later ones inside the band, so the others are never made.
+    """
+    width, n = lower.shape
+    columns = lower.T.copy()  # an element's neighbours in its column lie side by side
+    # Row j holds its elements from column j - width + 1 to j + width - 1, so that the sums run
+    # along rows.
+    inverse = np.zeros((n + width, 2 * width - 1))
+    middle = width - 1
+    for j in range(n - 1, -1, -1):
+        top = min(width, n - j)
+        pivot = columns[j, 0]
+        for i in range(1, top):
+            total = 0.0
+            for k in range(1, top):
+                total += columns[j, k] * inverse[j + i, middle + k - i]
+            inverse[j, middle + i] = inverse[j + i, middle - i] = -total / pivot
+        total = 0.0
+        for k in range(1, top):
+            total += columns[j, k] * inverse[j, middle + k]
+        inverse[j, middle] = (1.0 / pivot - total) / pivot
+    blocks = np.empty((n // size, size, size))
+    for block in range(n // size):
+        for a in range(size):
+            for b in range(a + 1):
+                value = inverse[block * size + b, middle + a - b]
+                blocks[block, a, b] = value
+                blocks[block, b, a] = value
+    return blocks

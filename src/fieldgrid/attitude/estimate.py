@@ -1,0 +1,281 @@
+"""Roll and pitch of a drive against gravity, from all that it carries, by least squares.
+
+An accelerometer sees gravity and the vehicle's own acceleration; fixes tell the latter, and a
+gyro carries the axes from fix to fix. Without an accelerometer the camera's motion is laid along
+the antenna's way in three dimensions: its climb shows the pitch, and a turn of the vehicle makes
+roll of it. Without either, the climb of the fixes is the pitch, and the roll is what slopes of the
+drive's size allow.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.attitude import model
+from fieldgrid.attitude.ground import ExpectedGround, expected_ground
+from fieldgrid.attitude.measurements import Measurements, Track, measure
+from fieldgrid.attitude.model import Law, States
+from fieldgrid.attitude.solver import System, covariances, normal_equations, solved
+from fieldgrid.motion import Inertial, RecordedTilt, Steps
+from fieldgrid.rotations import R_enu_level, Tilt, heading_rad, roll_pitch_deg
+
+STRETCH_S, OVERLAP_S = 240.0, 20.0
+"""Longer drives are estimated stretch by stretch: a gyro's bias drifts evenly only so long."""
+
+MOST_ROUNDS, ENOUGH_RAD = 12, 2e-4
+
+FREEDOM = 4.0
+"""Of Student's distribution, by which fixes and pushes err: outliers are believed the less."""
+
+SHARED_SIGMA = np.repeat([np.radians(1.0), np.radians(0.002), 0.2], 3)
+"""Bias of a gyro (rad/s), its drift (rad/s²), and bias of an accelerometer with what it is out
+of the vehicle's axes (m/s²): 0.2 m/s² is a degree."""
+
+ACCELERATION_NOISE, COASTING_NOISE_M = 1.0, 0.02
+"""Without an accelerometer: change of speed, (m/s)/√s, and way beyond the mean speed, m/√s."""
+
+SEEN_ELSEWHERE_M = 1.0
+"""How little velocities say of a way that the camera saw."""
+
+LEAST_WAY_SIGMA_M = 1e-4
+
+GROUND_MPS, GROUND_SHARE, GROUND_S = 0.03, 0.02, 5.0
+"""How fast a sensor leaves the ground that it drives on, also as a share of its speed, and for how
+long it does: on a crest, and when springs give."""
+
+LEAST_HEADING_SIGMA_RAD = np.radians(0.5)
+
+SLOPE_S = 10.0
+"""A vehicle that nothing watches is for so long on one slope. One whose turns are known is on the
+drive's slope all the time: it says so once."""
+
+TERRAIN_NOISE_RAD = np.radians([2.0, 2.0, 60.0])
+"""How ground and steering turn a vehicle that nothing watches, rad/√s, about its axes."""
+
+LEAST_SIGMA_DEG = 0.08
+"""What no measurement shows: axes of sensors that are not quite square."""
+
+
+class Attitude(NamedTuple):
+    """Roll and pitch at n instants in order of time, degrees, with 1-sigma errors.
+
+    Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
+    same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
+    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured.
+    """
+
+    time_ns: Int64
+    roll_deg: Float64
+    pitch_deg: Float64
+    roll_sigma_deg: Float64
+    pitch_sigma_deg: Float64
+    heading_deg: Float64
+    up_m: Float64
+    slope_sigma_deg: float
+
+    def as_dict(self) -> dict[str, float]:
+        """What a report says of it, degrees: the steepest and the median sigmas."""
+        return {
+            "steepest_roll_deg": float(np.abs(self.roll_deg).max()),
+            "steepest_pitch_deg": float(np.abs(self.pitch_deg).max()),
+            "roll_sigma_deg": float(np.median(self.roll_sigma_deg)),
+            "pitch_sigma_deg": float(np.median(self.pitch_sigma_deg)),
+        }
+
+    def tilt_at(self, time_ns: int) -> Tilt:
+        """Roll and pitch at one instant."""
+        at = self.at(np.array([time_ns]))
+        return Tilt(float(at.roll_deg[0]), float(at.pitch_deg[0]))
+
+    def at(self, time_ns: Int64) -> Attitude:
+        """At other instants: between nodes linear; beyond them that of the nearest node, and
+        ever less sure."""
+        columns = (np.interp(time_ns, self.time_ns, column) for column in self[1:7])
+        roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
+        late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
+        late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
+        most = np.maximum(self.slope_sigma_deg, late_ns * 0.0)
+        return Attitude(
+            time_ns,
+            roll,
+            pitch,
+            np.maximum(roll_sigma, np.minimum(np.hypot(roll_sigma, late), most)),
+            np.maximum(pitch_sigma, np.minimum(np.hypot(pitch_sigma, late), most)),
+            heading,
+            up,
+            self.slope_sigma_deg,
+        )
+
+
+def estimate_attitude(
+    track: Track,
+    antenna_m: Float64,
+    *,
+    wanted_ns: Int64 | None = None,
+    sensed: Inertial | None = None,
+    steps: Steps | None = None,
+    tilt: RecordedTilt | None = None,
+) -> Attitude:
+    """Roll and pitch over a drive of at least two fixes.
+
+    `antenna_m` [3] is the antenna as seen from the sensor, in the vehicle's axes (right, forward,
+    up). `wanted_ns` are instants at which the attitude must be known as exactly as may be: those
+    of images. The same input gives the same bits.
+    """
+    wanted = np.zeros(0, dtype=np.int64) if wanted_ns is None else np.unique(wanted_ns)
+    node_ns, seen = measure(track, wanted, sensed, steps, tilt)
+    ground = expected_ground(track)
+    # With nothing to tell how the vehicle turns, its roll would explain what fixes err aside.
+    lever_m = antenna_m if seen.moved.turned.any() else np.zeros(3)
+    parts = [
+        _estimated(seen.part(*outer), lever_m, ground, inner)
+        for outer, inner in _stretches(seen.time_s)
+    ]
+    roll, pitch, roll_sigma, pitch_sigma, heading, up = np.concatenate(parts, axis=1)
+    heading = np.degrees(np.unwrap(heading))
+    return Attitude(node_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up, ground.sigma_deg())
+
+
+def _stretches(time_s: Float64) -> list[tuple[tuple[int, int], slice]]:
+    """Nodes (start, stop) of each stretch with its overlap, and which of them it speaks for."""
+    count = max(round(float(time_s[-1]) / STRETCH_S), 1)
+    edges_s = np.linspace(0.0, float(time_s[-1]), count + 1)
+    found = []
+    for first_s, last_s in pairwise(edges_s.tolist()):
+        start, stop = np.searchsorted(time_s, [first_s - OVERLAP_S, last_s + OVERLAP_S])
+        own, after = np.searchsorted(time_s, [first_s, last_s])
+        if last_s == time_s[-1]:
+            stop = after = len(time_s)
+        found.append(((int(start), int(stop)), slice(int(own - start), int(after - start))))
+    return found
+
+
+def _estimated(
+    seen: Measurements, antenna_m: Float64, ground: ExpectedGround, own: slice
+) -> Float64:
+    """Roll, pitch and their sigmas, degrees, heading, radians, and height, metres, [6, own nodes]
+    of one stretch."""
+    x = _first_guess(seen, antenna_m)
+    robust = False
+    for k in range(MOST_ROUNDS):
+        change, shared = solved(_system(x, seen, antenna_m, ground, robust))
+        x, robust = x.moved(change, shared), True
+        if k > 1 and np.abs(change[:, model.A]).max() < ENOUGH_RAD:
+            break
+    blocks, _ = covariances(_system(x, seen, antenna_m, ground, robust))
+    roll, pitch = roll_pitch_deg(x.R)
+    variance = np.stack([blocks[:, 7, 7], blocks[:, 6, 6]])  # about the forward axis, the right one
+    sigma = np.hypot(np.degrees(np.sqrt(variance)), LEAST_SIGMA_DEG)
+    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own]
+
+
+def _first_guess(seen: Measurements, antenna_m: Float64) -> States:
+    """Level, along the fixes, with the known headings."""
+    n = len(seen.time_s)
+    R = R_enu_level(np.degrees(seen.heading_rad))
+    place, known = np.zeros((n, 3)), np.isfinite(seen.fix_m[:, 0])
+    for axis in range(3 if known.any() else 0):
+        place[:, axis] = np.interp(seen.time_s, seen.time_s[known], seen.fix_m[known, axis])
+    place = place - R @ antenna_m
+    speed = np.zeros((n, 3))
+    if n > 1:
+        speed = np.asarray(np.gradient(place, seen.time_s, axis=0))
+    since_s = seen.time_s - (seen.time_s[0] + seen.time_s[-1]) / 2.0
+    return States(place, speed, R, np.zeros(model.SHARED), since_s)
+
+
+def _system(
+    x: States, seen: Measurements, antenna_m: Float64, ground: ExpectedGround, robust: bool
+) -> System:
+    """The normal equations of all that is known, linearised at `x`."""
+    between = [*_turns(x, seen), *_moves(x, seen, robust)]
+    laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust)]
+    return normal_equations(laws, len(seen.time_s), x.shared, SHARED_SIGMA)
+
+
+def _turns(x: States, seen: Measurements) -> list[Law]:
+    moved = seen.moved
+    at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
+    terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
+    still = np.zeros((len(hidden), 3))
+    return [
+        model.turns(x, at, moved.turn_rad[at], moved.turn_sigma_rad[at] ** -2.0, moved.gyro_s[at]),
+        model.turns(x, hidden, still, terrain, np.zeros(len(hidden))),
+    ]
+
+
+def _moves(x: States, seen: Measurements, robust: bool) -> list[Law]:
+    """How position and velocity go on: by the accelerometer, by the camera, or by themselves."""
+    moved, step_s = seen.moved, np.diff(seen.time_s)
+    at, alone = np.flatnonzero(moved.pushed), np.flatnonzero(~moved.pushed)
+    watched = np.flatnonzero(moved.watched & ~moved.pushed)
+    sigma, h = moved.push_sigma[at], step_s[at]
+    drift_m = np.maximum(sigma * h / np.sqrt(3.0), LEAST_WAY_SIGMA_M)
+    way_sigma = np.hypot(drift_m[:, None], moved.wander_m[at])
+    weight = np.hstack([np.repeat(sigma[:, None], 3, axis=1), way_sigma]) ** -2.0
+    push = model.pushes(x, at, h, moved.push_mps[at], moved.push_m[at], weight)
+    h = step_s[alone, None]
+    way_sigma = np.hypot(COASTING_NOISE_M * np.sqrt(h), moved.wander_m[alone])
+    way_sigma[moved.watched[alone]] = SEEN_ELSEWHERE_M
+    speed_sigma = np.repeat(ACCELERATION_NOISE * np.sqrt(h), 3, axis=1)
+    coast = model.coasts(x, alone, h[:, 0], np.hstack([speed_sigma, way_sigma]) ** -2.0)
+    way_sigma = np.hypot(moved.way_sigma_m[watched], moved.wander_m[watched])
+    camera = model.moves(x, watched, moved.way_m[watched], way_sigma**-2.0)
+    return [_student(push) if robust else push, coast, _student(camera) if robust else camera]
+
+
+def _at_nodes(
+    x: States, seen: Measurements, antenna_m: Float64, ground: ExpectedGround, robust: bool
+) -> list[Law]:
+    """Fixes, headings, recorded tilts, and what ground and slopes are like."""
+    every = np.arange(len(seen.time_s))
+    spacing_s = np.maximum(np.gradient(seen.time_s), 1e-3) if len(every) > 1 else np.ones(1)
+    fixed, recorded = (
+        np.flatnonzero(np.isfinite(column)) for column in (seen.fix_m[:, 0], seen.vertical_sigma)
+    )
+    fix = model.sees_antenna(
+        x, fixed, antenna_m, seen.fix_m[fixed], seen.fix_sigma_m[fixed] ** -2.0
+    )
+    # A camera tells the way in the vehicle's axes: nothing needs to be taken from the ground.
+    rolling = every[~_beside(seen.moved.watched)]
+    off_mps = GROUND_MPS + GROUND_SHARE * np.linalg.norm(x.velocity_mps[rolling], axis=1)
+    weight = off_mps**-2.0 * np.minimum(spacing_s[rolling] / GROUND_S, 1.0)
+    turned = _beside(seen.moved.turned)
+    rolls = model.follows_ground(x, rolling, weight[:, None], turned[rolling])
+    heading_sigma = np.maximum(seen.heading_sigma_rad, LEAST_HEADING_SIGMA_RAD)
+    heading = model.heads(
+        x,
+        every,
+        seen.heading_rad,
+        (heading_sigma**-2.0 * np.minimum(spacing_s / GROUND_S, 1.0))[:, None],
+    )
+    lasting_s = np.where(turned, seen.time_s[-1] - seen.time_s[0], SLOPE_S)
+    vertical, sigma = ground.seen_from(seen.heading_rad)
+    lean_weight = sigma**-2.0 * np.minimum(spacing_s / np.maximum(lasting_s, SLOPE_S), 1.0)[:, None]
+    return [
+        _student(fix) if robust else fix,
+        _student(rolls) if robust else rolls,
+        heading,
+        model.leans(x, every, vertical, lean_weight),
+        model.leans(
+            x,
+            recorded,
+            seen.vertical[recorded],
+            np.repeat(seen.vertical_sigma[recorded, None] ** -2.0, 2, axis=1),
+        ),
+    ]
+
+
+def _beside(between: Bool) -> Bool:
+    """Nodes [n] with such an interval [n - 1] before or after them."""
+    return np.append(between, False) | np.insert(between, 0, False)
+
+
+def _student(law: Law) -> Law:
+    """The law with Student's weights: a sigma off costs nothing, ten cost nearly everything."""
+    share = (FREEDOM + 1.0) / (FREEDOM + law.weight * law.residual**2)
+    return law._replace(weight=law.weight * np.minimum(share, 1.0))

@@ -1,0 +1,147 @@
+"""From a vehicle that leans to one that stands level, and back.
+
+The batch estimate is one of the plane: it takes the vehicle for level. So what leans with the
+vehicle is carried to where it would be if the vehicle stood level on its axle's place on the
+ground: the antenna of each fix, the camera's way, the gyro's axis, the wheels' speed. With the
+same attitude the pose's point is carried back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.attitude import Attitude, Track, estimate_attitude
+from fieldgrid.motion import Gyro, Motion, Steps
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.drive import Drive, axle_forward_m
+from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
+from fieldgrid.trajectory import Trajectory
+
+
+class Lean(NamedTuple):
+    """How a vehicle leans over a drive, and its points, [3] metres right, forward, up of the ground
+    below the sensor: the `antenna_m`, the middle of the `axle_m` on the ground, the `sensor_m`."""
+
+    attitude: Attitude
+    antenna_m: Float64
+    axle_m: Float64
+    sensor_m: Float64
+
+    def shift_m(
+        self, time_ns: Int64, point_m: Float64, heading_deg: Float64 | None = None
+    ) -> Float64:
+        """How far the lean moves a point east, north and up [n, 3], seen from the axle."""
+        at = self.attitude.at(time_ns)
+        heading = at.heading_deg if heading_deg is None else np.nan_to_num(heading_deg)
+        moved = R_level_vehicle(at.roll_deg, at.pitch_deg) - np.eye(3)
+        return np.asarray(R_enu_level(heading) @ moved @ (point_m - self.axle_m))
+
+
+def tells_attitude(motion: Motion) -> bool:
+    """Whether a drive says how its vehicle leans, whatever its camera sees."""
+    sensed, tilt = motion.inertial, motion.tilt
+    pushed = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
+    return pushed or (tilt is not None and len(tilt.time_ns) > 1)
+
+
+def find_lean(
+    fixes: AcceptedFixes,
+    drive: Drive,
+    motion: Motion,
+    rig: Vehicle | None,
+    frame_ns: Int64 | None,
+) -> Lean | None:
+    """The lean of a drive whose heading is known; None where nothing tells it."""
+    seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
+    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2 or not (seen or tells_attitude(motion)):
+        return None
+    at = drive.fix >= 0
+    track = Track(
+        fixes.time_ns,
+        np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1),
+        np.outer(fixes.noise.across_m, [1.0, 1.0, 2.0]),
+        fixes.sigma_m,
+        drive.heading_deg[at],
+        drive.heading_sigma_deg[at],
+    )
+    antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
+    antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
+    attitude = estimate_attitude(
+        track,
+        antenna_m - sensor_m,
+        wanted_ns=frame_ns,
+        sensed=motion.inertial,
+        steps=motion.steps,
+        tilt=motion.tilt,
+    )
+    return Lean(attitude, antenna_m, np.array([0.0, axle_forward_m(rig), 0.0]), sensor_m)
+
+
+def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:
+    """The antenna where it would be on a level vehicle."""
+    east, north, up = lean.shift_m(fixes.time_ns, lean.antenna_m).T
+    return fixes._replace(
+        east_m=fixes.east_m - east, north_m=fixes.north_m - north, up_m=fixes.up_m - up
+    )
+
+
+def levelled_motion(motion: Motion, lean: Lean) -> Motion:
+    """Gyro, wheels and camera as on a level vehicle."""
+    sensed, gyro, wheels, steps = motion.inertial, motion.gyro, motion.wheels, motion.steps
+    if sensed is not None:
+        at = lean.attitude.at(sensed.time_ns)
+        roll, pitch = np.radians(at.roll_deg), np.radians(at.pitch_deg)
+        right, _, up = sensed.rate_rad_s.astype(np.float64).T
+        gyro = Gyro(sensed.time_ns, (np.sin(roll) * right - np.cos(roll) * up) / np.cos(pitch))
+    if wheels is not None:
+        pitch = np.radians(lean.attitude.at(wheels.time_ns).pitch_deg)
+        wheels = wheels._replace(speed_mps=wheels.speed_mps * np.cos(pitch))
+    return motion._replace(
+        gyro=gyro, wheels=wheels, steps=None if steps is None else _levelled_steps(steps, lean)
+    )
+
+
+def _levelled_steps(steps: Steps, lean: Lean) -> Steps:
+    """The camera's steps seen from above; those that do not tell how they rose stay as they are."""
+    known = np.isfinite(steps.up_m)
+    start, stop = (lean.attitude.at(ends) for ends in (steps.start_ns, steps.stop_ns))
+    R_start = R_level_vehicle(start.roll_deg, start.pitch_deg)
+    R_stop = R_level_vehicle(stop.roll_deg, stop.pitch_deg)
+    turned = R_enu_level(steps.turn_deg) @ R_level_vehicle(steps.roll_deg, steps.pitch_deg)
+    turn_deg = np.degrees(heading_rad(R_start @ turned))
+    way = np.stack([steps.right_m, steps.forward_m, steps.up_m], axis=1)
+    arm = lean.sensor_m - lean.axle_m
+    moved = np.einsum("nij,nj->ni", R_start, way) - (
+        R_enu_level(turn_deg) @ (R_stop - np.eye(3)) @ arm - (R_start - np.eye(3)) @ arm
+    )
+    return steps._replace(
+        right_m=np.where(known, moved[:, 0], steps.right_m),
+        forward_m=np.where(known, moved[:, 1], steps.forward_m),
+        turn_deg=np.where(known, turn_deg, steps.turn_deg),
+    )
+
+
+def leaning(trajectory: Trajectory, lean: Lean, *, level_grids: bool) -> Trajectory:
+    """The poses of a levelled drive, as the vehicle leans.
+
+    Of `level_grids` the origin lies vertically below the sensor; of others, which are square to the
+    ground ahead, below the sensor along the vehicle's own axis.
+    """
+    point_m = lean.sensor_m if level_grids else np.zeros(3)
+    time_ns = trajectory.time_ns
+    east, north, _ = lean.shift_m(time_ns, point_m, trajectory.heading_deg).T
+    at = lean.attitude.at(time_ns)
+    tilt_sigma = np.radians(np.maximum(at.roll_sigma_deg, at.pitch_sigma_deg))
+    above_m = abs(float(lean.antenna_m[2] - point_m[2]))
+    return replace(
+        trajectory,
+        east_m=trajectory.east_m + east,
+        north_m=trajectory.north_m + north,
+        up_m=at.up_m - float(lean.sensor_m[2]),
+        position_sigma_m=np.hypot(trajectory.position_sigma_m, tilt_sigma * above_m),
+    )

@@ -1,0 +1,156 @@
+"""Poses of vehicles that lean: the grid origin through the full attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fieldgrid.array_types import Float64
+from fieldgrid.fixes import FixColumns
+from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
+from fieldgrid.pose import Estimate, estimate_poses, tells_attitude
+from fieldgrid.rig import LeverArm, Mount, Rig
+from fieldgrid.rotations import heading_rad
+from fieldgrid.trajectory import Status
+from tests.hilly import (
+    Hike,
+    antenna_fixes,
+    camera_steps,
+    hike,
+    hills,
+    inertial,
+    recorded_tilt,
+    rows,
+    slope,
+)
+from tests.scenes import paper_rig
+from tests.simulated import DATUM, time_ns
+
+SENSOR_M = (0.0, 1.4, 2.5)  # from the axle: right, forward, up
+ANTENNA_M = (-0.12, -0.45, 0.35)  # from the sensor
+RIG = Rig(
+    paper_rig().camera,
+    Mount(SENSOR_M[2], 15.0),
+    LeverArm(ANTENNA_M[0], ANTENNA_M[1], SENSOR_M[2] + ANTENNA_M[2]),
+    rear_axle_forward_m=-SENSOR_M[1],
+)
+FRAMES_S = np.arange(1.03, 50.0, 1.0)
+GROUNDS = {"12° across": slope(12.0, 120.0), "hills": hills(9.0, 45.0)}
+
+
+def fixes_over(way: Hike) -> FixColumns:
+    times, enu = antenna_fixes(way, ANTENNA_M)
+    lat, lon, height = DATUM.to_geodetic(*enu.T)
+    return FixColumns.of(
+        times,
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=height,
+        quality=4,
+        satellites=12,
+        hdop=0.8,
+        age_s=1.0,
+    )
+
+
+def estimate(way: Hike, motion: Motion, *, level_grids: bool = True) -> Estimate:
+    return estimate_poses(
+        fixes_over(way),
+        RIG,
+        DATUM,
+        motion=motion,
+        frame_ns=time_ns(FRAMES_S),
+        level_grids=level_grids,
+    )
+
+
+def gyro_and(sensed: Inertial) -> Motion:
+    return Motion(gyro=Gyro(sensed.time_ns, -sensed.rate_rad_s[:, 2]), inertial=sensed)
+
+
+def off_m(way: Hike, found: Estimate, above_sensor_m: float = 0.0) -> tuple[Float64, Float64]:
+    """East and north [n, 2] of the accepted poses at frames off a point in line with the sensor
+    along the vehicle's axis, and three of their sigmas [n]."""
+    seen = way.at(FRAMES_S)
+    true = seen.sensor_m + seen.R @ np.array([0.0, 0.0, above_sensor_m])
+    poses = [found.trajectory.at(t) for t in time_ns(FRAMES_S).tolist()]
+    used = np.array([pose.status is Status.OK for pose in poses])
+    assert used.mean() > 0.8
+    place = np.array([[pose.east_m, pose.north_m] for pose in poses])
+    sigma = np.array([3.0 * pose.position_sigma_m for pose in poses])
+    return (place - true[:, :2])[used], sigma[used]
+
+
+def farthest_m(off: npt.NDArray[np.float64]) -> float:
+    return float(np.percentile(np.hypot(*off.T), 95))
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_the_origin_lies_vertically_below_the_sensor(ground: str) -> None:
+    way = hike(GROUNDS[ground], rows(2, 28.0))
+    found = estimate(way, gyro_and(inertial(way)))
+    assert found.report.attitude is not None
+    off, within = off_m(way, found)
+    assert farthest_m(off) < 0.03
+    assert np.mean(np.hypot(*off.T) < within) > 0.98
+    heading = [found.trajectory.at(t).heading_deg for t in time_ns(FRAMES_S).tolist()]
+    true = np.degrees(heading_rad(way.at(FRAMES_S).R))
+    turned = np.abs((np.array(heading) - true + 180.0) % 360.0 - 180.0)
+    assert np.median(turned) < 0.2
+    assert np.percentile(turned, 95) < 0.5
+    up = np.array([found.trajectory.at(t).up_m for t in time_ns(FRAMES_S).tolist()])
+    assert np.percentile(np.abs(up + SENSOR_M[2] - way.at(FRAMES_S).sensor_m[:, 2]), 95) < 0.06
+
+
+def test_without_an_attitude_it_lies_downhill() -> None:
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    found = estimate(way, Motion())
+    assert found.report.attitude is None
+    assert farthest_m(off_m(way, found)[0]) > 0.05
+    assert farthest_m(off_m(way, found, -SENSOR_M[2])[0]) > 0.4
+
+
+def test_grids_square_to_the_ground_have_theirs_below_the_sensor_on_the_ground() -> None:
+    way = hike(GROUNDS["hills"], rows(2, 28.0))
+    level, square = (
+        estimate(way, gyro_and(inertial(way)), level_grids=level) for level in (True, False)
+    )
+    assert farthest_m(off_m(way, square, -SENSOR_M[2])[0]) < 0.04
+    assert farthest_m(off_m(way, level, -SENSOR_M[2])[0]) > 0.2
+
+
+def test_the_camera_levels_the_lever_arm_of_grids_square_to_the_ground() -> None:
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    found = estimate(way, Motion(steps=camera_steps(way)))
+    assert found.report.attitude is not None
+    off, within = off_m(way, found, -SENSOR_M[2])
+    assert farthest_m(off) < 0.1
+    assert np.mean(np.hypot(*off.T) < within) > 0.95
+
+
+def test_a_recorded_tilt_levels_the_lever_arm() -> None:
+    way = hike(GROUNDS["hills"], rows(2, 28.0))
+    found = estimate(way, Motion(tilt=recorded_tilt(way)))
+    off, within = off_m(way, found)
+    assert farthest_m(off) < 0.06
+    assert np.mean(np.hypot(*off.T) < within) > 0.95
+
+
+def test_wheels_that_know_reverse_count_along_the_slope() -> None:
+    way = hike(slope(15.0, 30.0), rows(2, 28.0))
+    seen = way.at(np.arange(0.0, way.drive.time_s[-1], 0.1))
+    speed = np.einsum("nj,nj->n", seen.R[:, :, 1], np.gradient(seen.sensor_m, 0.1, axis=0))
+    speed[:3] = -0.1
+    wheels = WheelSpeed(time_ns(seen.drive.time_s), speed)
+    found = estimate(way, gyro_and(inertial(way))._replace(wheels=wheels))
+    assert farthest_m(off_m(way, found)[0]) < 0.04
+
+
+def test_what_tells_the_attitude_before_an_image_is_read() -> None:
+    way = hike(slope(0.0), rows(1, 10.0))
+    sensed = inertial(way)
+    assert tells_attitude(Motion(inertial=sensed))
+    assert tells_attitude(Motion(tilt=recorded_tilt(way)))
+    blind = sensed._replace(force_mps2=np.full_like(sensed.force_mps2, np.nan))
+    assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)))
