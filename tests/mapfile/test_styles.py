@@ -108,6 +108,14 @@ def test_features_have_the_time_as_a_gis_reads_it(path: Path) -> None:
         assert kinds["time"] == "DATETIME"
 
 
+def test_repair_gives_tables_of_features_their_columns(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("ALTER TABLE trajectory DROP COLUMN time")
+    with open_map(path, writable=True) as universal:
+        universal.repair()
+        assert universal.verify().sound
+
+
 def test_verify_and_repair_know_the_time(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE footprint SET time = '2001-01-01T00:00:00.000Z'")

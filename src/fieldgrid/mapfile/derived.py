@@ -106,8 +106,9 @@ def rebuild(
     jobs: int | None = None,
 ) -> None:
     """Make all that follows from the evidence, its tiles with these channel groups."""
-    for table in (*schema.DERIVED_TABLES, *schema.GEOMETRIES, "density"):
+    for table in (*schema.DERIVED_TABLES, "density"):
         connection.execute(f"DELETE FROM {table}")
+    schema.renew_features(connection)
     for table in ("gpkg_tile_matrix", "gpkg_tile_matrix_set"):
         connection.execute(f"DELETE FROM {table} WHERE table_name = 'density'")
     connection.execute("DELETE FROM fieldgrid_meta WHERE key = 'data_window'")

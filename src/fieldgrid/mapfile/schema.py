@@ -290,7 +290,7 @@ def create(
 
 
 def renew_features(connection: sqlite3.Connection) -> None:
-    """Put empty tables of features in place of those of an older format."""
+    """Put empty tables of features in place of those there are, whatever their columns."""
     for table in GEOMETRIES:
         connection.execute(f"DROP TABLE IF EXISTS {table}")
     for statement in _FEATURES.split(";\n"):

@@ -88,7 +88,6 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
         "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
         (str(schema.FORMAT_VERSION),),
     )
-    schema.renew_features(connection)
     rebuild(connection, path, header, tuple(GROUPS))
 
 
