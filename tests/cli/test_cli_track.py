@@ -24,6 +24,7 @@ KEYS = {
     *("rejected", "reasons", "duration_s", "distance_m", "forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
     *("clock_offset", "gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
+    "attitude",
 }
 
 
@@ -78,7 +79,8 @@ def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     fieldgrid("track", folder, "-o", out, *SF1, "--datum", "41.65,-4.72,787.4").output()
     # With the rig, poses are those of the ground below the camera, not of the antenna.
     height = [float(r["height_m"]) for r in (antenna[99], rows(out)[99])]
-    assert height[0] - height[1] == pytest.approx(2.65 + 0.35, abs=0.01)
+    # The antenna leans with the vehicle: 0.8 m beside the middle, a few degrees are centimetres.
+    assert height[0] - height[1] == pytest.approx(2.65 + 0.35, abs=0.1)
 
 
 def test_a_log_alone(fieldgrid: Run, out: Path) -> None:

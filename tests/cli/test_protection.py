@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from fieldgrid.cli.commands import COMMANDS, load
+from fieldgrid.cli.settings_flags import SettingsFlags
 from tests.cli.conftest import Run
 
 MakeDrive = Callable[..., Path]
@@ -32,8 +33,8 @@ def tree(folder: Path) -> dict[Path, bytes]:
         ("build DRIVE -o DRIVE/frames.csv --overwrite", "is not a map that fieldgrid has written"),
         ("build DRIVE -o DRIVE --overwrite", "is read here and never replaced"),
         ("track DRIVE -o DRIVE/frames.csv", "exists already and is no track"),
-        ("track DRIVE -o IMAGE", "give a name that ends in .csv"),
-        ("track DRIVE -o x.track", "give a name that ends in .csv"),
+        ("track DRIVE -o IMAGE", "ends in none of .csv, .gpx"),
+        ("track DRIVE -o x.track", "ends in none of .csv, .gpx"),
         ("show MAP -o IMAGE", "is not a figure that fieldgrid has written"),
         ("show MAP -o x.csv", "end it in .png, .pdf or .svg"),
         ("export MAP IMAGE --format png --overwrite", "is not a PNG that fieldgrid"),
@@ -111,7 +112,7 @@ MODES: dict[str, tuple[str, set[str]]] = {
     # what decides that others cannot count, and those that still do
     "poses again": (
         "build --repose MAP",
-        {"repose", "name", "config", "heading", "visual_odometry", "budget"},
+        {"repose", "name", "config", *SettingsFlags("pose").names()},
     ),
     "trajectory": ("show MAP -o x.png --figure trajectory", {"out", "figure", "at", "session"}),
     "heading": ("show MAP -o x.png --figure heading", {"out", "figure", "at", "session"}),

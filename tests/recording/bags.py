@@ -181,7 +181,13 @@ class Maker:
             position_covariance_type=covariance_type,
         )
 
-    def imu(self, time_ns: int, rates: tuple[float, float, float], frame: str = "imu_link") -> Any:
+    def imu(
+        self,
+        time_ns: int,
+        rates: tuple[float, float, float],
+        frame: str = "imu_link",
+        forces: tuple[float, float, float] = (0.0, 0.0, 9.81),
+    ) -> Any:
         nine = np.zeros(9)
         return self.of(
             "sensor_msgs/msg/Imu",
@@ -190,7 +196,7 @@ class Maker:
             orientation_covariance=nine,
             angular_velocity=self.vector(*rates),
             angular_velocity_covariance=nine,
-            linear_acceleration=self.vector(0.0, 0.0, 9.81),
+            linear_acceleration=self.vector(*forces),
             linear_acceleration_covariance=nine,
         )
 
@@ -390,4 +396,5 @@ def gyro_said(maker: Maker, path: Path) -> Iterator[Said]:
             whole, _, part = row["timestamp_utc_s"].partition(".")
             time_ns = int(whole) * NANO + int(part.ljust(9, "0"))
             x, y, z = (float(row[f"gyro_{axis}_rad_s"]) for axis in "xyz")
-            yield Said(time_ns, IMU, maker.imu(time_ns, (x, y, z)))
+            felt = tuple(float(row[f"acc_{axis}_m_s2"]) for axis in "xyz")
+            yield Said(time_ns, IMU, maker.imu(time_ns, (x, y, z), forces=felt))

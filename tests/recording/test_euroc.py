@@ -93,7 +93,8 @@ def write_euroc(drive: Path, out: Path, R_flu_imu: Float64 = FORWARD_LEFT_UP) ->
     for row in table(drive / "imu" / "imu_100hz.csv"):
         gyro = R_flu_imu.T @ [float(row[f"gyro_{k}_rad_s"]) for k in "xyz"]
         whole, fraction = row["timestamp_utc_s"].split(".")
-        values = [repr(float(v)) for v in (*gyro, 0.0, 0.0, 9.8)]
+        force = R_flu_imu.T @ [float(row[f"acc_{k}_m_s2"]) for k in "xyz"]
+        values = [repr(float(v)) for v in (*gyro, *force)]
         lines.append(",".join([whole + fraction.ljust(9, "0"), *values]))
     (mav / "imu0" / "data.csv").write_text("\n".join(lines) + "\n")
     shutil.copyfile(drive / "calibration" / "mounting.json", out / "mounting.json")

@@ -72,7 +72,7 @@ def command(
 
         fieldgrid rows vineyard.gpkg -o rows.geojson
 
-        fieldgrid rows orchard.gpkg --crop orchard --spacing 3.5:5 --truth trees.csv
+        fieldgrid rows orchard.gpkg --crop orchard --truth trees.csv
     """
     from fieldgrid.mapfile import open_map
     from fieldgrid.publish import refuse_input

@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.angles import yaw_from_heading_rad
 from fieldgrid.array_types import Float64
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Motion
+from fieldgrid.motion import Gyro, Inertial, Motion
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.ros import gnss, messages
 from fieldgrid.ros.messages import BASE, MAP
@@ -74,14 +74,10 @@ def fix_messages(fixes: FixColumns) -> Iterator[StampedMessage]:
 
 
 def motion_messages(motion: Motion) -> Iterator[StampedMessage]:
-    """Gyro and wheels, as far as there are any."""
+    """IMU and wheels, as far as there are any."""
     streams = []
     if motion.gyro is not None:
-        times, rates = motion.gyro.time_ns.tolist(), motion.gyro.rate_rad_s.tolist()
-        streams.append(
-            StampedMessage(t, 1, "/imu/data", messages.imu_message(t, IMU, rate))
-            for t, rate in zip(times, rates, strict=True)
-        )
+        streams.append(_imu_messages(motion.gyro, motion.inertial))
     if motion.wheels is not None:
         times, speeds = motion.wheels.time_ns.tolist(), motion.wheels.speed_mps.tolist()
         streams.append(
@@ -89,6 +85,29 @@ def motion_messages(motion: Motion) -> Iterator[StampedMessage]:
             for t, speed in zip(times, speeds, strict=True)
         )
     return heapq.merge(*streams, key=lambda one: one.time_ns)
+
+
+def _imu_messages(gyro: Gyro, inertial: Inertial | None) -> Iterator[StampedMessage]:
+    """The gyro, and at the same instants what else the IMU tells: nothing of the other axes where
+    it does not."""
+    across = np.zeros((len(gyro.time_ns), 2))
+    force = np.full((len(gyro.time_ns), 3), np.nan)
+    if inertial is not None:
+        at = np.searchsorted(inertial.time_ns, gyro.time_ns)
+        at = np.minimum(at, len(inertial.time_ns) - 1)
+        same = inertial.time_ns[at] == gyro.time_ns
+        right, forward, up = inertial.force_mps2[at[same]].T
+        across[same] = np.stack(
+            [inertial.rate_rad_s[at[same], 1], -inertial.rate_rad_s[at[same], 0]], axis=1
+        )
+        force[same] = np.stack([forward, -right, up], axis=1)
+    for time_ns, rate, (x, y), felt in zip(
+        gyro.time_ns.tolist(), gyro.rate_rad_s.tolist(), across.tolist(), force.tolist(),
+        strict=True,
+    ):  # fmt: skip
+        known = None if math.isnan(felt[0]) else (felt[0], felt[1], felt[2])
+        message = messages.imu_message(time_ns, IMU, (x, y, -rate), known)
+        yield StampedMessage(time_ns, 1, "/imu/data", message)
 
 
 def pose_messages(trajectory: Trajectory) -> Iterator[StampedMessage]:

@@ -151,7 +151,9 @@ def _outline(cells: _Cells, lattice: Lattice, simplify_m: float | None) -> Any:
     # that it touches, and the outline is no longer valid once it is rounded again, to degrees.
     tolerance = 1.0 if simplify_m is None else simplify_m * lattice.cells_per_m
     # What grows together or across itself is mended, and then holds all of the cells again.
-    simple = shapely.union(shapely.make_valid(_grown(outline, tolerance)), outline)
+    mended = shapely.get_parts(shapely.make_valid(_grown(outline, tolerance)))
+    areas = mended[shapely.get_dimensions(mended) == 2]  # without the lines that are left over
+    simple = shapely.union_all([*areas, outline])
     # A post of few cells would gain a good part of itself.
     kept = abs(simple.area - outline.area) <= _AREA_SHARE * outline.area
     return shapely.transform(

@@ -21,9 +21,6 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
 
-# Higher levels of ISA-L do not give the same bytes each time.
-_ISAL_LEVEL = 0
-
 # Level 1 is 6 to 9 times as fast as level 6 here, for 10 to 15 % more bytes.
 _LEVEL = 1
 
@@ -43,7 +40,7 @@ with suppress(ImportError):
 def deflate(data: bytes | memoryview, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> bytes:
     """A zlib stream of `data`. Z_RLE suits bytes that repeat or are noise: faster and smaller."""
     if _zlib is not zlib:
-        return bytes(_zlib.compress(data, _ISAL_LEVEL))
+        return bytes(_zlib.compress(data, _LEVEL))
     stream = zlib.compressobj(_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS, 8, strategy)
     return stream.compress(data) + stream.flush()
 

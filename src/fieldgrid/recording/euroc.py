@@ -21,7 +21,7 @@ from fieldgrid.recording.files import is_inside, parse_time_ns, read_text
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.logs import find_log, with_log
-from fieldgrid.recording.motion_files import in_order
+from fieldgrid.recording.motion_files import Series, in_order, inertial_of
 from fieldgrid.recording.mounting import MOUNTING, Mounting
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, read_settings
@@ -36,6 +36,7 @@ _LEFT, _RIGHT, _IMU = "cam0", "cam1", "imu0"
 _DATA, _SENSOR = "data.csv", "sensor.yaml"
 _MAX_AWAY_M = 100.0
 _RATES = tuple(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
+_FORCES = tuple(f"a_RS_S_{axis} [m s^-2]" for axis in "xyz")
 
 
 def mounting_path(path: Path) -> Path:
@@ -65,10 +66,10 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
         mounting = options.find_mounting(mounting_path(path), path)
         shots, frame_notes = _shots(folder, mav)
         stored, image_notes = image_format(folder, shots, settings)
-        gyro, gyro_notes = _gyro(mav, mounting, rectification)
+        turning, turning_notes = _turning(mav, mounting, rectification)
         size_px = (camera.width_px, camera.height_px)
         return as_recording(
-            with_motion(drive, Motion(gyro=gyro), gyro_notes),
+            with_motion(drive, turning, turning_notes),
             mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
             StoredFrames(folder, shots, PairKind(size_px, rectification.rectifier, stored)),
             frame_notes + image_notes,
@@ -175,33 +176,44 @@ def _pose(path: Path) -> Float64:
     return T
 
 
-def _gyro(
+def _turning(
     mav: Path, mounting: Mounting, rectification: Rectification
-) -> tuple[Gyro | None, tuple[str, ...]]:
-    """The clockwise rate about the vehicle's vertical, by the axes that the cameras give it."""
+) -> tuple[Motion, tuple[str, ...]]:
+    """The IMU in the vehicle's axes, as the cameras give them, and the clockwise rate about its
+    vertical."""
     path = mav / _IMU / _DATA
     if not path.is_file():
-        return None, ()
+        return Motion(), ()
     R_body_imu = (
         _pose(mav / _IMU / _SENSOR)[:3, :3] if (mav / _IMU / _SENSOR).is_file() else np.eye(3)
     )
     R_rect_body = rectification.R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
-    R_vehicle_imu = mounting.mount.rotation() @ R_rect_body @ R_body_imu
     # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
-    upward = np.round(R_vehicle_imu[2], 9)
+    R_vehicle_imu = np.round(mounting.mount.rotation() @ R_rect_body @ R_body_imu, 9)
     with open_table(path) as table:
         missing = [name for name in _RATES if name not in table.header]
         if missing:
-            return None, (f"{_IMU}/{_DATA}: no column {missing[0]}; it is not used.",)
+            return Motion(), (f"{_IMU}/{_DATA}: no column {missing[0]}; it is not used.",)
+        forces = _FORCES if set(_FORCES) <= set(table.header) else ()
+        columns = [table.header.index(name) for name in (*_RATES, *forces)]
         time = find_time(table, Columns())
-        times, rates = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+        times, rows = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(columns)))]
         for block in table.blocks():
-            turning = [table.numbers(block, table.header.index(name)) for name in _RATES]
             times.append(time.utc_ns(block))
-            rates.append(-sum(part * rate for part, rate in zip(upward, turning, strict=True)))
-    series, lost = in_order(np.concatenate(times), np.concatenate(rates))
-    notes = (f"{_IMU}/{_DATA}: {lost} rows without a time or value, or repeated, skipped.",)
-    return Gyro(*series), notes if lost else ()
+            rows.append(np.stack([table.numbers(block, column) for column in columns], axis=1))
+    series, lost = in_order(np.concatenate(times), np.concatenate(rows), 3)
+    notes = [f"{_IMU}/{_DATA}: {lost} rows without a time or value, or repeated, skipped."]
+    notes = notes if lost else []
+    if not len(series.time_ns):
+        return Motion(), tuple(notes)
+    upward = R_vehicle_imu[2]
+    rate = -sum(part * turning for part, turning in zip(upward, series.values.T, strict=False))
+    sensed = np.full((len(rate), 6), np.nan)
+    for part in range(len(columns) // 3):
+        three = slice(3 * part, 3 * part + 3)
+        sensed[:, three] = series.values[:, three] @ R_vehicle_imu.T
+    inertial = inertial_of(Series(series.time_ns, sensed), notes)
+    return Motion(gyro=Gyro(series.time_ns, rate), inertial=inertial), tuple(notes)
 
 
 FORMAT = Format(

@@ -91,13 +91,13 @@ def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
         Motion(
             gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
             wheels=None if wheels is None else WheelSpeed(*wheels),
-            inertial=None if whole is None else _inertial(whole, notes),
+            inertial=None if whole is None else inertial_of(whole, notes),
         ),
         tuple(notes),
     )
 
 
-def _inertial(sensed: Series, notes: list[str]) -> Inertial:
+def inertial_of(sensed: Series, notes: list[str]) -> Inertial:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
     gravity, in m/s² or in g, and sees it above it."""
     complete = np.isfinite(sensed.values).all(axis=1)
@@ -156,7 +156,7 @@ def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | 
         named = [found[0] for found in turning + pushing]
         read = _read(table, named, factors, notes, len(turning))
     sensed = np.full((len(read.time_ns), 6), np.nan)
-    R_vehicle_imu = _R_vehicle_flu @ np.array(directions(axes), dtype=np.float64).T
+    R_vehicle_imu = R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
     if len(turning) == 1:
         sensed[:, 2] = read.values[:, 0] * R_vehicle_imu[2, vertical]
     for part in range(len(turning + pushing) // 3):
@@ -165,7 +165,7 @@ def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | 
     return path, Series(read.time_ns, sensed)
 
 
-_R_vehicle_flu = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From forward, left, up to the vehicle's axes right, forward, up."""
 
 

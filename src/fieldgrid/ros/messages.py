@@ -97,19 +97,24 @@ def transforms(*placed: Any) -> Any:
     return new("tf2_msgs/TFMessage", transforms=list(placed))
 
 
-def imu_message(time_ns: int, frame: str, rate_rad_s: float) -> Any:
-    """A sensor_msgs/Imu of the rate about the vertical alone, clockwise as in
-    :class:`~fieldgrid.motion.Gyro`; the message says what it has not."""
+def imu_message(
+    time_ns: int,
+    frame: str,
+    rates_rad_s: tuple[float, float, float],
+    force_mps2: tuple[float, float, float] | None = None,
+) -> Any:
+    """A sensor_msgs/Imu of rates and forces along forward, left, up; the message says what it has
+    not."""
     missing = np.array([-1.0, *[0.0] * 8])
     return new(
         "sensor_msgs/Imu",
         header=header_of(time_ns, frame),
         orientation=turn_left(0.0),
         orientation_covariance=missing,
-        angular_velocity=vector(0.0, 0.0, -rate_rad_s),
+        angular_velocity=vector(*rates_rad_s),
         angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(0.0, 0.0, 0.0),
-        linear_acceleration_covariance=missing,
+        linear_acceleration=vector(*(force_mps2 or (0.0, 0.0, 0.0))),
+        linear_acceleration_covariance=missing if force_mps2 is None else np.zeros(9),
     )
 
 

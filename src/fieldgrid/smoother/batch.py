@@ -154,7 +154,9 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
 def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
     constants: list[Constant | None] = [None] * model.CONSTANTS
     if len(linear.active):
-        sigmas = np.sqrt(np.diagonal(np.linalg.inv(linear.schur)))
+        variances = np.diagonal(np.linalg.inv(linear.schur))
+        # Of fixes that contradict each other wildly, rounding leaves nothing known.
+        sigmas = np.sqrt(np.where(variances > 0.0, variances, np.inf))
         for k, sigma in zip(linear.active.tolist(), sigmas.tolist(), strict=True):
             constants[k] = Constant(float(found.constants[k]), sigma)
     return constants

@@ -13,7 +13,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import GnssError, RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
-from fieldgrid.recording.bag.mounts import is_optical, vertical_row
+from fieldgrid.recording.bag.mounts import imu_rotation, is_optical
 from fieldgrid.recording.bag.readings import Fixes, Readings, Sentences, Speeds, Texts, Turns
 from fieldgrid.recording.bag.topics import (
     FIX,
@@ -29,7 +29,13 @@ from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.logs import read_fix_log
-from fieldgrid.recording.motion_files import AXES, directions, in_order
+from fieldgrid.recording.motion_files import (
+    AXES,
+    R_VEHICLE_FLU,
+    directions,
+    in_order,
+    inertial_of,
+)
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, Settings, read_settings
 from fieldgrid.recording.stream_log import nmea_notes
@@ -37,6 +43,8 @@ from fieldgrid.ros import Bag
 from fieldgrid.ros.gnss import DETAILS
 
 _OPTICAL_AXES = "rdf"
+_UPRIGHT = 0.5
+"""Of an axis along the vertical, more than this is along it."""
 _FIX_ROLES = {NMEA: "nmea", FIX: "fix"}
 
 
@@ -197,15 +205,22 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
     the usual, else those of the static transforms, else of the name of its frame."""
     bag, readings = content.bag, content.readings
     notes: list[str] = []
-    gyro = wheels = None
+    gyro = wheels = inertial = None
     topic = content.roles.get("imu", "")
     turns = readings.of(topic, Turns)
     if turns is not None and turns.places:
-        row, told = _upwards(content, imu_axes)
-        rates = -_rate(turns.rates_rad_s(), row)
-        series, lost = in_order(*readings.series(bag, topic, turns.places, rates))
+        R_flu_imu, told = _axes_of(content, imu_axes)
+        times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
+        rates = -_rate(sensed[:, :3], R_flu_imu[2])
+        series, lost = in_order(times_ns, rates)
         gyro = Gyro(*series) if len(series.time_ns) else None
         notes += [*_lost(topic, lost), f"{topic}: {told}."]
+        across = sensed[:, [k for k in range(3) if abs(R_flu_imu[2, k]) < _UPRIGHT]]
+        if gyro is not None and across.any():  # else it has one axis, and says 0 of the others
+            R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
+            with np.errstate(over="ignore", invalid="ignore"):
+                turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
+            inertial = inertial_of(in_order(times_ns, np.hstack(turned), 3)[0], notes)
     topic = content.roles.get("odometry", "")
     speeds = readings.of(topic, Speeds)
     if speeds is not None and speeds.places:
@@ -213,21 +228,19 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
         series, lost = in_order(*told_mps)
         wheels = WheelSpeed(*series) if len(series.time_ns) else None
         notes += _lost(topic, lost)
-    return Motion(gyro=gyro, wheels=wheels), tuple(notes)
+    return Motion(gyro=gyro, wheels=wheels, inertial=inertial), tuple(notes)
 
 
-def _upwards(content: Content, axes: str) -> tuple[Float64, str]:
-    """What of an IMU's three rates is that about the vertical, upwards, and how that is known."""
+def _axes_of(content: Content, axes: str) -> tuple[Float64, str]:
+    """From an IMU's axes to forward, left, up [3, 3], and how that is known."""
     if axes == AXES:
         frame = content.frame_id("imu")
-        row = vertical_row(frame, content.transforms)
-        if row is not None:
-            return row, "axes by the static transforms"
+        R_flu_imu = imu_rotation(frame, content.transforms)
+        if R_flu_imu is not None:
+            return R_flu_imu, "axes by the static transforms"
         if is_optical(frame):
             axes = _OPTICAL_AXES
-    return np.array(
-        [up for _, _, up in directions(axes)], dtype=np.float64
-    ), f"axes taken as {axes}"
+    return np.array(directions(axes), dtype=np.float64).T, f"axes taken as {axes}"
 
 
 def _rate(rates: Float64, row: Float64) -> Float64:

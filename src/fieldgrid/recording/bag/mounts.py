@@ -189,12 +189,12 @@ def optical(frame: str, transforms: Transforms, axes: str | None = None) -> Floa
     return R_OPTICAL_FLU
 
 
-def vertical_row(imu_frame: str, transforms: Transforms) -> Float64 | None:
-    """What of an IMU's three rates is the rate about the vehicle's vertical, upwards: a row of
-    three numbers; None where no static transform tells it."""
+def imu_rotation(imu_frame: str, transforms: Transforms) -> Float64 | None:
+    """From an IMU's axes to those of the vehicle, forward, left, up [3, 3]; None where no static
+    transform tells it."""
     for base in (BASE, GROUND):
         placed = _place(transforms, imu_frame, base)
         if placed is not None:
-            row, whole = placed.R[2], np.round(placed.R[2])
-            return np.asarray(whole if np.abs(whole - row).max() < _SAME else row)
+            whole = np.round(placed.R)
+            return np.asarray(whole if np.abs(whole - placed.R).max() < _SAME else placed.R)
     return None

@@ -159,23 +159,27 @@ class Fixes(Heard):
 
 
 class Turns(Heard):
-    """Rates of turn about the axes of an IMU, rad/s."""
+    """Rates of turn about the axes of an IMU, rad/s, and forces along them, m/s²."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._rates = array("d")
+        self._sensed = array("d")
 
     def _add(self, message: Any, place: int) -> None:
         if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
             self.counts["messages say that they have no gyro"] += 1
             return
-        rates = message.angular_velocity
+        rates, forces = message.angular_velocity, message.linear_acceleration
+        felt = (forces.x, forces.y, forces.z)
+        if message.linear_acceleration_covariance[:1].tolist() == [-1.0]:
+            felt = (math.nan, math.nan, math.nan)
         self.places.append(place)
-        self._rates.extend((rates.x, rates.y, rates.z))
+        self._sensed.extend((rates.x, rates.y, rates.z, *felt))
 
-    def rates_rad_s(self) -> Float64:
-        """The rates [n, 3], in the order of the record."""
-        return np.array(self._rates, dtype=np.float64).reshape(-1, 3)
+    def sensed(self) -> Float64:
+        """Rates and forces [n, 6], in the order of the record; NaN for a force that is not
+        measured."""
+        return np.array(self._sensed, dtype=np.float64).reshape(-1, 6)
 
 
 class Speeds(Heard):
