@@ -267,6 +267,8 @@ def test_a_bag_without_images_is_tracked_by_its_fixes_and_motion(
     assert tracked.gnss_source == "/fix"
     assert len(tracked.estimate.fix_row) == 989
     assert any("no pair of a left" in note for note in tracked.notes)
+    # The IMU lies on its side, which nothing says but what it feels.
+    assert any("gravity is felt upward, along [0, 1, 0]" in note for note in tracked.notes)
     accepted = tracked.estimate.trajectory.accepted[tracked.estimate.fix_row]
     assert accepted.sum() > 700
     with pytest.raises(RecordingError, match=r"no pair of a left .*/fix \(sensor_msgs/NavSatFix"):

@@ -16,6 +16,7 @@ from fieldgrid.smoother.rounds import (
     Solution,
     converged,
     covariance_blocks,
+    inverse,
     linearized,
     stated_weights,
 )
@@ -136,9 +137,9 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
     constants = _constants(found, linear)
     return Smoothed(
         found.x,
-        np.sqrt((absolute + unsettled) / 2.0),
+        np.sqrt((np.maximum(absolute, 0.0) + unsettled) / 2.0),
         np.sqrt((np.maximum(relative, 0.0) + unsettled) / 2.0),
-        np.sqrt(blocks[:, phi, phi] + turned**2),
+        np.sqrt(np.maximum(blocks[:, phi, phi], 0.0) + turned**2),
         off.fix_m,
         off.step,
         constants[model.HEADING_OFFSET],
@@ -154,7 +155,7 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
 def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
     constants: list[Constant | None] = [None] * model.CONSTANTS
     if len(linear.active):
-        variances = np.diagonal(np.linalg.inv(linear.schur))
+        variances = np.diagonal(inverse(linear.schur))
         # Of fixes that contradict each other wildly, rounding leaves nothing known.
         sigmas = np.sqrt(np.where(variances > 0.0, variances, np.inf))
         for k, sigma in zip(linear.active.tolist(), sigmas.tolist(), strict=True):

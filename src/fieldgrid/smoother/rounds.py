@@ -102,7 +102,8 @@ def stated_weights(measured: Measurements, steering: Float64) -> Weights:
 
 def _inverse_squared(sigma: Float64) -> Float64:
     known = np.isfinite(sigma)
-    return np.where(known, 1.0 / np.where(known, sigma, 1.0) ** 2, 0.0)
+    # A log may state an error of 0.
+    return np.where(known, 1.0 / np.where(known, np.maximum(sigma, 1e-6), 1.0) ** 2, 0.0)
 
 
 def converged(
@@ -137,7 +138,7 @@ def improved(problem: Problem, found: Solution, linear: Linear, off: Residuals) 
     step = solve(system.shape, system.values, system.right[:, None])[:, 0]
     aside = system.right_constants - system.border.T @ step
     turn = np.zeros(model.CONSTANTS)
-    turn[active] = np.linalg.solve(linear.schur, aside[active])
+    turn[active] = inverse(linear.schur) @ aside[active]
     change = (step - linear.coupling @ turn[active]).reshape(found.x.shape)
     # A first guess may be far off: no node turns by more than a radian a round.
     shrink = max(1.0, float(np.abs(change[:, model.PHI]).max()))
@@ -216,6 +217,11 @@ def _robust(stated: Weights, off: Residuals) -> Weights:
     )
 
 
+def inverse(symmetric: Float64) -> Float64:
+    """The inverse of a symmetric matrix [k, k]; in directions of which nothing is known, 0."""
+    return np.asarray(np.linalg.pinv(symmetric, hermitian=True))
+
+
 def covariance_blocks(linear: Linear) -> tuple[Float64, Float64]:
     """Covariances [n, 8, 8] of the states of each node, and those with the node before it. The
     values of the linear system are spoilt."""
@@ -223,7 +229,7 @@ def covariance_blocks(linear: Linear) -> tuple[Float64, Float64]:
     if len(linear.active):
         n = len(diagonal)
         coupled = linear.coupling.reshape(n, STATES, len(linear.active))
-        by_constants = coupled @ np.linalg.inv(linear.schur)
+        by_constants = coupled @ inverse(linear.schur)
         diagonal += by_constants @ coupled.swapaxes(1, 2)
         before[1:] += by_constants[1:] @ coupled[:-1].swapaxes(1, 2)
     return diagonal, before

@@ -43,6 +43,10 @@ from fieldgrid.ros import Bag
 from fieldgrid.ros.gnss import DETAILS
 
 _OPTICAL_AXES = "rdf"
+_TAKEN = f"axes taken as {AXES}"
+_GRAVITY_SHARE = 0.95
+"""Of what an accelerometer feels, an axis that is upright feels this much."""
+
 _UPRIGHT = 0.5
 """Of an axis along the vertical, more than this is along it."""
 _FIX_ROLES = {NMEA: "nmea", FIX: "fix"}
@@ -211,12 +215,17 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
     if turns is not None and turns.places:
         R_flu_imu, told = _axes_of(content, imu_axes)
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
-        rates = -_rate(sensed[:, :3], R_flu_imu[2])
+        upward, is_whole = R_flu_imu[2], True
+        if told == _TAKEN and (felt := _felt_upward(sensed[:, 3:])) is not None:
+            upward, is_whole = felt, False
+            told = f"axes taken so that gravity is felt upward, along {upward.astype(int).tolist()}"
+        rates = -_rate(sensed[:, :3], upward)
         series, lost = in_order(times_ns, rates)
         gyro = Gyro(*series) if len(series.time_ns) else None
         notes += [*_lost(topic, lost), f"{topic}: {told}."]
-        across = sensed[:, [k for k in range(3) if abs(R_flu_imu[2, k]) < _UPRIGHT]]
-        if gyro is not None and across.any():  # else it has one axis, and says 0 of the others
+        across = sensed[:, [k for k in range(3) if abs(upward[k]) < _UPRIGHT]]
+        # With one axis, an IMU says 0 of the others.
+        if gyro is not None and is_whole and across.any():
             R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
             with np.errstate(over="ignore", invalid="ignore"):
                 turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
@@ -240,7 +249,22 @@ def _axes_of(content: Content, axes: str) -> tuple[Float64, str]:
             return R_flu_imu, "axes by the static transforms"
         if is_optical(frame):
             axes = _OPTICAL_AXES
-    return np.array(directions(axes), dtype=np.float64).T, f"axes taken as {axes}"
+    told = _TAKEN if axes == AXES else f"axes taken as {axes}"
+    return np.array(directions(axes), dtype=np.float64).T, told
+
+
+def _felt_upward(forces_mps2: Float64) -> Float64 | None:
+    """The axis of an IMU along which gravity is felt, [3], where that is another than the third."""
+    known = np.isfinite(forces_mps2).all(axis=1)
+    if not known.any():
+        return None
+    usual = np.median(forces_mps2[known], axis=0)
+    own = int(np.abs(usual).argmax())
+    if abs(usual[own]) < _GRAVITY_SHARE * float(np.linalg.norm(usual)):
+        return None
+    upward = np.zeros(3)
+    upward[own] = np.sign(usual[own])
+    return None if upward[2] == 1.0 or not upward.any() else upward
 
 
 def _rate(rates: Float64, row: Float64) -> Float64:
