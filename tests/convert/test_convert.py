@@ -114,7 +114,9 @@ def test_what_is_said_once_is_played_to_those_who_come_later(converted: Path) ->
 def test_fixes_and_gyro(found: Messages) -> None:
     with open_recording(TWO_LANES, "gnss_rtk.nmea") as recording:
         fixes, gyro = recording.fixes(), recording.motion().gyro
+        inertial = recording.motion().inertial
     assert gyro is not None
+    assert inertial is not None
     assert len(found["/gnss/fix"]) == len(fixes)
     for (time_ns, message), fix in zip(found["/gnss/fix"], fixes, strict=True):
         assert time_ns == fix.time_ns
@@ -127,7 +129,12 @@ def test_fixes_and_gyro(found: Messages) -> None:
     rates = np.array([imu.angular_velocity.z for _, imu in found["/imu/data"]])
     np.testing.assert_array_equal(rates, -gyro.rate_rad_s)  # counter-clockwise, by REP-103
     _, imu = found["/imu/data"][0]
-    assert imu.orientation_covariance[0] == imu.linear_acceleration_covariance[0] == -1.0
+    assert imu.orientation_covariance[0] == -1.0  # not measured
+    # Forward, left, up of what is kept as right, forward, up.
+    right, forward, up = inertial.force_mps2[0].tolist()
+    felt = imu.linear_acceleration
+    assert (felt.x, felt.y, felt.z) == (forward, -right, up)
+    assert imu.linear_acceleration_covariance[0] == 0.0
 
 
 def test_poses_are_east_north_up_and_counter_clockwise(found: Messages) -> None:
