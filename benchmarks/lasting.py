@@ -18,8 +18,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from benchmarks import EXAMPLE
 from benchmarks.synthetic import DATUM, real_grids, rows
+from fieldgrid import Costmap
 from fieldgrid.build import build_map
 from fieldgrid.mapfile import MapFile, create_map, open_map
 from fieldgrid.recording import DriveOptions
@@ -47,8 +50,30 @@ def measure_map(*, large: bool) -> Iterator[Line]:
         yield from measure_commit(folder)
         yield from measure_health(folder)
         yield from measure_append(folder)
+        yield from measure_costmap(folder)
     if large:
         yield from measure_hectares()
+
+
+def measure_costmap(folder: Path) -> Iterator[Line]:
+    """A million questions at once, beside looking up as many cells of an array."""
+    with create_map(folder / "cost.gpkg", DATUM) as universal:
+        add(universal, "a", 0.0, 0.0)
+        costmap = Costmap.from_map(universal)
+    random, cells = np.random.default_rng(1), costmap.costs
+    east, north = random.uniform(0.0, SIDE_M, (2, 1_000_000))
+    row, column = (random.integers(0, size, 1_000_000) for size in cells.shape)
+    ours, plain = [], []
+    for _ in range(5):
+        for seconds, work in (
+            (ours, lambda: costmap.at(east, north)),
+            (plain, lambda: cells[row, column]),
+        ):
+            start = time.process_time()
+            work()
+            seconds.append(time.process_time() - start)
+    ratio = float(np.median(ours) / np.median(plain))
+    yield Line("costmap: 1e6 points: cost, clearance, unknown, known", f"{ratio:.1f} lookups")
 
 
 def add(universal: MapFile, name: str, west_m: float, south_m: float) -> tuple[float, float]:

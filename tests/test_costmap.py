@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import math
-import time
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -232,15 +230,6 @@ def test_a_costmap_that_would_not_fit_is_refused() -> None:
 def test_settings_that_cannot_be_are_refused(options: dict[str, float], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Costmap.from_view(view_of([[0]], [[True]]), **options)
-
-
-def test_a_million_points_take_a_moment(tmp_path: Path, universal: MapFile) -> None:
-    costmap = Costmap.from_map(universal)
-    random = np.random.default_rng(1)
-    east, north = random.uniform(-12, 16, 1_000_000), random.uniform(-9, 11, 1_000_000)
-    start = time.perf_counter()
-    costmap.at(east, north)
-    assert time.perf_counter() - start < 2.0
 
 
 def test_a_distance_that_equals_the_radius_is_within_it() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import threading
-import time
 import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -151,13 +150,23 @@ def test_few_frames_are_in_memory_however_long_the_drive(
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_a_slow_reader_of_perceived_frames_is_waited_for(jobs: int) -> None:
     drive, grids = LongDrive(10), Alive()
-    order = []
-    for perceived in perceive(drive.frames(), LocalGridder(drive.rig), jobs):
+    order: list[str] = []
+    ahead, drawn = [], threading.Semaphore(0)
+
+    def frames() -> Iterator[Frame]:
+        for frame in drive.frames():
+            ahead.append(drive.drawn - len(order))
+            drawn.release()
+            yield frame
+
+    for perceived in perceive(frames(), LocalGridder(drive.rig), jobs):
         grids.watch(perceived.grid.density)
-        time.sleep(0.05)
+        # Slow: all that may be drawn before this one is taken has been drawn.
+        while drive.drawn < min(len(order) + jobs + 1, drive.frame_count):
+            assert drawn.acquire(timeout=60.0)
         order.append(perceived.frame.frame_id)
-        assert drive.drawn - len(order) <= jobs + 2
         del perceived
+    assert max(ahead) <= jobs + 2
     assert order == [f"{k:06d}" for k in range(10)]
     assert grids.most <= 2
 

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import statistics
 from pathlib import Path
 
 import cv2
@@ -78,9 +79,15 @@ def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
     fieldgrid("track", folder, "-o", out, *SF1, "--datum", "41.65,-4.72,787.4").output()
     # With the rig, poses are those of the ground below the camera, not of the antenna.
-    height = [float(r["height_m"]) for r in (antenna[99], rows(out)[99])]
-    # The antenna leans with the vehicle: 0.8 m beside the middle, a few degrees are centimetres.
-    assert height[0] - height[1] == pytest.approx(2.65 + 0.35, abs=0.1)
+    # Heights are smoothed where the lean is known, so the fixes' own noise lies between the two.
+    height_m = [
+        float(bare["height_m"]) - float(rigged["height_m"])
+        for bare, rigged in zip(antenna, rows(out), strict=True)
+        if bare["status"] == rigged["status"] == "ok"
+    ]
+    assert len(height_m) > 200
+    assert statistics.median(height_m) == pytest.approx(2.65 + 0.35, abs=0.01)
+    assert statistics.pstdev(height_m) < 0.1
 
 
 def test_a_log_alone(fieldgrid: Run, out: Path) -> None:

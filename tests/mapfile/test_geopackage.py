@@ -7,7 +7,6 @@ import re
 import shutil
 import sqlite3
 import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
@@ -118,11 +117,8 @@ def test_the_gdal_of_the_system_finds_the_cell_by_its_latitude_and_longitude(
     assert [int(value) for value in out.split()] == [0, 0, 0, 0]
 
 
-def test_the_gdal_of_the_system_opens_it_fast_and_without_complaint(path: Path) -> None:
-    tool("gdalinfo", "--version")
-    start = time.perf_counter()
+def test_the_gdal_of_the_system_opens_it_without_complaint(path: Path) -> None:
     out = tool("gdalinfo", str(path))
-    assert time.perf_counter() - start < 5.0
     assert "Size is 23424, 22528" in out
     corner = re.search(r"Upper Left +\( *(\S+), +(\S+)\)", out)
     assert corner is not None

@@ -10,9 +10,10 @@ import sqlite3
 import threading
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, Self, TypeVar
+from typing import NamedTuple, TypeVar
 
 from fieldgrid.array_types import UInt64
+from fieldgrid.closing import Closing
 from fieldgrid.grids import GridSpec
 from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, FrameCells
@@ -115,7 +116,7 @@ class _Recent:
         return found
 
 
-class SessionTiles:
+class SessionTiles(Closing):
     """The tiles of a session, encoded, beside the map until they are in it.
 
     The map is locked for the moment of the commit only, readers and other drives meanwhile see it
@@ -186,12 +187,6 @@ class SessionTiles:
     def close(self) -> None:
         """Throw them away."""
         self._database.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def stored_of_session(groups: Sequence[ChannelGroup]) -> list[ChannelGroup]:

@@ -27,6 +27,7 @@ from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
     CellSource,
     FoldedFrames,
+    SessionSource,
     StoredLevel,
     StoredSessions,
 )
@@ -130,7 +131,7 @@ def read_change(
     change = np.zeros(request.window.shape, dtype=np.uint8)
     groups = (GROUPS["density"],)
     multiple = multiple_of(header.lattice, request.lattice)
-    source, factor = cell_source(evidence, header, both, multiple, groups)
+    source, factor = session_source(evidence, header, both, multiple, groups)
 
     def fill(chunk: Window) -> None:
         found = (
@@ -154,24 +155,39 @@ def cell_source(
     groups: tuple[ChannelGroup, ...],
 ) -> tuple[CellSource, int]:
     """Where the cells come from, and how many of them lie along the side of one asked for."""
-    tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
-    by_own_rule = request.transfer is header.transfer and request.frame_filter is None
-    has_tiles = {group.name for group in groups} <= set(header.groups)
-    if multiple is not None and by_own_rule and has_tiles:
-        if request.sessions is not None:
-            return StoredSessions(tables, evidence.session_ids(request.sessions)), multiple
-        level = 0
-        while level < evidence.levels() and multiple % 2 == 0:
-            level, multiple = level + 1, multiple // 2
-        return StoredLevel(tables, level), multiple
+    if multiple is None or request.sessions is not None or not _stored(header, request, groups):
+        return session_source(evidence, header, request, multiple, groups)
+    tables, level = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups), 0
+    while level < evidence.levels() and multiple % 2 == 0:
+        level, multiple = level + 1, multiple // 2
+    return StoredLevel(tables, level), multiple
+
+
+def session_source(
+    evidence: Evidence,
+    header: Header,
+    request: Request,
+    multiple: int | None,
+    groups: tuple[ChannelGroup, ...],
+) -> tuple[SessionSource, int]:
+    """The same from what tells the sessions apart: their own tiles, or their frames."""
+    names = request.sessions or tuple(info.name for info in evidence.active())
+    if multiple is not None and _stored(header, request, groups):
+        tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
+        return StoredSessions(tables, evidence.session_ids(names)), multiple
     # Cells of a whole multiple follow from the map's own, also where these are made anew.
     lattice, factor = (request.lattice, 1) if multiple is None else (header.lattice, multiple)
-    names = request.sessions or tuple(info.name for info in evidence.active())
     near = request.lattice.bounds(request.window)
     frames = evidence.accepted(near, names, request.frame_filter)
     _check_cells(lattice, frames)
     by_session = [(name, [f for f in frames if f.session == name]) for name in names]
     return FoldedFrames(lattice, request.transfer, groups, by_session), factor
+
+
+def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
+    """Whether tiles hold what is asked for, by the rule that is asked for."""
+    by_own_rule = request.transfer is header.transfer and request.frame_filter is None
+    return by_own_rule and {group.name for group in groups} <= set(header.groups)
 
 
 def _write(view: MapView, chunk: Window, cells: Cells) -> None:

@@ -21,6 +21,10 @@ class CellSource(Protocol):
     def merged(self, window: Window) -> Cells | None:
         """The sessions that were asked for together; None where they saw nothing."""
 
+
+class SessionSource(CellSource, Protocol):
+    """One that tells the sessions apart, too."""
+
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
         """Each session that may have seen something, in the order in which they were given."""
 
@@ -42,10 +46,6 @@ class StoredLevel:
                     cells = with_overviews(self._tables.groups, cells)
                 found.append((tile, cells))
         return _assembled(window, found)
-
-    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """These tiles do not tell sessions apart."""
-        raise NotImplementedError
 
 
 class StoredSessions:
@@ -69,7 +69,7 @@ class StoredSessions:
         )
 
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """See `CellSource`."""
+        """See `SessionSource`."""
         near = self._tables.sessions_near(window)
         for session_id, name in self._names.items():
             tiles = [tile for tile, other in near if other == session_id]
@@ -104,7 +104,7 @@ class FoldedFrames:
         return None if total is None else with_overviews(self._groups, total)
 
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """See `CellSource`."""
+        """See `SessionSource`."""
         for name, cells in self._folded(window):
             yield name, with_overviews(self._groups, cells)
 

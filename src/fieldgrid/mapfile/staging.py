@@ -16,10 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from fieldgrid.array_types import AnyArray
+from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
@@ -99,7 +99,7 @@ class StageEntry(NamedTuple):
     size: int
 
 
-class StageFile:
+class StageFile(Closing):
     """Staged frames on disk, in the order in which they were appended.
 
     `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
@@ -170,17 +170,6 @@ class StageFile:
         if self._file is not None:
             os.close(self._file)
             self._file = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _write(self, record: bytes) -> None:
         if self._memory is not None:
