@@ -18,7 +18,7 @@ from fieldgrid.cost import INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView
+from fieldgrid.mapfile import MapFile, MapView
 
 MAX_CELLS = 100_000_000
 """Cells of a costmap: it holds 9 bytes of each, and 11 while it is made."""
@@ -103,8 +103,7 @@ class Costmap:
         cells or 40000 along a side.
         """
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        is_own = cell_m is None or cell_m == universal.cell_m
-        view = universal.read(bounds, cell_m, layers=() if is_own else DECISION_LAYERS, at=at)
+        view = universal.read(bounds, cell_m, layers=universal.deciding(cell_m), at=at)
         return cls._of(view, curve or CostCurve(), settings)
 
     @classmethod

@@ -113,6 +113,9 @@ def test_every_layer_is_what_the_frames_say(
         )
         expected = brute_force(universal, cell_m, transfer, names)
     np.testing.assert_array_equal(view.observed, expected["count"] > 0)
+    if cell_m != CELL_M:  # the highest of what is in them: tests.mapfile.test_base_cells
+        for name in ("count", "max", "sessions"):
+            del expected[name]
     for name, array in expected.items():
         layer = view.layer(name)
         assert layer.dtype == LAYERS[name].dtype

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +103,16 @@ def test_what_is_not_there_or_in_the_way_is_said(north: Path, tmp_path: Path) ->
     with pytest.raises(MapExistsError, match="is read here and never replaced"):
         merge_maps([north], north, overwrite=True)
     assert north.read_bytes() == before
+
+
+def test_one_drive_in_two_places_is_not_merged(north: Path, tmp_path: Path) -> None:
+    shutil.copy(north, tmp_path / "south.gpkg")
+    with open_map(tmp_path / "south.gpkg", writable=True) as universal:
+        universal.set_transform("1", 0.5, 0.0)
+    maps = [north, tmp_path / "south.gpkg"]
+    with pytest.raises(ConfigError, match=r"'1' of .*south.*is the same drive as '1'.*--shift"):
+        merge_maps(maps, tmp_path / "farm.gpkg")
+    assert not (tmp_path / "farm.gpkg").exists()
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", 0.5, 0.0)
+    assert [one.twin for one in merge_maps(maps, tmp_path / "farm.gpkg")] == [None, None, "0", "1"]

@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fieldgrid.errors import MapError
-from fieldgrid.mapfile import LAYERS, MapView, merge_maps, open_map
+from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.mapfile import LAYERS, MapFile, MapView, merge_maps, open_map
 from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_map
 
@@ -151,3 +152,40 @@ def test_a_map_whose_frames_cannot_be_read_stays_as_it_is(path: Path) -> None:
     with open_map(path, writable=True) as universal, pytest.raises(MapError, match="is damaged"):
         universal.upgrade()
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        lambda universal: universal.rename_session("0", "1"),
+        lambda universal: universal.rename_session("0", "\n"),
+        lambda universal: universal.remove_session("none"),
+        lambda universal: universal.restore_session("1"),
+        lambda universal: universal.set_transform("0", 1e9, 0.0),
+        lambda universal: universal.repose("1", {}),
+        lambda universal: universal.add_session("0"),
+        lambda universal: abandon(universal),
+    ],
+)
+def test_a_change_that_is_refused_upgrades_nothing(
+    path: Path, refused: Callable[[MapFile], object]
+) -> None:
+    before = path.read_bytes()
+    with open_map(path, writable=True) as universal:
+        expected = universal.read(layers=LAYERS)
+        with pytest.raises((ConfigError, KeyboardInterrupt)):
+            refused(universal)
+        assert_same(universal.read(layers=LAYERS), expected)  # still as the old format has it
+    assert path.read_bytes() == before
+    with open_map(path, writable=True) as universal:
+        with pytest.raises((ConfigError, KeyboardInterrupt)):
+            refused(universal)
+        universal.remove_session("0")
+        assert universal.verify().problems == ()
+    assert version(path) == "3"
+
+
+def abandon(universal: MapFile) -> None:
+    with universal.add_session("more") as session:
+        session.add(*drive(1)[0])
+        raise KeyboardInterrupt

@@ -85,7 +85,7 @@ def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
 def _obstacles(
     universal: MapFile, selection: Selection, options: ShapeOptions | None
 ) -> FeatureLayer:
-    with selection.blocks(universal, selection.deciding(universal)) as blocks:
+    with selection.blocks(universal, universal.deciding(selection.cell_m)) as blocks:
         found = list(trace_obstacles(blocks.views, options))
     return FeatureLayer(
         "obstacle",

@@ -86,7 +86,7 @@ def export_nav2(
     if path.suffix.lower() not in _ENDINGS:
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
     mode, kind, curve = options.mode, options.picture(), options.curve()
-    view = selection.view(universal, selection.deciding(universal))
+    view = selection.view(universal, universal.deciding(selection.cell_m))
     occupancy = curve.occupancy(view.worst(selection.layer), view.seen_share)
     picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
     about = {**georeference(view), "image": picture.name, "mode": mode, "layer": selection.layer}

@@ -117,7 +117,7 @@ def export_rosbag2(
 def _read(universal: MapFile, selection: Selection) -> tuple[MapView, dict[str, Trajectory]]:
     """The view with the layers of the grid map, and the trajectories of the sessions in it."""
     _check_size(universal, selection)
-    view = selection.view(universal, (*GRID_MAP_LAYERS, *selection.deciding(universal)))
+    view = selection.view(universal, (*GRID_MAP_LAYERS, *universal.deciding(selection.cell_m)))
     tracks = trajectories(universal, selection)
     for name, track in tracks.items():
         if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, check_inside
 from fieldgrid.mapfile import (
-    DECISION_LAYERS,
     LAYERS,
     Blocks,
     MapFile,
@@ -44,12 +43,6 @@ class Selection:
             check_inside(self.bounds, universal.bounds)
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
-
-    def deciding(self, universal: MapFile) -> tuple[str, ...]:
-        """The layers by which cells of this size are free or obstacles: none where they are the
-        map's own."""
-        is_own = self.cell_m is None or self.cell_m == universal.cell_m
-        return () if is_own else DECISION_LAYERS
 
     def area(self, universal: MapFile) -> Bounds | None:
         """The ground that the cells of the part cover, None for all that there is."""

@@ -80,7 +80,7 @@ def export_taskdata(
     _require_library()
     layers = feature_layers(universal, selection, options, ("obstacle", "trajectory", "footprint"))
     obstacles, drives, footprints = layers
-    view = selection.view(universal, selection.deciding(universal))
+    view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
     field = _field(universal, obstacles, drives, footprints)
     with replacing_folder(

@@ -33,7 +33,9 @@ class Combine(StrEnum):
 class Cells(Mapping[str, UInt64]):
     """The channels of some cells by name, uint64 [rows north, columns east].
 
-    Each cell stands for `base_cells` cells of the lattice that frames were folded into.
+    Each cell stands for `base_cells` cells of the lattice that frames were folded into. Where that
+    is no whole number, base cells are cut into parts, and `base_cells` counts these, like the sums
+    of overviews.
     """
 
     def __init__(self, arrays: Mapping[str, UInt64], base_cells: int = 1) -> None:

@@ -40,7 +40,7 @@ def mean(cells: Cells) -> AnyArray:
 
 
 def _seen_share(cells: Cells) -> AnyArray:
-    return cells["seen"] / np.float32(cells.base_cells)
+    return np.minimum(cells["seen"] / np.float32(cells.base_cells), 1.0)
 
 
 GROUP = ChannelGroup(

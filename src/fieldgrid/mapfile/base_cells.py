@@ -1,45 +1,94 @@
-"""What the map's own cells say of cells that are no whole multiple of them.
+"""Larger cells from the map's own: of a whole multiple of their side, or of any other.
 
-The density of such cells is folded anew from the frames, and that mean may hide an obstacle: here
-each takes the highest of the map's own cells that it touches, and counts how much of it was seen.
+A larger cell is what the map's own cells in it are. Where it is no whole multiple, only some
+channels follow from them: the highest of all that it touches, and how much of it they have seen.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float32, Int64, UInt8
+from fieldgrid.array_types import Int64, UInt64
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile.view import MapView
+from fieldgrid.layers import Cells, ChannelGroup, Combine
+from fieldgrid.layers.window import coarser
+
+PARTS = 1 << 10
+"""A cell that is no whole multiple is counted in so many parts along its side."""
 
 _ROUNDING = 1e-9
 """Cells that overlap by less than this share of a cell only touch by an edge."""
 
 
-def peak_and_seen(base: MapView, lattice: Lattice, window: Window) -> tuple[UInt8, Float32]:
-    """The highest density of the base cells that a cell touches, uint8, and the share of its area
-    that they have seen, float32, both [rows, columns] of `window` on `lattice`.
+class Multiple(NamedTuple):
+    """Cells of which each is a square of `factor` x `factor` of the map's own; all channels."""
 
-    `base` covers the window.
+    groups: Sequence[ChannelGroup]
+    factor: int
+
+    def under(self, window: Window) -> Window:
+        """The map's own cells that a window needs."""
+        return Window(*(value * self.factor for value in window))
+
+    def larger(self, cells: Cells, window: Window) -> Cells:
+        """The cells of a window from the map's own under it, overviews included."""
+        return coarser(self.groups, cells, self.factor)
+
+
+class Touching(NamedTuple):
+    """Cells of any other lattice: what follows from the map's own that each touches.
+
+    These are maxima, and channels of overviews: how much was seen is counted in `PARTS` squared.
     """
-    ratio = base.lattice.cell_m / lattice.cell_m
-    rows = _touched(base.window.j0, base.window.height, ratio, window.j0, window.height)
-    columns = _touched(base.window.i0, base.window.width, ratio, window.i0, window.width)
-    peak = _highest(_highest(base.density, rows).T, columns).T
-    seen = _sum(_sum(base.observed.astype(np.float32), rows).T, columns).T
-    return peak, np.minimum(seen, 1.0)
+
+    groups: Sequence[ChannelGroup]
+    own: Lattice
+    lattice: Lattice
+
+    @property
+    def factor(self) -> int:
+        """How many of the map's own cells lie along the side of one, rounded up."""
+        return math.ceil(self.lattice.cell_m / self.own.cell_m)
+
+    def under(self, window: Window) -> Window:
+        """See `Multiple`."""
+        return self.own.window(self.lattice.bounds(window))
+
+    def larger(self, cells: Cells, window: Window) -> Cells:
+        """See `Multiple`."""
+        under, ratio = self.under(window), self.own.cell_m / self.lattice.cell_m
+        rows = _touched(under.j0, under.height, ratio, window.j0, window.height)
+        columns = _touched(under.i0, under.width, ratio, window.i0, window.width)
+        arrays: dict[str, UInt64] = {}
+        for group in self.groups:
+            for channel in group.channels:
+                if channel.coarser is Combine.MAX:
+                    arrays[channel.name] = _highest(cells[channel.name], rows, columns)
+            for extra in group.overview:
+                of = _highest if extra.coarser is Combine.MAX else _area
+                arrays[extra.name] = of(cells[extra.name], rows, columns)
+        return Cells(arrays, PARTS * PARTS)
+
+
+def enlarged(groups: Sequence[ChannelGroup], own: Lattice, lattice: Lattice) -> Multiple | Touching:
+    """How the cells of a lattice follow from those of the map's own."""
+    factor = round(lattice.cell_m / own.cell_m)
+    if factor >= 1 and abs(factor * own.cell_m - lattice.cell_m) <= 1e-9 * lattice.cell_m:
+        return Multiple(groups, factor)
+    return Touching(groups, own, lattice)
 
 
 class _Touched(NamedTuple):
-    """Of each cell along an axis [n]: a base cell that it touches, and the share of it that lies
+    """Of each cell along an axis [n]: a base cell that it touches, and how many of its parts lie
     there, 0 where there is none."""
 
     cell: Int64
-    share: Float32
+    parts: UInt64
 
 
 def _touched(first: int, count: int, ratio: float, start: int, size: int) -> list[_Touched]:
@@ -50,20 +99,26 @@ def _touched(first: int, count: int, ratio: float, start: int, size: int) -> lis
     found = []
     for k in range(math.ceil(1.0 / ratio) + 1):
         cell = begin + k
-        share = np.minimum(low + 1.0, (cell + 1) * ratio) - np.maximum(low, cell * ratio)
-        inside = (share > _ROUNDING) & (cell >= first) & (cell < first + count)
-        share = np.where(inside, share, 0.0).astype(np.float32)
-        found.append(_Touched(np.clip(cell - first, 0, count - 1), share))
+        left = np.maximum(low, cell * ratio) - low
+        right = np.minimum(low + 1.0, (cell + 1) * ratio) - low
+        # Neighbours share an edge, and so its rounding: the parts of a whole cell add up.
+        parts = np.maximum(np.rint(right * PARTS) - np.rint(left * PARTS), 1.0)
+        inside = (right - left > _ROUNDING) & (cell >= first) & (cell < first + count)
+        parts = np.where(inside, parts, 0.0).astype(np.uint64)
+        found.append(_Touched(np.clip(cell - first, 0, count - 1), parts))
     return found
 
 
-def _highest(values: UInt8, touched: list[_Touched]) -> UInt8:
-    """The highest of the rows that each new row touches."""
-    parts = (values[cell] * (share > 0.0)[:, None] for cell, share in touched)
-    return reduce(np.maximum, parts)
+def _highest(values: UInt64, rows: list[_Touched], columns: list[_Touched]) -> UInt64:
+    """The highest value that each cell touches."""
+    for touched in (rows, columns):
+        taken = (values[cell] * (parts > 0)[:, None] for cell, parts in touched)
+        values = reduce(np.maximum, taken).T
+    return values
 
 
-def _sum(values: Float32, touched: list[_Touched]) -> Float32:
-    """The rows that each new row touches, by their shares."""
-    parts = (values[cell] * share[:, None] for cell, share in touched)
-    return reduce(np.add, parts)
+def _area(values: UInt64, rows: list[_Touched], columns: list[_Touched]) -> UInt64:
+    """The values that each cell touches by how many of its parts they have."""
+    for touched in (rows, columns):
+        values = reduce(np.add, (values[cell] * parts[:, None] for cell, parts in touched)).T
+    return values

@@ -17,11 +17,11 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.layers import Cells
-from fieldgrid.transfer import mean_density
 
 
 class Change(IntEnum):
-    """What became of a cell. An obstacle is what is above 100."""
+    """What became of a cell. An obstacle is a cell of the map's own above 100, and a larger cell
+    that holds one."""
 
     UNKNOWN = 0
     FREE = 1
@@ -86,9 +86,8 @@ def latest_states(
     1 no obstacle, 2 obstacle. The sessions come in the order of their drives."""
     states = np.zeros((2, *shape), dtype=np.uint8)
     for name, cells in sessions:
-        density, observed = mean_density(cells["weight"], cells["sum"])
-        state = np.where(density > OBSTACLE_ABOVE, np.uint8(2), np.uint8(1))
-        np.copyto(states[int(name in after)], state, where=observed)
+        state = np.where(cells["peak"] > OBSTACLE_ABOVE, np.uint8(2), np.uint8(1))
+        np.copyto(states[int(name in after)], state, where=cells["seen"] > 0)
     return states
 
 

@@ -44,7 +44,7 @@ def merge_maps(
     Sessions that are the same drive, bit for bit, are taken once; different ones of one name get
     the name of their file behind it. Removed sessions stay behind. The new map appears when it
     is complete; it cannot take the place of one of them. Raises DatumError when the maps differ in
-    their datum.
+    their datum, ConfigError when they have one drive in two places.
     """
     paths = [Path(source) for source in sources]
     if not paths:
@@ -76,7 +76,14 @@ def merge_maps(
 def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: dict[str, str]) -> Merged:
     """Copy one session; `taken` has the names of the new map by digest."""
     if info.digest in taken:
-        return Merged(universal.path, info.name, taken[info.digest], twin=taken[info.digest])
+        twin = taken[info.digest]
+        if target.transform(twin) != info.transform:
+            raise ConfigError(
+                f"Session {info.name!r} of {universal.path} is the same drive as {twin!r}, which "
+                "comes from before it, but it lies in another place; shift one of them with "
+                "`fieldgrid sessions --shift` to where the other is, or remove it, and merge again."
+            )
+        return Merged(universal.path, info.name, twin, twin=twin)
     name = _free_name(info.name, universal.path.stem, set(taken.values()))
     metadata = universal.metadata(info.name)._replace(name=name)
     with target.add_session_of(metadata) as session:

@@ -17,7 +17,8 @@ from fieldgrid.layers import GROUPS, LAYERS, Cells, groups_of
 from fieldgrid.layers.window import coarser
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.reading import Request, cell_source, layer_values, multiple_of, times
+from fieldgrid.mapfile.reading import Request, cell_source, chunks, layer_values
+from fieldgrid.mapfile.sources import assembled
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
 
@@ -49,8 +50,7 @@ def read_overviews(
     """The blocks of all levels in which anything was observed."""
     levels = min(levels, MAX_LEVELS)
     groups = tuple(GROUPS[name] for name in groups_of(request.layers))
-    multiple = multiple_of(header.lattice, request.lattice)
-    source, factor = cell_source(evidence, header, request, multiple, groups)
+    source, factor = cell_source(evidence, header, request)
     whole, side = request.window, 1 << MAX_LEVELS
     top = whole.j0 + whole.height
 
@@ -59,10 +59,11 @@ def read_overviews(
         square = Window(whole.i0 + column, top - row - side, side, side)
         part = whole.intersect(square)
         assert part is not None
-        found = source.merged(times(part, factor))
+        parts = ((chunk, source.merged(chunk)) for chunk in chunks(part, factor))
+        found = assembled(part, ((chunk, cells) for chunk, cells in parts if cells is not None))
         if found is None:
             return []
-        cells = _northward(coarser(groups, found, factor), 1 << levels)
+        cells = _northward(found, 1 << levels)
         blocks = []
         for level in range(1, levels + 1):
             cells = coarser(groups, cells, 2)
@@ -97,7 +98,7 @@ def _block(
     density, observed = mean_density(cells["weight"], cells["sum"])
     inside = slice(shape[0]), slice(shape[1])
     values = {
-        name: layer_values(LAYERS[name], cells, observed)[inside].astype(LAYERS[name].dtype)
+        name: layer_values(LAYERS[name], cells)[inside].astype(LAYERS[name].dtype)
         for name in layers
         if name != "density"
     }

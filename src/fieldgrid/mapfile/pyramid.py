@@ -89,16 +89,22 @@ class Pyramid:
         self._raise_levels(dict.fromkeys(tiles), self._groups)
         self._announce(shrinks=False)
 
-    def merged(self, tile: TileIndex, without: int | None = None) -> Cells | None:
-        """A base tile made of what its sessions have in it, but for one."""
+    def merged(
+        self,
+        tile: TileIndex,
+        without: int | None = None,
+        groups: Sequence[ChannelGroup] | None = None,
+    ) -> Cells | None:
+        """A base tile made of what its sessions have in it, but for one; of some groups, or all."""
+        wanted = self._groups if groups is None else groups
         parts = (
-            self._tables.session_cells(session_id, tile)
+            self._tables.session_cells(session_id, tile, wanted)
             for session_id in self._tables.sessions_in(tile)
             if session_id != without
         )
         total: Cells | None = None
         for part in parts:
-            total = part if total is None else merge_sessions(self._groups, total, part)
+            total = part if total is None else merge_sessions(wanted, total, part)
         return total
 
     def settle(self) -> None:
@@ -124,10 +130,15 @@ class Pyramid:
         """A base tile over all sessions, after a session's share has changed."""
         total = self._tables.cells(self._base, tile) or empty_cells(self._groups, _SHAPE)
         stay: Cells | None = None
-        if leaving is not None and any(
-            channel.sessions is Combine.MAX for g in self._groups for channel in g.channels
-        ):
-            stay = self.merged(tile, without=session_id)
+        maxima = [
+            group
+            for group in self._groups
+            if any(channel.sessions is Combine.MAX for channel in group.channels)
+        ]
+        if leaving is not None and maxima:
+            # What is expected of the others is made of the density.
+            groups = tuple(dict.fromkeys((self._groups[0], *maxima)))
+            stay = self.merged(tile, session_id, groups)
         # In place: nobody else has these arrays.
         for channel in (channel for group in self._groups for channel in group.channels):
             value, by_sum = total[channel.name], channel.sessions is Combine.SUM

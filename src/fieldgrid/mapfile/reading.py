@@ -1,7 +1,7 @@
 """Reading a view: from the stored tiles where they have it, else from the frames.
 
-Cells of a whole multiple of the map's own follow from those, by one rule; others, another transfer
-rule or some of the frames are folded anew.
+Cells of a whole multiple of the map's own follow from those, by one rule. Others are folded anew,
+but for what only the map's own cells can tell: the highest in them, and how much was seen.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Bool
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
-from fieldgrid.layers.window import coarser
-from fieldgrid.mapfile.base_cells import peak_and_seen
+from fieldgrid.mapfile.base_cells import Multiple, enlarged
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
@@ -27,19 +26,15 @@ from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
     CellSource,
     FoldedFrames,
+    FoldedOverBase,
+    Larger,
     SessionSource,
     StoredLevel,
     StoredSessions,
 )
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.mapfile.view import (
-    DECISION_LAYERS,
-    MapView,
-    check_size,
-    empty_view,
-    fold_as_the_paper,
-)
+from fieldgrid.mapfile.view import MapView, check_size, empty_view, fold_as_the_paper
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes, mean_density
 
@@ -66,13 +61,12 @@ class Request(NamedTuple):
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     """The view, by the shortest way that gives the same bits."""
-    multiple = multiple_of(header.lattice, request.lattice)
     view = empty_view(
         request.lattice,
         request.window,
         header.datum,
         request.beyond_density,
-        is_base=multiple == 1,
+        is_base=request.lattice == header.lattice,
     )
     if request.averaging is Averaging.PAPER:
         if request.beyond_density:
@@ -83,29 +77,19 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
         _check_cells(request.lattice, frames)
         fold_as_the_paper(view, frames)
         return view
-    level = _picture_level(evidence, header, request, multiple)
+    level = _picture_level(evidence, header, request)
     if level is not None:
         _draw_pictures(view, evidence, header, level)
         return view
-    groups = tuple(GROUPS[name] for name in groups_of(request.layers))
-    source, factor = cell_source(evidence, header, request, multiple, groups)
+    source, factor = cell_source(evidence, header, request)
 
     def fill(chunk: Window) -> None:
-        cells = source.merged(times(chunk, factor))
+        cells = source.merged(chunk)
         if cells is not None:
-            _write(view, chunk, coarser(groups, cells, factor))
+            _write(view, chunk, cells)
 
     for _ in in_order(fill, chunks(request.window, factor)):
         pass
-    if multiple is None and not set(DECISION_LAYERS).isdisjoint(view.layers):
-        window = header.lattice.window(view.bounds)
-        own = request._replace(lattice=header.lattice, window=window, layers=())
-        base = read_view(evidence, header, own)
-        for name, values in zip(
-            DECISION_LAYERS, peak_and_seen(base, view.lattice, view.window), strict=True
-        ):
-            if name in view.layers:
-                view.layers[name][...] = values
     return view
 
 
@@ -116,7 +100,10 @@ def read_change(
     between: tuple[str | int, str | int],
     path: Path,
 ) -> ChangeView:
-    """What changed between two moments; ConfigError when no drive is up to or after the first."""
+    """What changed between two moments; ConfigError when no drive is up to or after the first.
+
+    In cells of any size an obstacle is what holds one of the map's own cells that is one.
+    """
     check_size(request.lattice, request.window)
     sessions = evidence.sessions()
     early, late = ([info.name for info in until(at, sessions, path)] for at in between)
@@ -127,36 +114,58 @@ def read_change(
             f"{path} has no session {gap}, so there is nothing to compare; `fieldgrid sessions` "
             "lists the dates of its drives."
         )
-    both = request._replace(sessions=(*early, *late))
+    for info in sessions:
+        if info.grid is not None and info.name in (*early, *late):
+            check_cell_sizes(request.lattice.cell_m, info.grid.cell_m)
     change = np.zeros(request.window.shape, dtype=np.uint8)
     groups = (GROUPS["density"],)
-    multiple = multiple_of(header.lattice, request.lattice)
-    source, factor = session_source(evidence, header, both, multiple, groups)
+    by = enlarged(groups, header.lattice, request.lattice)
+    own = request._replace(
+        lattice=header.lattice,
+        window=by.under(request.window),
+        sessions=(*early, *late),
+    )
+    source = session_source(evidence, header, own, groups)
 
     def fill(chunk: Window) -> None:
-        found = (
-            (name, coarser(groups, cells, factor))
-            for name, cells in source.by_session(times(chunk, factor))
-        )
+        own_cells = source.by_session(by.under(chunk))
+        found = ((name, by.larger(cells, chunk)) for name, cells in own_cells)
         states = latest_states(chunk.shape, found, late)
         change[request.window.slices_of(chunk)] = outcome(states)
 
-    for _ in in_order(fill, chunks(request.window, factor)):
+    for _ in in_order(fill, chunks(request.window, by.factor)):
         pass
     names = tuple(early), tuple(late)
     return ChangeView(request.lattice, request.window, change, header.datum, *names)
 
 
-def cell_source(
+def cell_source(evidence: Evidence, header: Header, request: Request) -> tuple[CellSource, int]:
+    """Where the cells that are asked for come from, and how many of those that are looked into lie
+    along the side of one."""
+    groups = tuple(GROUPS[name] for name in groups_of(request.layers))
+    by = enlarged(groups, header.lattice, request.lattice)
+    own = request._replace(lattice=header.lattice, window=by.under(request.window))
+    if isinstance(by, Multiple):
+        base, multiple = _own_cells(evidence, header, own, groups, by.factor)
+        return Larger(base, Multiple(groups, multiple)), multiple
+    folded = session_source(evidence, header, request, groups)
+    if not request.beyond_density:
+        return folded, 1
+    base, _ = _own_cells(evidence, header, own, groups, 1)
+    return FoldedOverBase(folded, Larger(base, by), groups), by.factor
+
+
+def _own_cells(
     evidence: Evidence,
     header: Header,
     request: Request,
-    multiple: int | None,
     groups: tuple[ChannelGroup, ...],
+    multiple: int,
 ) -> tuple[CellSource, int]:
-    """Where the cells come from, and how many of them lie along the side of one asked for."""
-    if multiple is None or request.sessions is not None or not _stored(header, request, groups):
-        return session_source(evidence, header, request, multiple, groups)
+    """Where the map's own cells come from, or stored ones of a higher level of which fewer make up
+    one of `multiple`."""
+    if request.sessions is not None or not _stored(header, request, groups):
+        return session_source(evidence, header, request, groups), multiple
     tables, level = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups), 0
     while level < evidence.levels() and multiple % 2 == 0:
         level, multiple = level + 1, multiple // 2
@@ -164,24 +173,20 @@ def cell_source(
 
 
 def session_source(
-    evidence: Evidence,
-    header: Header,
-    request: Request,
-    multiple: int | None,
-    groups: tuple[ChannelGroup, ...],
-) -> tuple[SessionSource, int]:
-    """The same from what tells the sessions apart: their own tiles, or their frames."""
-    names = request.sessions or tuple(info.name for info in evidence.active())
-    if multiple is not None and _stored(header, request, groups):
+    evidence: Evidence, header: Header, request: Request, groups: tuple[ChannelGroup, ...]
+) -> SessionSource:
+    """What tells the sessions apart: their own tiles, or their frames folded anew."""
+    names = request.sessions
+    if names is None:
+        names = tuple(info.name for info in evidence.active())
+    if request.lattice == header.lattice and _stored(header, request, groups):
         tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
-        return StoredSessions(tables, evidence.session_ids(names)), multiple
-    # Cells of a whole multiple follow from the map's own, also where these are made anew.
-    lattice, factor = (request.lattice, 1) if multiple is None else (header.lattice, multiple)
+        return StoredSessions(tables, evidence.session_ids(names))
     near = request.lattice.bounds(request.window)
     frames = evidence.accepted(near, names, request.frame_filter)
-    _check_cells(lattice, frames)
+    _check_cells(request.lattice, frames)
     by_session = [(name, [f for f in frames if f.session == name]) for name in names]
-    return FoldedFrames(lattice, request.transfer, groups, by_session), factor
+    return FoldedFrames(request.lattice, request.transfer, groups, by_session)
 
 
 def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
@@ -193,15 +198,14 @@ def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) 
 def _write(view: MapView, chunk: Window, cells: Cells) -> None:
     """Fill a part of a view, and of its layers, from the channels of its cells."""
     place = view.window.slices_of(chunk)
-    view.density[place], observed = mean_density(cells["weight"], cells["sum"])
-    view.observed[place] = observed
+    view.density[place], view.observed[place] = mean_density(cells["weight"], cells["sum"])
     for name, array in view.layers.items():
-        array[place] = layer_values(LAYERS[name], cells, observed)
+        array[place] = layer_values(LAYERS[name], cells)
 
 
-def layer_values(layer: Layer, cells: Cells, observed: Bool) -> AnyArray:
-    """What a layer says of cells, and what stands for those that were not observed."""
-    return np.where(observed, layer.values(cells), layer.nodata or 0)
+def layer_values(layer: Layer, cells: Cells) -> AnyArray:
+    """What a layer says of cells, and what stands for those of which nothing was observed."""
+    return np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
 
 
 def chunks(window: Window, factor: int) -> Iterator[Window]:
@@ -214,27 +218,14 @@ def chunks(window: Window, factor: int) -> Iterator[Window]:
             yield chunk
 
 
-def times(chunk: Window, factor: int) -> Window:
-    """A window of cells as one of cells of which `factor` lie along their side."""
-    return Window(*(value * factor for value in chunk))
-
-
-def multiple_of(own: Lattice, other: Lattice) -> int | None:
-    """How many cells of a lattice lie along the side of another's; None for no whole number."""
-    times = round(other.cell_m / own.cell_m)
-    same = abs(times * own.cell_m - other.cell_m) <= 1e-9 * other.cell_m
-    return times if times >= 1 and same else None
-
-
-def _picture_level(
-    evidence: Evidence, header: Header, request: Request, times: int | None
-) -> int | None:
+def _picture_level(evidence: Evidence, header: Header, request: Request) -> int | None:
     """The zoom level, from the base up, whose pictures have all that is asked for, if any has."""
     plain = request.sessions is None and request.frame_filter is None and not request.beyond_density
-    if times is None or not plain or request.transfer is not header.transfer:
+    by = enlarged((), header.lattice, request.lattice)
+    if not (plain and isinstance(by, Multiple)) or request.transfer is not header.transfer:
         return None
-    level = times.bit_length() - 1
-    return level if times == 1 << level and level <= evidence.levels() else None
+    level = by.factor.bit_length() - 1
+    return level if by.factor == 1 << level and level <= evidence.levels() else None
 
 
 def _draw_pictures(view: MapView, evidence: Evidence, header: Header, level: int) -> None:

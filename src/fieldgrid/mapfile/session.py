@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +15,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
 from fieldgrid.mapfile import derived
-from fieldgrid.mapfile.database import explained, writing
+from fieldgrid.mapfile.database import explained
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import (
@@ -27,7 +28,6 @@ from fieldgrid.mapfile.metadata import (
 )
 from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
 from fieldgrid.mapfile.records import frame_values, is_accepted
-from fieldgrid.mapfile.root import check_root, seal
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
 from fieldgrid.trajectory import Pose
@@ -56,6 +56,7 @@ class Session:
         metadata: SessionMetadata,
         header: Header,
         *,
+        committing: Callable[[], AbstractContextManager[None]],
         on_end: Callable[[bool], None],
     ) -> None:
         self.name = metadata.name
@@ -64,6 +65,7 @@ class Session:
         self._path = path
         self._header = header
         self._groups = header.writable_groups(path)
+        self._committing = committing
         self._on_end = on_end
         self._spec: GridSpec | None = None
         self._own = StageFile.temporary(path)
@@ -178,8 +180,7 @@ class Session:
             tiles = SessionTiles.folded(
                 frames, self._header.lattice, self._header.transfer, self._groups
             )
-        with tiles, writing(self._connection, self._path):
-            check_root(self._connection, self._path)
+        with tiles, self._committing():
             session_id = self._insert_session()
             self._insert_frames(session_id)
             put_arrays(self._connection, session_id, self._metadata.arrays)
@@ -187,7 +188,6 @@ class Session:
             derived.show(
                 self._connection, self._header, session_id, self._metadata, tiles, self._path
             )
-            seal(self._connection)
 
     def _insert_frames(self, session_id: int) -> None:
         for waiting in self._frames.values():

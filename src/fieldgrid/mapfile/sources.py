@@ -1,4 +1,5 @@
-"""Where the channels of a window of cells come from: stored tiles, or frames folded anew."""
+"""Where the channels of a window of cells come from: stored tiles, or frames folded anew; and those
+of larger cells from them."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from fieldgrid.lattice import Lattice, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup
-from fieldgrid.layers.window import WindowFold, merge_sessions, with_overviews
+from fieldgrid.layers.window import WindowFold, empty_cells, merge_sessions, with_overviews
+from fieldgrid.mapfile.base_cells import Multiple, Touching
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.transfer import Transfer, footprint
@@ -44,8 +46,8 @@ class StoredLevel:
             if cells is not None:
                 if self._level == 0:
                     cells = with_overviews(self._tables.groups, cells)
-                found.append((tile, cells))
-        return _assembled(window, found)
+                found.append((tile_window(tile), cells))
+        return assembled(window, found)
 
 
 class StoredSessions:
@@ -64,9 +66,8 @@ class StoredSessions:
                 cells = self._tables.session_cells(session_id, tile)
                 before = total.get(tile)
                 total[tile] = cells if before is None else merge_sessions(groups, before, cells)
-        return _assembled(
-            window, [(t, with_overviews(groups, cells)) for t, cells in total.items()]
-        )
+        found = ((tile_window(t), with_overviews(groups, cells)) for t, cells in total.items())
+        return assembled(window, found)
 
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
         """See `SessionSource`."""
@@ -74,8 +75,10 @@ class StoredSessions:
         for session_id, name in self._names.items():
             tiles = [tile for tile, other in near if other == session_id]
             cells = ((tile, self._tables.session_cells(session_id, tile)) for tile in tiles)
-            found = [(tile, with_overviews(self._tables.groups, one)) for tile, one in cells]
-            whole = _assembled(window, found)
+            found = (
+                (tile_window(tile), with_overviews(self._tables.groups, one)) for tile, one in cells
+            )
+            whole = assembled(window, found)
             if whole is not None:
                 yield name, whole
 
@@ -118,14 +121,41 @@ class FoldedFrames:
                 yield name, fold.cells()
 
 
-def _assembled(window: Window, tiles: Iterable[tuple[TileIndex, Cells]]) -> Cells | None:
-    """The cells of a window from the tiles that it touches; None when there are none."""
+class Larger:
+    """Cells that follow from the map's own, which another source has."""
+
+    def __init__(self, source: CellSource, by: Multiple | Touching) -> None:
+        self._source, self._by = source, by
+
+    def merged(self, window: Window) -> Cells | None:
+        """See `CellSource`."""
+        found = self._source.merged(self._by.under(window))
+        return None if found is None else self._by.larger(found, window)
+
+
+class FoldedOverBase:
+    """Frames folded anew into cells that are no whole multiple of the map's own, where maxima and
+    overviews are those of the map's own cells: a new fold would blur what these tell apart."""
+
+    def __init__(self, folded: CellSource, base: Larger, groups: Sequence[ChannelGroup]) -> None:
+        self._folded, self._base, self._groups = folded, base, groups
+
+    def merged(self, window: Window) -> Cells | None:
+        """See `CellSource`."""
+        base = self._base.merged(window)
+        if base is None:
+            return None
+        folded = self._folded.merged(window) or empty_cells(self._groups, window.shape)
+        return Cells({**folded, **base}, base.base_cells)
+
+
+def assembled(window: Window, parts: Iterable[tuple[Window, Cells]]) -> Cells | None:
+    """The cells of a window from windows that it touches; None when there are none."""
     arrays, base_cells = None, 1
-    for tile, cells in tiles:
+    for whole, cells in parts:
         if arrays is None:
             arrays = {name: np.zeros(window.shape, dtype=np.uint64) for name in cells}
             base_cells = cells.base_cells
-        whole = tile_window(tile)
         part = whole.intersect(window)
         if part is not None:
             inside, place = whole.slices_of(part), window.slices_of(part)

@@ -55,6 +55,13 @@ def read_as_is(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA query_only = {read_only}")
 
 
+def upgraded(header: Header) -> Header:
+    """The settings of a map once it is of the present format."""
+    if header.version == schema.FORMAT_VERSION:
+        return header
+    return header._replace(groups=tuple(GROUPS), version=schema.FORMAT_VERSION)
+
+
 def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
     """Bring a map of format 2 to the present one, within the caller's transaction.
 

@@ -1,0 +1,271 @@
+"""What can be read of a map that is open."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Bounds
+from fieldgrid.layers import check_layers
+from fieldgrid.mapfile.arrays import Array
+from fieldgrid.mapfile.blocks import Blocks, read_blocks
+from fieldgrid.mapfile.change import ChangeView
+from fieldgrid.mapfile.codec import EncodedChannel
+from fieldgrid.mapfile.database import reading
+from fieldgrid.mapfile.evidence import Evidence, loader
+from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.metadata import SessionMetadata, find
+from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
+from fieldgrid.mapfile.provenance import Provenance, trace
+from fieldgrid.mapfile.reading import Request, extent_of, read_change, read_view, sessions_at
+from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
+from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.transform import Transform
+from fieldgrid.mapfile.verification import HealthReport, verify
+from fieldgrid.mapfile.view import DECISION_LAYERS, MapView
+from fieldgrid.trajectory import Trajectory
+from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
+
+
+class MapReader:
+    """The part of `MapFile` that reads."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, header: Header) -> None:
+        self.path = path
+        self._connection = connection
+        self._header = header
+        self._evidence = Evidence(connection, path)
+
+    @property
+    def datum(self) -> Datum:
+        """The origin of the map's plane; it never changes."""
+        return self._header.datum
+
+    @property
+    def cell_m(self) -> float:
+        """Side of the base cells, L_U, in metres."""
+        return self._header.lattice.cell_m
+
+    @property
+    def transfer(self) -> Transfer:
+        """The rule by which local cells were carried into the base cells."""
+        return self._header.transfer
+
+    @property
+    def bounds(self) -> Bounds:
+        """The extent of the observed cells in metres; MapError when there are none."""
+        with reading(self._connection, self.path):
+            return self._header.lattice.bounds(self._evidence.data_window())
+
+    def transform(self, name: str) -> Transform:
+        """The transform that puts a session into its place in the map."""
+        with reading(self._connection, self.path):
+            return self._evidence.transform(name)
+
+    def sessions(self) -> list[SessionInfo]:
+        """The sessions, in the order in which they were added, removed ones included."""
+        with reading(self._connection, self.path):
+            return self._evidence.sessions()
+
+    def metadata(self, name: str) -> SessionMetadata:
+        """All that is kept of a session beside its frames, for `add_session_of` of another map."""
+        with reading(self._connection, self.path):
+            return find(self._connection, self.path, self.datum, name).metadata
+
+    def has_datum(self, datum: Datum) -> bool:
+        """Whether a datum is that of the map, up to rounding."""
+        return self._header.is_datum(datum)
+
+    @property
+    def root_sha256(self) -> str:
+        """The root digest: of settings, plane and sessions, and so of all evidence."""
+        with reading(self._connection, self.path):
+            return read_root(self._connection).of_content
+
+    def verify(self, jobs: int | None = None) -> HealthReport:
+        """Check the file, the evidence against its hashes, and that all else follows from it.
+
+        `jobs` is the number of threads, all cores when not given.
+        """
+        with reading(self._connection, self.path):
+            return verify(self._connection, self.path, self._header, jobs)
+
+    def sessions_at(self, at: str | int) -> list[str]:
+        """The names of the active sessions as of a moment, in the order of their drives.
+
+        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds.
+        """
+        with reading(self._connection, self.path):
+            return list(sessions_at(self._evidence, at, self.path))
+
+    def session_inputs(self, name: str) -> dict[str, Array]:
+        """The arrays that `add_session` was given as `inputs`, bit for bit."""
+        with reading(self._connection, self.path):
+            return self._evidence.inputs(name)
+
+    def frames(
+        self, session: str | None = None, *, with_grid: bool = False
+    ) -> Iterator[FrameRecord]:
+        """The frames of one or of all active sessions, rejected ones included, in time order.
+
+        With `with_grid` each carries its compressed local grid, for `FrameRecord.grid`.
+        """
+        with reading(self._connection, self.path):
+            rows = self._evidence.frame_rows(None if session is None else [session])
+        # The map is not locked between two frames, however long the caller takes.
+        return (frame_record(row, self._channels(row) if with_grid else _no_grid) for row in rows)
+
+    def trajectory(self, session: str, *, as_driven: bool = False) -> Trajectory:
+        """The trajectory of a session as it is placed in the map, or `as_driven`: as it was stored,
+        bit for bit."""
+        with reading(self._connection, self.path):
+            track = self._evidence.trajectory(session, self.datum)
+            return track if as_driven else self._evidence.transform(session).trajectory(track)
+
+    def read(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        averaging: Averaging = Averaging.MEAN,
+        transfer: Transfer | None = None,
+        sessions: Collection[str] | None = None,
+        frame_filter: Callable[[FrameRecord], bool] | None = None,
+    ) -> MapView:
+        """The universal grid within `bounds` (all of it when not given) as arrays.
+
+        `layers` adds to the density: any of `fieldgrid.layers.LAYERS`. `at` is a session or a date:
+        the map as of then; `sessions` are some of them by name.
+
+        With the map's own cell or a whole multiple of it, and its own rule, it comes from the
+        stored tiles, of which only those within `bounds` are touched. Anything else is folded
+        anew from the accepted frames: another `cell_m` (not below the local grids':
+        ConfigError), another `transfer`, the `averaging` of the paper (in time order, by cell
+        centres), only frames for which `frame_filter` is true, layers whose channels the map does
+        not hold. Raises MapError when the map has no observed cell, ConfigError when the view
+        would exceed 400 million cells.
+        """
+        if averaging is Averaging.PAPER and transfer is Transfer.AREA:
+            raise ConfigError(
+                "The paper's averaging goes by cell centres; leave out transfer='area', or take "
+                "the mean."
+            )
+        names = check_layers(layers)
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, transfer)
+            request = request._replace(
+                averaging=averaging,
+                sessions=self._chosen(at, sessions),
+                frame_filter=frame_filter,
+                layers=names,
+            )
+            return read_view(self._evidence, self._header, request)
+
+    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
+        """The layers by which cells of this size are free or obstacles: none where they are the
+        map's own, whose density says it."""
+        is_own = self._header.lattice_of(cell_m) == self._header.lattice
+        return () if is_own else DECISION_LAYERS
+
+    @contextmanager
+    def blocks(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> Iterator[Blocks]:
+        """What `read` gives, in views of some million cells, for maps of any size.
+
+        One state of the map for as long as the block lasts: nobody can change it meanwhile.
+        Errors as in `read`, but that ten thousand million cells are allowed.
+        """
+        names = check_layers(layers)
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            request = request._replace(sessions=self._chosen(at, None), layers=names)
+            yield read_blocks(self._evidence, self._header, request)
+
+    @contextmanager
+    def overviews(
+        self,
+        levels: int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> Iterator[Iterator[OverviewBlock]]:
+        """What `read` gives, with cells of 2, 4, ... 2^levels times the side, for overviews of a
+        raster: counted from the north-west corner. Errors as in `read`."""
+        names = check_layers(layers)
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            request = request._replace(sessions=self._chosen(at, None), layers=names)
+            yield read_overviews(self._evidence, self._header, request, levels)
+
+    def diff(
+        self,
+        from_: str | int,
+        to: str | int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+    ) -> ChangeView:
+        """What the drives after `from_` and up to `to` found, beside what was known by `from_`.
+
+        Both are sessions or dates. In each cell the latest drive that observed it counts.
+        """
+        with reading(self._connection, self.path):
+            request = self._request(bounds, cell_m, None)
+            return read_change(self._evidence, self._header, request, (from_, to), self.path)
+
+    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
+        """Which sessions and frames observed the cell at a point, and what each said of it."""
+        if not (math.isfinite(east_m) and math.isfinite(north_m)):
+            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
+        lattice = self._header.lattice_of(cell_m)
+        half_m = lattice.cell_m
+        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+        with reading(self._connection, self.path):
+            frames = self._evidence.accepted(near, None, None)
+            for frame in frames:
+                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
+            return trace(east_m, north_m, lattice, self.transfer, frames)
+
+    def _request(
+        self, bounds: Bounds | None, cell_m: float | None, transfer: Transfer | None
+    ) -> Request:
+        lattice = self._header.lattice_of(cell_m)
+        extent = extent_of(self._evidence, self._header)
+        return Request(lattice, lattice.window(bounds or extent), transfer or self.transfer)
+
+    def _chosen(
+        self, at: str | int | None, sessions: Collection[str] | None
+    ) -> tuple[str, ...] | None:
+        """The sessions that are asked for in the order of their drives; None for all."""
+        if at is None and sessions is None:
+            return None
+        every = [info.name for info in self._evidence.active()]
+        chosen = set(every if at is None else sessions_at(self._evidence, at, self.path))
+        if sessions is not None:
+            self._evidence.check_sessions(sessions, active=True)
+            chosen &= set(sessions)
+        return None if chosen == set(every) else tuple(n for n in every if n in chosen)
+
+    def _channels(self, row: tuple[Any, ...]) -> Callable[[], tuple[EncodedChannel, ...]]:
+        with reading(self._connection, self.path):
+            channels = loader(self._connection, row[0])()
+        return lambda: channels
+
+
+def _no_grid() -> tuple[EncodedChannel, ...]:
+    raise ConfigError("The frame was read without its grid; ask for frames(with_grid=True).")
