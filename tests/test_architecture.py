@@ -19,12 +19,12 @@ LAYERS = (
     ("array_types", "choices", "closing", "limits"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
-        *("plane_fit", "publish"),
+        *("plane_fit", "publish", "measured"),
     ),
     ("notebook",),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion", "qgis", "polyline", "vectors"),
     ("settings",),
-    ("cloud", "depth", "lens"),
+    ("cloud", "depth", "lens", "travel"),
     (
         "gnss",
         "course",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from fieldgrid import publish
 from fieldgrid.errors import MapExistsError
-from fieldgrid.publish import DraftFolder, replacing
+from fieldgrid.publish import Draft, DraftFolder, replacing
 
 
 def draft_of(target: Path, *, overwrite: bool = False) -> DraftFolder:
@@ -67,3 +71,39 @@ def test_a_file_of_the_name_leaves_the_drafts_of_others(tmp_path: Path) -> None:
         assert draft.folder.exists()
     draft.discard()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_signal_in_the_first_moment_leaves_nothing(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(descriptor: int) -> None:
+        assert len(list(tmp_path.iterdir())) == 1
+        raise SystemExit(143)
+
+    monkeypatch.setattr(publish, "_hold", interrupted)
+    target = tmp_path / "out.gpkg"
+    with pytest.raises(SystemExit):
+        draft_of(target) if kind == "folder" else Draft(target, overwrite=False)
+    gc.collect()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_draft_that_nobody_published_is_gone_at_the_exit(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from fieldgrid.publish import Draft\n"
+        "draft = Draft(Path(sys.argv[1]), overwrite=False)\n"
+        "child = os.fork()\n"
+        "if child == 0: sys.exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "print(draft.file.exists())"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "out.gpkg")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert ended.stdout == "True\n"  # the exit of the child left it
+    assert list(tmp_path.iterdir()) == []

@@ -10,6 +10,7 @@ import os
 import secrets
 import shutil
 import time
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -106,14 +107,19 @@ class Draft:
         place = target.resolve()
         # With the target's ending, by which other programs tell what to write.
         self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial{place.suffix}")
+        held: list[int] = []
+        self.discard = weakref.finalize(self, _discard, self.file, held, os.getpid())
+        """Remove what was made so far; nothing happens when it is published or gone.
+
+        It is there before the file is, and is called at the exit at the latest: a signal that ends
+        the program at any moment leaves no draft."""
         try:
             # Made here, so that it gets the usual permissions and nobody else's file is taken.
-            self._held = os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+            held.append(os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
         except OSError as error:
+            self.discard.detach()
             raise _unwritable(target, error) from error
-        # The system lets go of it when this program ends, however that happens.
-        with suppress(OSError):
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _hold(held[0])
         _remove_orphans(place)
 
     def publish(self) -> None:
@@ -135,15 +141,6 @@ class Draft:
             raise _unwritable(self.target, error) from error
         finally:
             self.discard()
-
-    def discard(self) -> None:
-        """Remove what was made so far; nothing happens when it is published or gone."""
-        if self._held >= 0:
-            os.close(self._held)
-            self._held = -1
-        for stray in (self.file, *_companions(self.file)):
-            with suppress(OSError):  # a broken disk; the next draft tries again
-                stray.unlink(missing_ok=True)
 
     def _publish_new(self, place: Path) -> None:
         try:
@@ -194,13 +191,16 @@ class DraftFolder:
             )
         place = target.resolve()
         self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        held: list[int] = []
+        self.discard = weakref.finalize(self, _discard, self.folder, held, os.getpid())
+        """As that of :class:`Draft`."""
         try:
             self.folder.mkdir()
-            self._held = os.open(self.folder, os.O_RDONLY)
+            held.append(os.open(self.folder, os.O_RDONLY))
         except OSError as error:
+            self.discard.detach()
             raise _unwritable(target, error) from error
-        with suppress(OSError):
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _hold(held[0])
         _remove_orphans(place)
 
     def publish(self) -> None:
@@ -226,12 +226,25 @@ class DraftFolder:
             shutil.rmtree(old, ignore_errors=True)
             self.discard()
 
-    def discard(self) -> None:
-        """Remove what was made so far; nothing happens when it is published or gone."""
-        if self._held >= 0:
-            os.close(self._held)
-            self._held = -1
-        shutil.rmtree(self.folder, ignore_errors=True)
+
+def _hold(descriptor: int) -> None:
+    """Mark a draft as in use; the system lets go of it when this program ends, however it does."""
+    with suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _discard(draft: Path, held: list[int], owner: int) -> None:
+    """Remove a draft that this process made: a copy of it by fork() ends without that."""
+    if os.getpid() != owner:
+        return
+    for descriptor in held:
+        os.close(descriptor)
+    if draft.is_dir():
+        shutil.rmtree(draft, ignore_errors=True)
+        return
+    for stray in (draft, *_companions(draft)):
+        with suppress(OSError):  # a broken disk; the next draft tries again
+            stray.unlink(missing_ok=True)
 
 
 def mentions(path: Path, mark: bytes) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
@@ -253,14 +253,14 @@ def nose_heading_deg(vehicle: Vehicle, recorded_deg: npt.ArrayLike) -> Float64:
 @dataclass(frozen=True, slots=True)
 class Carrier:
     """The vehicle of a log alone: its poses are those of the antenna, which is `ahead_m` of the
-    axle that does not steer. Recorded headings as in :class:`Rig`."""
+    axle that does not steer, None where nobody knows. Recorded headings as in :class:`Rig`."""
 
-    ahead_m: float = 0.0
+    ahead_m: float | None = None
     heading_offset_deg: float | None = None
     heading_convention: HeadingConvention = "cw_north"
 
     def __post_init__(self) -> None:
-        if not abs(self.ahead_m) <= 30.0:
+        if self.ahead_m is not None and not abs(self.ahead_m) <= 30.0:
             raise CalibrationError(
                 f"An antenna {self.ahead_m} m ahead of the axle is beyond 30 m; give metres."
             )
@@ -274,7 +274,16 @@ class Carrier:
     @property
     def rear_axle_forward_m(self) -> float | None:
         """The axle lies behind the antenna."""
-        return -self.ahead_m
+        return None if self.ahead_m is None else -self.ahead_m
+
+
+def with_antenna_ahead(vehicle: Vehicle | None, ahead_m: float) -> Rig | Carrier:
+    """The same vehicle with its axle `ahead_m` behind the antenna; None is a log alone."""
+    if isinstance(vehicle, Rig):
+        return replace(vehicle, rear_axle_forward_m=vehicle.antenna.forward_m - ahead_m)
+    if isinstance(vehicle, Carrier):
+        return replace(vehicle, ahead_m=ahead_m)
+    return Carrier(ahead_m)
 
 
 def check_offset(offset_deg: float | None) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from fieldgrid.fixes import FixColumns
+from fieldgrid.measured import Measured
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
-from fieldgrid.mounting.measured import Measured
-from fieldgrid.mounting.travel import Ways
 from fieldgrid.recording import FixLog, Recording
 from fieldgrid.rig import Mount
+from fieldgrid.travel import Ways
 from tests.mounting.drives import rendered
 from tests.simulated import Command, fixes_of, simulate, time_ns
 
@@ -36,7 +36,9 @@ def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Record
 def test_gentle_curves_are_compared_by_their_chords() -> None:
     curvature, distance_m = 0.045, 1.5 * PERIOD_S
     truth = simulate([Command(40.0, 1.5, curvature)], speed_mps=1.5)
-    drive = replace(straight(1.0)[0], log=FixLog(fixes_of(truth)))
+    drive = straight(1.0)[0]
+    rig = replace(drive.rig, rear_axle_forward_m=drive.rig.antenna.forward_m)
+    drive = replace(drive, rig=rig, log=FixLog(fixes_of(truth)))
     n = int(40.0 / PERIOD_S)
     turn_deg = np.full(n, math.degrees(distance_m * curvature))
     arcs = Ways(

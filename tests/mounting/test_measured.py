@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fieldgrid.mounting.measured import Measured, kept, mean_of, repeated
+from fieldgrid.measured import Measured, kept, mean_of, repeated
 
 
 def test_independent_values_each_speak_for_themselves() -> None:

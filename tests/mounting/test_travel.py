@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.mounting.plane import Plane
-from fieldgrid.mounting.travel import Ways, travel, ways
+from fieldgrid.mounting.ways import ways
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
+from fieldgrid.travel import Ways, travel
 
 LEGS = [(10, 1.0, 0.0), (5, 1.0, 0.12), (10, 1.0, 0.0), (4, -1.0, 0.08), (8, 1.0, -0.05)]
 """Steps, metres forward of the axle in each, curvature to the right when driving forward."""

@@ -13,9 +13,9 @@ from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.mounting import Measured, MountEstimate, write_estimate
 from fieldgrid.mounting.estimate import UNDER
 from fieldgrid.mounting.ground_under_vehicle import MountSamples
-from fieldgrid.mounting.travel import Ways
 from fieldgrid.recording import mounting_path, open_recording
 from fieldgrid.rig import Rig
+from fieldgrid.travel import Ways
 
 NOTHING = np.zeros(0)
 YAW = Measured(0.4567, 0.1)

@@ -9,6 +9,7 @@ import pytest
 
 from fieldgrid.motion import Motion
 from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
+from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings
@@ -86,8 +87,8 @@ def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
     fixes = fixes_of(drive, 0.2, 0.02)
     steps = steps_of(drive, 0.4, noise=1.0, late_s=18.0)
     log = conditioned(fixes, PoseSettings(), DATUM)
-    without = smooth_drive(log.accepted, fixes.time_ns, Motion(), None)
-    search = ClockSearch(without, steps, None)
+    without = smooth_drive(log.accepted, fixes.time_ns, Motion(), Axle(None))
+    search = ClockSearch(without, steps, Axle(None))
     scan = np.arange(-30.0, 30.0, 0.5)
     lowest = float(scan[int(np.argmin([search.misfit(offset) for offset in scan]))])
     found = search.best(lowest)

@@ -117,7 +117,7 @@ def test_the_course_is_no_heading() -> None:
     assert nose is not None
     assert not nose.course
     # A few headings in reverse decide nothing.
-    gear[155:250] = 1
+    gear[152:250] = 1
     few = compare(np.where(gear < 0, heading + 180.0, heading), heading, sigma, gear)
     assert few is not None
     assert not few.course

@@ -29,7 +29,7 @@ from fieldgrid.pose import (
 )
 from fieldgrid.pose.gears import _turned_deg
 from fieldgrid.pose.nodes import nodes
-from fieldgrid.rig import LeverArm, Rig
+from fieldgrid.rig import Carrier, LeverArm, Rig
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status, Trajectory
 from tests.scenes import Leg, Path, drive, paper_rig
@@ -53,6 +53,9 @@ DATUM = Datum(39.5, -1.1, 700.0)
 PLAIN = Fix(START, 39.5, -1.1, 703.0, quality=4, satellites=12, hdop=0.8, age_s=1.0)
 AXLE_M = -2.0
 """The axle that does not steer is 2 m behind the grid origin."""
+
+ABOVE_AXLE = Carrier(0.0)
+"""A log whose antenna is declared to be above the axle."""
 
 TURNING = [Leg(15.0), Leg(12.0, 0.18), Leg(9.0), Leg(9.0, -0.18), Leg(12.0)]
 
@@ -419,7 +422,7 @@ def estimate(
     simulated: Drive,
     *,
     motion: Motion | None = None,
-    rig: Rig | None = None,
+    rig: Rig | Carrier | None = ABOVE_AXLE,
     fixes: Sequence[Fix] | FixColumns | None = None,
     settings: PoseSettings | None = None,
     budget: Budget | None = None,

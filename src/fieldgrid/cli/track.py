@@ -102,7 +102,7 @@ def command(
     chosen = resolve(config, settings)
     carrier = None
     if antenna_ahead is not None or heading_offset is not None:
-        carrier = Carrier(antenna_ahead or 0.0, heading_offset)
+        carrier = Carrier(antenna_ahead, heading_offset)
     check_target(out)
     refuse_input(out, [recording])
     tracked = track_drive(recording, chosen, opening, datum=origin, carrier=carrier)

@@ -15,16 +15,17 @@ import numpy as np
 from fieldgrid.array_types import Int64
 from fieldgrid.build.perception import side_by_side
 from fieldgrid.errors import RecordingError
+from fieldgrid.measured import Measured, mean_of
 from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.ground_under_vehicle import MountSamples, ground_under_vehicle
-from fieldgrid.mounting.measured import Measured, mean_of
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
-from fieldgrid.mounting.travel import LEAST_WAY_M, Travel, Ways, travel, ways
+from fieldgrid.mounting.ways import ways
 from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
 from fieldgrid.recording import DriveOptions, Frame, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.travel import LEAST_WAY_M, Travel, Ways, travel
 
 FEWEST_STANDS = 8
 """With fewer frames under which the ground was seen, the planes ahead have to do."""

@@ -8,8 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fieldgrid.array_types import Float64
+from fieldgrid.measured import Measured
 from fieldgrid.mounting.estimate import HEIGHT, ROLL, TILT, YAW, MountEstimate
-from fieldgrid.mounting.measured import Measured
 
 _MEASURED, _STATED, _POINT, _REVERSE = "#1f4e9c", "#c1121f", "0.45", "#f28e2b"
 

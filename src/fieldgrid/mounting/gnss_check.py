@@ -16,11 +16,11 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import GnssError
-from fieldgrid.mounting.measured import Measured, mean_of
-from fieldgrid.mounting.travel import STRAIGHT_PER_M, Ways
+from fieldgrid.measured import Measured, mean_of
 from fieldgrid.pose import Estimate
 from fieldgrid.recording import Recording
 from fieldgrid.trajectory import Status
+from fieldgrid.travel import STRAIGHT_PER_M, Ways
 
 RUN_M = 8.0
 """Ways are compared over straight runs of this length."""

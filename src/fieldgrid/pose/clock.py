@@ -11,8 +11,9 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive, axle_frame, smooth_drive
-from fieldgrid.rig import Vehicle
+from fieldgrid.pose.axle import Axle
+from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.gears import NO_HINTS, GearHints
 from fieldgrid.smoother import model, refine
 
 WIDEST_S, COARSE_S = 2.5, 0.05
@@ -76,9 +77,9 @@ class ClockOffset(NamedTuple):
 class ClockSearch:
     """A drive without its camera, beside which the camera's motion can be laid."""
 
-    def __init__(self, drive: Drive, steps: Steps, rig: Vehicle | None) -> None:
+    def __init__(self, drive: Drive, steps: Steps, axle: Axle) -> None:
         """The path of `drive` as it is without its camera. `steps` holds at least one."""
-        found, (lever_m, ahead_m) = drive.smoothed, axle_frame(rig)
+        found, (lever_m, ahead_m) = drive.smoothed, axle.frame()
         if len(drive.measured.step):
             found = refine(found, drive.measured.without_steps(), lever_m, ahead_m)
         self._steps, self._ahead_m = steps, ahead_m
@@ -178,14 +179,18 @@ class ClockSearch:
 
 
 def clock_offset(
-    drive: Drive, fixes: AcceptedFixes, motion: Motion, rig: Vehicle | None
+    drive: Drive,
+    fixes: AcceptedFixes,
+    motion: Motion,
+    axle: Axle,
+    hints: GearHints = NO_HINTS,
 ) -> ClockOffset | None:
     """The offset at which the camera's motion fits the drive without it; None when the drive
     is too even to tell. Looked for farther away only where it fits badly near by."""
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
         return None
-    search = ClockSearch(drive, steps, rig)
+    search = ClockSearch(drive, steps, axle)
     near = search.best()
     usual = near.misfit if near is not None else search.misfit(0.0)
     if usual < POOR_MISFIT:
@@ -193,7 +198,8 @@ def clock_offset(
     # Steps of other moments, or a gyro that goes with the images, would spoil the drive.
     without = [Motion(gyro=motion.gyro), Motion()] if drive.at.has_gyro() else [Motion()]
     for known in without:
-        far = ClockSearch(smooth_drive(fixes, fixes.time_ns, known, rig), steps, rig).far()
+        alone = smooth_drive(fixes, fixes.time_ns, known, axle, hints=hints)
+        far = ClockSearch(alone, steps, axle).far()
         if far is not None and far.misfit < BETTER_SHARE * usual:
             return far
     return near

@@ -18,6 +18,9 @@ from fieldgrid.rig import Vehicle
 FEWEST = 20
 """Fewer sure headings while driving decide nothing."""
 
+FEWEST_BACK = 3
+"""So many in reverse tell a course, which turns around there, from a heading."""
+
 SURE_DEG = 5.0
 """Only where the heading is this sure is another compared with it."""
 
@@ -82,7 +85,7 @@ def compare(
     sigma = scatter / np.sqrt(max(use.sum() / 100.0, 1.0))
     sign = -1.0 if mirrored else 1.0
     behind = np.abs(wrap_deg(recorded_deg[back] - sign * heading_deg[back] - offset))
-    course = bool(back.sum() >= FEWEST // 2 and np.median(behind) > 90.0)
+    course = bool(back.sum() >= FEWEST_BACK and np.median(behind) > 90.0)
     return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()))
 
 

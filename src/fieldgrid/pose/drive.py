@@ -10,11 +10,11 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.axle import Axle, unsure_heading_rad
 from fieldgrid.pose.gears import NO_HINTS, GearHints, StationGears, first_guess, station_gears
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest
-from fieldgrid.rig import Vehicle
 from fieldgrid.smoother import Measurements, Smoothed, refine, smooth
 
 LEAST_HEADING_SIGMA_DEG = 0.3
@@ -71,6 +71,11 @@ class Drive(NamedTuple):
         return self.at.fix
 
     @property
+    def turns_seen(self) -> bool:
+        """Whether a gyro or a camera saw how the vehicle turned."""
+        return self.at.has_gyro() or len(self.measured.step) > 0
+
+    @property
     def gyro_bias_dps(self) -> float:
         """The median bias of the gyro, degrees a second; NaN without one."""
         if not self.at.has_gyro():
@@ -82,7 +87,7 @@ def smooth_drive(
     fixes: AcceptedFixes,
     all_ns: Int64,
     motion: Motion,
-    rig: Vehicle | None,
+    axle: Axle,
     recorded: RecordedHeadings | None = None,
     hints: GearHints = NO_HINTS,
 ) -> Drive:
@@ -100,17 +105,17 @@ def smooth_drive(
     # Between two fixes it rests only where it does at both; beyond them nobody knows.
     rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
     node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
-    measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], rig)
+    measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
-    smoothed = smooth(measured, first_guess(fixes, at, found), *axle_frame(rig))
-    return _drive(fixes, at, measured, found, smoothed, rig)
+    smoothed = smooth(measured, first_guess(fixes, at, found), *axle.frame())
+    return _drive(fixes, at, measured, found, smoothed, axle)
 
 
 def with_recorded(
     drive: Drive,
     fixes: AcceptedFixes,
     motion: Motion,
-    rig: Vehicle | None,
+    axle: Axle,
     recorded: RecordedHeadings,
     hints: GearHints,
 ) -> Drive:
@@ -119,10 +124,10 @@ def with_recorded(
     resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
     found = station_gears(fixes, drive.at, resting, motion, recorded.heading_deg, hints)
     if not np.array_equal(found.gears.gear, drive.stations.gears.gear):
-        return smooth_drive(fixes, drive.time_ns, motion, rig, recorded, hints)
+        return smooth_drive(fixes, drive.time_ns, motion, axle, recorded, hints)
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
-    smoothed = refine(drive.smoothed, measured, *axle_frame(rig))
-    return _drive(fixes, drive.at, measured, found, smoothed, rig)
+    smoothed = refine(drive.smoothed, measured, *axle.frame())
+    return _drive(fixes, drive.at, measured, found, smoothed, axle)
 
 
 def _turning(at: Nodes, time_ns: Int64) -> Bool:
@@ -143,23 +148,6 @@ def _driven(time_ns: Int64, steps: Steps | None) -> Bool:
     return np.asarray(np.cumsum(change[:-1]) > 0)
 
 
-def axle_frame(rig: Vehicle | None) -> tuple[tuple[float, float], float]:
-    """The antenna (right, ahead) and the grid origin (ahead) as seen from the axle, metres.
-
-    An axle that nobody names is taken to lie below the antenna.
-    """
-    if rig is None:
-        return (0.0, 0.0), 0.0
-    axle_m = axle_forward_m(rig)
-    return (rig.antenna.right_m, rig.antenna.forward_m - axle_m), -axle_m
-
-
-def axle_forward_m(rig: Vehicle) -> float:
-    """Forward coordinate of the unsteered axle: the antenna's when the rig does not name it."""
-    axle_m = rig.rear_axle_forward_m
-    return rig.antenna.forward_m if axle_m is None else axle_m
-
-
 def _assigned(at: Nodes, found: StationGears) -> tuple[Int64, Float64]:
     """Gear and doubt of the station at or before each node."""
     fix = np.maximum.accumulate(at.fix)
@@ -173,7 +161,7 @@ def _drive(
     measured: Measurements,
     found: StationGears,
     smoothed: Smoothed,
-    rig: Vehicle | None,
+    axle: Axle,
 ) -> Drive:
     assigned, doubt = _assigned(at, found)
     resting = measured.standing
@@ -181,7 +169,11 @@ def _drive(
     east, north, heading, speed = smoothed.state[:, :4].T
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
-    (right_m, ahead_m), _ = axle_frame(rig)
+    sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
+    if axle.sigma_m:
+        unsure_rad = unsure_heading_rad(smoothed, axle.sigma_m)
+        sigma_deg = np.hypot(sigma_deg, np.degrees(unsure_rad))
+    (right_m, ahead_m), _ = axle.frame()
     has = at.fix >= 0
     sin, cos = np.sin(heading[has]), np.cos(heading[has])
     offset_m = np.stack(
@@ -199,7 +191,7 @@ def _drive(
         east,
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
-        np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG),
+        np.asarray(sigma_deg),
         smoothed.position_sigma_m,
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),

@@ -14,9 +14,10 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition, summarise
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
+from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of, names_axle
 from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
-from fieldgrid.pose.drive import Drive, axle_forward_m, smooth_drive, with_recorded
+from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
 from fieldgrid.pose.levelled import (
     find_lean,
@@ -68,27 +69,32 @@ def estimate_poses(
     log = conditioned(fixes, settings, datum)
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
-    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, rig, hints=hints)
+    declared, axle = rig, axle_of(rig, motion.steps)
+    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    if drive.at.has_gyro() and not names_axle(axle.vehicle):
+        axle = axle_by_gyro(axle, drive.smoothed.declared.ahead_m)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    rig = axle.vehicle
     # The same of a vehicle that stands level, once its headings have told how it leans.
     lean = find_lean(log.accepted, drive, motion, rig, frame_ns)
     level_grids = level_grids and tells_attitude(motion)
     if lean is not None:
         log = log._replace(accepted=levelled_fixes(log.accepted, lean))
         motion = levelled_motion(motion, lean)
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, rig, hints=hints)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A recorded heading joins once the drive has shown what it means.
     recorded_deg, comparison, notes = _recorded(log, drive, rig, source, settings)
     if source.kind == "smooth" and np.isfinite(recorded_deg).any():
         recorded = RecordedHeadings(recorded_deg)
         if comparison is not None:
             recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
-        drive = with_recorded(drive, log.accepted, motion, rig, recorded, hints)
+        drive = with_recorded(drive, log.accepted, motion, axle, recorded, hints)
     # A row for each fix and each instant between, carried to the grid origin and judged.
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
     trajectory = _judged(table, log.datum, rig, settings, budget, source)
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
-    clock = clock_offset(drive, log.accepted, motion, rig)
+    clock = clock_offset(drive, log.accepted, motion, axle, hints)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -98,7 +104,10 @@ def estimate_poses(
         offset=fix_offset(drive, log.accepted),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        notes=(*notes, *drive_notes(drive, log.accepted, rig, source, settings, clock, trajectory)),
+        notes=(
+            *notes,
+            *drive_notes(drive, log.accepted, declared, axle, source, settings, clock, trajectory),
+        ),
     )
     return Estimate(trajectory, fix_row, report)
 
@@ -139,8 +148,10 @@ def _recorded(
             )
         return recorded, None, []
     at = drive.fix >= 0
-    # Nodes stand in the order of the accepted fixes.
-    found = compare(recorded, drive.heading_deg[at], drive.heading_sigma_deg[at], drive.gear[at])
+    # Nodes stand in the order of the accepted fixes. An unsure axle, which shifts headings one way
+    # in left and the other way in right turns, hides no convention.
+    sigma_deg = np.degrees(drive.smoothed.heading_sigma_rad[at])
+    found = compare(recorded, drive.heading_deg[at], sigma_deg, drive.gear[at])
     if found is None:
         note = "The drive is too short to compare the recorded heading with its course."
         return recorded, None, [note]

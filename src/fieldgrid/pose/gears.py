@@ -12,7 +12,7 @@ from fieldgrid.course import first_beyond, stations
 from fieldgrid.gear import Gears, Track, gears
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back
+from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
 from fieldgrid.pose.nodes import Nodes, seconds
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import STATES
@@ -127,8 +127,8 @@ def _forward_nats(
         inside = (to > 0) & (to < len(time_ns))
         told = np.clip(steps.forward_m / (3.0 * steps.sigma_m), -1.0, 1.0) * STEP_NATS
         np.add.at(nats, to[inside], told[inside])
-    if wheels is not None and len(wheels.time_ns):
-        speed = np.interp(time_ns, wheels.time_ns, wheels.speed_mps)
+    if wheels is not None:
+        speed = np.nan_to_num(wheel_speed_at(time_ns, wheels))
         each = WHEEL_NATS if turn_back(wheels) else UNSIGNED_NATS
         nats += np.clip(speed / (2.0 * WHEEL_SIGMA_MPS), -1.0, 1.0) * each
     if len(points) > 1:

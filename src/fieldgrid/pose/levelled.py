@@ -17,7 +17,8 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude, Track, estimate_attitude
 from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive, axle_forward_m
+from fieldgrid.pose.axle import axle_forward_m
+from fieldgrid.pose.drive import Drive
 from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
 from fieldgrid.trajectory import Trajectory

@@ -122,10 +122,13 @@ def _bias_s(fixes: AcceptedFixes) -> Float64:
 
 
 def _pace_mps(fixes: AcceptedFixes) -> Float64:
-    """How fast the antenna moves at each fix, over a second or two around it."""
+    """How fast the antenna moves at each fix, over a second or two around it, or its neighbours."""
     time_s = seconds(fixes.time_ns)
-    first = np.searchsorted(time_s, time_s - 1.0)
+    k = np.arange(len(time_s))
+    # Its neighbours at least, where fixes come less than once a second.
+    first = np.minimum(np.searchsorted(time_s, time_s - 1.0), np.maximum(k - 1, 0))
     last = np.searchsorted(time_s, time_s + 1.0, side="right") - 1
+    last = np.maximum(last, np.minimum(k + 1, len(time_s) - 1))
     moved = np.hypot(*(fixes.points_m()[last] - fixes.points_m()[first]).T)
     return np.asarray(moved / np.maximum(time_s[last] - time_s[first], 0.1))
 
@@ -167,18 +170,24 @@ def turn_back(wheels: WheelSpeed) -> bool:
     return bool((wheels.speed_mps < -WHEEL_SIGMA_MPS).any())
 
 
+def wheel_speed_at(time_ns: Int64, wheels: WheelSpeed) -> Float64:
+    """The speed that wheels tell [n]; NaN where they say nothing near by."""
+    known = np.isfinite(wheels.speed_mps)
+    told_ns, told_mps = wheels.time_ns[known], wheels.speed_mps[known]
+    if len(told_ns) < 2:
+        return np.full(len(time_ns), np.nan)
+    after = np.clip(np.searchsorted(told_ns, time_ns), 1, len(told_ns) - 1)
+    apart = np.minimum(np.abs(time_ns - told_ns[after - 1]), np.abs(told_ns[after] - time_ns))
+    return np.where(apart <= WHEEL_NEAR_NS, np.interp(time_ns, told_ns, told_mps), np.nan)
+
+
 def _wheel_speeds(
     time_ns: Int64, wheels: WheelSpeed | None, gear: Int64
 ) -> tuple[Float64, Float64]:
-    unknown = np.full(len(time_ns), np.nan)
-    if wheels is None or len(wheels.time_ns) < 2:
+    if wheels is None:
+        unknown = np.full(len(time_ns), np.nan)
         return unknown, unknown
-    after = np.clip(np.searchsorted(wheels.time_ns, time_ns), 1, len(wheels.time_ns) - 1)
-    apart = np.minimum(
-        np.abs(time_ns - wheels.time_ns[after - 1]), np.abs(wheels.time_ns[after] - time_ns)
-    )
-    speed = np.interp(time_ns, wheels.time_ns, wheels.speed_mps)
+    speed = wheel_speed_at(time_ns, wheels)
     if not turn_back(wheels):
         speed = speed * np.where(gear < 0, -1.0, 1.0)
-    speed = np.where(apart <= WHEEL_NEAR_NS, speed, np.nan)
     return speed, np.hypot(WHEEL_SIGMA_MPS, WHEEL_SIGMA_SHARE * speed) * _repetition(time_ns)

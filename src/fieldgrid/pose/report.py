@@ -13,13 +13,14 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.attitude import Attitude
 from fieldgrid.gnss import ConditioningSummary
 from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.drive import Drive, fix_offsets
 from fieldgrid.pose.settings import HeadingSource
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import Constant
+from fieldgrid.smoother import Constant, Declared
 from fieldgrid.trajectory import Trajectory
 
 CLEAR_SIGMAS = 4.0
@@ -83,12 +84,6 @@ class PoseReport:
         }
 
 
-NO_RIG = (
-    "Nothing says where the antenna sits; it is taken to be above the axle that does not steer. "
-    "Ahead of it, headings are off in turns: a metre by 11° at a radius of 5 m (--antenna-ahead)."
-)
-
-
 def fix_offset(drive: Drive, fixes: AcceptedFixes) -> FixOffset:
     """How far the antenna is estimated from the accepted fixes."""
     away_m = np.hypot(*drive.offset_m.T)
@@ -110,17 +105,19 @@ def drive_notes(
     drive: Drive,
     fixes: AcceptedFixes,
     rig: Vehicle | None,
+    axle: Axle,
     source: HeadingSource,
     settings: PoseSettings,
     clock: ClockOffset | None,
     trajectory: Trajectory,
 ) -> Iterator[str]:
-    """Remarks on a drive, a sentence each."""
+    """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
     yield from _clock_note(clock)
-    yield from _contradictions(drive, rig)
-    if rig is None:
-        yield NO_RIG
+    if not names_axle(rig):
+        yield _no_axle(rig, axle)
+    if drive.turns_seen:
+        yield from _contradictions(drive.smoothed.declared, rig)
     if not trajectory.accepted.any():
         yield _remedy(trajectory, fixes, settings)
 
@@ -148,22 +145,32 @@ def _clock_note(clock: ClockOffset | None) -> Iterator[str]:
         )
 
 
-def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
-    """What was declared of antenna and clock, and the drive denies. Only a gyro or a camera tells
-    the heading by other means than the antenna's own path."""
-    if not (drive.at.has_gyro() or len(drive.measured.step)):
-        return
-    found = drive.smoothed.declared
-    where = "than mounting.json says" if rig is not None else "than above the axle"
+def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
+    """That nobody says where the axle is, and what that means."""
+    remedy = "Say it with --antenna-ahead METRES."
+    if isinstance(rig, Rig):
+        remedy = "Declare camera_mid_from_rear_axle_ground_flu_m in mounting.json."
+    unknown = "Nothing says how far the antenna sits ahead of the axle that does not steer"
+    if axle.told:
+        (_, ahead_m), _ = axle.frame()
+        return f"{unknown}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
+    return (
+        f"{unknown}, so headings are unsure in turns: a metre is 11° at a radius of 5 m. {remedy}"
+    )
+
+
+def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
+    """What was declared of antenna and clock, and a drive whose turns were seen denies."""
     for one, more, less in (
         (found.ahead_m, "farther ahead", "farther back"),
         (found.right_m, "farther right", "farther left"),
     ):
-        if abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
+        named = isinstance(rig, Rig) and (one is found.right_m or names_axle(rig))
+        if named and abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
             way = more if one.value > 0.0 else less
             yield (
                 f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
-                f"{where}; measure its place and correct it."
+                "than mounting.json says; measure its place and correct it."
             )
     delay = found.late_s
     if abs(delay.value) > max(CLEAR_SIGMAS * delay.sigma, LEAST_DELAY_S):

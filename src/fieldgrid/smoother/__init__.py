@@ -1,7 +1,7 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
-from fieldgrid.smoother.batch import Constant, Smoothed, refine, smooth
+from fieldgrid.smoother.batch import Constant, Declared, Smoothed, refine, smooth
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
 
-__all__ = ["STATES", "Constant", "Measurements", "Smoothed", "refine", "smooth"]
+__all__ = ["STATES", "Constant", "Declared", "Measurements", "Smoothed", "refine", "smooth"]

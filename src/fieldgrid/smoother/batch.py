@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.envelope import solve
+from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Linear,
@@ -61,8 +61,9 @@ class Smoothed(NamedTuple):
     error have them, `step_off` [s, 3] the same of the steps.
 
     `heading_offset` (radians), `wheel_scale` and `camera_scale` are the constants; None where
-    nothing measures them. `steering` [n - 1] is the variance of the curvature's change that was
-    learnt.
+    nothing measures them. `heading_per_m` [n] is how headings would change (radians) with a place
+    of the antenna that is a metre farther ahead than was declared. `steering` [n - 1] is the
+    variance of the curvature's change that was learnt.
     """
 
     state: Float64
@@ -75,6 +76,7 @@ class Smoothed(NamedTuple):
     wheel_scale: Constant | None
     camera_scale: Constant | None
     declared: Declared
+    heading_per_m: Float64
     steering: Float64
     steering_noise: float
     rounds: int
@@ -124,7 +126,7 @@ def refine(
 def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Smoothed:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
-    tested = _tested(problem, found, linear)
+    declared, heading_per_m = _tested(problem, found, linear)
     blocks, _ = covariance_blocks(linear)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(
@@ -145,7 +147,8 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
         constants[model.HEADING_OFFSET],
         constants[model.WHEEL_SCALE],
         constants[model.CAMERA_SCALE],
-        tested,
+        declared,
+        heading_per_m,
         found.weights.steering,
         steering_noise,
         found.rounds,
@@ -163,17 +166,19 @@ def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
     return constants
 
 
-def _tested(problem: Problem, found: Solution, linear: Linear) -> Declared:
+def _tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared, Float64]:
     """What would have to be added to the antenna's place and to the fixes' stamps for the drive
-    to fit best: one step of Gauss and Newton with all states following."""
+    to fit best: one step of Gauss and Newton with all states following; and how headings follow a
+    place farther ahead."""
     border, corner, right = model.lever_and_clock(
         found.x, problem.measured.fix_m, found.weights.fix, problem.lever_m
     )
     followed = solve(linear.system.shape, linear.system.values, border)
     if len(linear.active):
         shared = linear.coupling.T @ border
-        followed -= linear.coupling @ np.linalg.solve(linear.schur, shared)
+        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
     schur = corner - border.T @ followed + np.diag(1.0 / TESTED_SIGMAS**2)
     values = np.linalg.solve(schur, right - followed.T @ linear.system.right)
     sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
-    return Declared(*(Constant(*one) for one in zip(values.tolist(), sigmas.tolist(), strict=True)))
+    right_m, ahead_m, late_s = map(Constant, values.tolist(), sigmas.tolist())
+    return Declared(right_m, ahead_m, late_s), -followed[model.PHI :: STATES, 1]

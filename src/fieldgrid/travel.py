@@ -1,4 +1,4 @@
-"""Where the vehicle goes, as its camera sees it: the yaw of the camera, and the unsteered axle.
+"""Where a vehicle goes, as its camera sees it: the yaw of the camera, and the unsteered axle.
 
 In a curve a point that is ahead of the unsteered axle moves sideways too: its direction of travel
 is off the nose by the curvature times how far ahead it is. So the direction seen is
@@ -12,15 +12,12 @@ of the motion or its opposite, whichever points where the camera looks.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.mounting.measured import Measured, repeated
-from fieldgrid.mounting.plane import Plane
-from fieldgrid.odometry import RigidMotion
+from fieldgrid.measured import Measured, repeated
 
 LEAST_STEP_M = 0.1
 """The direction of a shorter step is not known."""
@@ -72,33 +69,6 @@ class Travel(NamedTuple):
     yaw_deg: Measured | None
     ahead_m: Measured | None
     straight_m: float
-
-
-def ways(motions: Sequence[RigidMotion | None], plane: Plane) -> Ways:
-    """The steps of the ground point, by the motions of the sensor and the plane it stands on.
-
-    That point, and not the sensor, which sways by centimetres when the vehicle rolls.
-    """
-    R_level = plane.rotation()
-    ground = -plane.height_m * plane.up
-    rows = []
-    for k, motion in enumerate(motions):
-        if motion is None:
-            continue
-        R, t = motion
-        right, forward, _ = (R_level @ (R.T @ (ground - t) - ground)).tolist()
-        turned = R_level @ R.T @ R_level.T
-        turn = math.atan2(float(turned[0, 1]), float(turned[1, 1]))
-        distance_m = math.hypot(right, forward)
-        gear = 1.0 if forward >= 0.0 else -1.0
-        if distance_m < LEAST_STEP_M or abs(turn) > math.radians(MOST_TURN_DEG):
-            continue
-        direction = math.atan2(gear * right, gear * forward) - turn / 2.0
-        rows.append((k + 1, gear * distance_m, direction, turn, gear * turn / distance_m))
-    stop, forwards_m, directions, turns, curvatures = np.array(rows).reshape(-1, 5).T
-    return Ways(
-        stop.astype(np.int64), forwards_m, np.degrees(directions), np.degrees(turns), curvatures
-    )
 
 
 def travel(steps: Ways, ahead_m: float | None = None) -> Travel:

@@ -1,0 +1,102 @@
+"""Where the axle that does not steer lies: declared, told by the drive, or unsure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.motion import Steps
+from fieldgrid.rig import Vehicle, with_antenna_ahead
+from fieldgrid.smoother import Constant, Smoothed
+from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
+
+UNNAMED_AXLE_M = 1.0
+"""Sigma of how far ahead of the axle an antenna sits that nobody measured."""
+
+FARTHEST_AXLE_M = 5.0
+"""Farther than any antenna sits from the axle; such an answer is of something else."""
+
+SURE_AXLE_M = 0.3
+"""A place that turns show as well as this is used, with its sigma."""
+
+
+class Axle(NamedTuple):
+    """A vehicle with the place of its axle, and the 1-sigma error of that place along the way.
+
+    `told` is whether the drive showed it, not the declaration of the vehicle.
+    """
+
+    vehicle: Vehicle | None
+    sigma_m: float = 0.0
+    told: bool = False
+
+    def frame(self) -> tuple[tuple[float, float], float]:
+        """The antenna (right, ahead) and the grid origin (ahead) as seen from the axle, metres.
+
+        An axle that nobody names is taken to lie below the antenna.
+        """
+        if self.vehicle is None:
+            return (0.0, 0.0), 0.0
+        antenna, axle_m = self.vehicle.antenna, axle_forward_m(self.vehicle)
+        # Floats, whatever kind of number somebody declared: kernels take no other.
+        return (float(antenna.right_m), float(antenna.forward_m - axle_m)), -float(axle_m)
+
+
+def names_axle(vehicle: Vehicle | None) -> bool:
+    """Whether anything says where the axle that does not steer lies."""
+    return vehicle is not None and vehicle.rear_axle_forward_m is not None
+
+
+def axle_forward_m(vehicle: Vehicle) -> float:
+    """Forward coordinate of the unsteered axle: the antenna's when the vehicle does not name it."""
+    axle_m = vehicle.rear_axle_forward_m
+    return vehicle.antenna.forward_m if axle_m is None else axle_m
+
+
+def axle_of(vehicle: Vehicle | None, steps: Steps | None) -> Axle:
+    """The axle as it is declared, or as the camera sees the vehicle turn about it."""
+    if names_axle(vehicle):
+        return Axle(vehicle)
+    ahead = None if vehicle is None or steps is None else travel(_ways(steps)).ahead_m
+    if vehicle is None or ahead is None or ahead.sigma > SURE_AXLE_M:
+        return Axle(vehicle, UNNAMED_AXLE_M)
+    antenna_ahead_m = ahead.value + vehicle.antenna.forward_m
+    return Axle(with_antenna_ahead(vehicle, antenna_ahead_m), ahead.sigma, told=True)
+
+
+def axle_by_gyro(axle: Axle, ahead: Constant) -> Axle:
+    """The axle by what a drive with a gyro would add to the antenna's place ahead of it."""
+    told = ahead.sigma < SURE_AXLE_M and abs(ahead.value) < FARTHEST_AXLE_M
+    if names_axle(axle.vehicle) or not told:
+        return axle
+    return Axle(with_antenna_ahead(axle.vehicle, ahead.value), ahead.sigma, told=True)
+
+
+def _ways(steps: Steps) -> Ways:
+    """The steps of the grid origin as :mod:`fieldgrid.travel` takes them."""
+    gear = np.where(steps.forward_m >= 0.0, 1.0, -1.0)
+    distance_m = np.hypot(steps.forward_m, steps.right_m)
+    turn = np.radians(steps.turn_deg)
+    off = np.arctan2(gear * steps.right_m, gear * steps.forward_m) - turn / 2.0
+    use = (distance_m >= LEAST_STEP_M) & (np.abs(steps.turn_deg) <= MOST_TURN_DEG)
+    per_m = gear * turn / np.maximum(distance_m, LEAST_STEP_M)
+    return Ways(
+        np.flatnonzero(use),
+        (gear * distance_m)[use],
+        np.degrees(off)[use],
+        steps.turn_deg[use],
+        per_m[use],
+    )
+
+
+def unsure_heading_rad(smoothed: Smoothed, sigma_m: float) -> Float64:
+    """1-sigma error of the headings [n] by an axle whose place is unsure by `sigma_m`: in a turn
+    the antenna's path is not that of the axle."""
+    off_rad = np.abs(smoothed.heading_per_m)
+    # Where a turn begins and ends is unsure by as much.
+    east, north = smoothed.state[:, 0], smoothed.state[:, 1]
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)) + 1e-6)])
+    near = [np.interp(way_m + by * sigma_m, way_m, off_rad) for by in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    return np.asarray(sigma_m * np.max(near, axis=0))
