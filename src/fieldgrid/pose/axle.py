@@ -8,12 +8,13 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
-from fieldgrid.rig import Vehicle, with_antenna_ahead
+from fieldgrid.rig import Rig, Vehicle, with_antenna_ahead
 from fieldgrid.smoother import Constant, Smoothed
 from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
 
-UNNAMED_AXLE_M = 1.0
-"""Sigma of how far ahead of the axle an antenna sits that nobody measured."""
+UNNAMED_AXLE_M = 0.5
+"""Sigma of how far ahead of the axle the antenna of a rig sits that nobody measured. Of a log
+alone it is taken to be above the axle, and its report says so."""
 
 FARTHEST_AXLE_M = 5.0
 """Farther than any antenna sits from the axle; such an answer is of something else."""
@@ -59,8 +60,10 @@ def axle_of(vehicle: Vehicle | None, steps: Steps | None) -> Axle:
     """The axle as it is declared, or as the camera sees the vehicle turn about it."""
     if names_axle(vehicle):
         return Axle(vehicle)
-    ahead = None if vehicle is None or steps is None else travel(_ways(steps)).ahead_m
-    if vehicle is None or ahead is None or ahead.sigma > SURE_AXLE_M:
+    if not isinstance(vehicle, Rig):
+        return Axle(vehicle)
+    ahead = None if steps is None else travel(_ways(steps)).ahead_m
+    if ahead is None or ahead.sigma > SURE_AXLE_M:
         return Axle(vehicle, UNNAMED_AXLE_M)
     antenna_ahead_m = ahead.value + vehicle.antenna.forward_m
     return Axle(with_antenna_ahead(vehicle, antenna_ahead_m), ahead.sigma, told=True)

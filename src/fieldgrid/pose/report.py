@@ -154,9 +154,11 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
     if axle.told:
         (_, ahead_m), _ = axle.frame()
         return f"{unknown}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
-    return (
-        f"{unknown}, so headings are unsure in turns: a metre is 11° at a radius of 5 m. {remedy}"
-    )
+    turns = "a metre is 11° at a radius of 5 m"
+    if isinstance(rig, Rig):
+        return f"{unknown}, so headings are unsure in turns: {turns}. {remedy}"
+    taken = "it is taken to be above it. Ahead of it, headings are off in turns"
+    return f"{unknown}; {taken}: {turns}. {remedy}"
 
 
 def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
