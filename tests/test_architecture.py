@@ -19,7 +19,7 @@ LAYERS = (
     ("array_types", "choices", "closing", "limits"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
-        *("plane_fit", "publish", "measured"),
+        *("plane_fit", "publish", "measured", "reasons"),
     ),
     ("notebook",),
     ("fixes", "lattice", "rig", "trajectory", "grids", "motion", "qgis", "polyline", "vectors"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from fieldgrid.grids import OBSTACLE_ABOVE, GridSpec, LocalGrid
+from fieldgrid.grids import NO_GROUND_CM, OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.localgrid import (
     LocalGridder,
     density_gain,
@@ -18,6 +18,7 @@ from fieldgrid.localgrid import (
     scale_density,
 )
 from fieldgrid.rig import Mount, Rig
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import DensitySettings, StereoSettings
 from fieldgrid.stereo import Disparity
 from tests.scenes import Box, Ground, paper_rig, render
@@ -331,3 +332,25 @@ def test_nothing_matched_is_nothing_seen() -> None:
     assert not grid.density.any()
     assert not ground.refined
     assert ground.camera_height_m == 2.8
+
+
+def test_heights_of_the_ground_are_kept_of_a_lean_that_is_sure() -> None:
+    """Uphill by 8° with the vehicle: level in its own axes."""
+    gridder = LocalGridder(RIG)
+    region = gridder.region
+    values = render(RIG, [Ground()], region.num_disparities, row_start=region.row_start)
+    disparity = Disparity(values, region.row_start)
+    _, ground = gridder.from_disparity(disparity, Tilt(0.0, 8.0, 0.3))
+    assert ground.heights_cm is not None
+    known = ground.heights_cm != NO_GROUND_CM
+    rows, _ = np.nonzero(known)
+    y = (rows + 0.5) * 0.05
+    near = (y > 4.0) & (y < 10.0)
+    assert near.sum() > 5000
+    slope = math.radians(8.0)
+    true_m = 2.8 * (1.0 - 1.0 / math.cos(slope)) + math.tan(slope) * y
+    off_m = ground.heights_cm[known] / 100.0 - true_m
+    assert np.abs(np.median(off_m[near])) < 0.02
+    assert np.abs(off_m[near]).max() < 0.1
+    for tilt in (None, Tilt(0.0, 8.0, 0.6)):
+        assert gridder.from_disparity(disparity, tilt)[1].heights_cm is None

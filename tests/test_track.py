@@ -20,7 +20,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
 from fieldgrid.gnss.summary import summarise
 from fieldgrid.pose import Comparison, Estimate, PoseReport, estimate_poses
-from fieldgrid.track import COLUMNS, grouped_reasons, summarise_track, track_rows, write_track
+from fieldgrid.track import COLUMNS, summarise_track, track_rows, write_track
 from fieldgrid.trajectory import Status, Trajectory
 
 DATUM = Datum(41.65, -4.72, 787.4)
@@ -246,9 +246,3 @@ def test_nothing_accepted_is_null_not_nan() -> None:
     assert (found["distance_m"], found["rejected"]) == (0.0, 5)
     assert found["reasons"] == [{"fixes": 5, "example": "no"}]
     json.dumps(found, allow_nan=False)
-
-
-def test_reasons_that_differ_in_numbers_only_are_one() -> None:
-    reasons = {"HDOP 4.5 > 4": 3, "a jump": 5, "HDOP 12 > 4": 4}
-    assert grouped_reasons(reasons) == [(7, "HDOP 12 > 4"), (5, "a jump")]
-    assert grouped_reasons({}) == []

@@ -119,7 +119,7 @@ def _of_mount(mount: Mount, tilt: Tilt | None) -> GroundPlane:
     height_m, R_mount = mount.height_m, mount.rotation()
     if tilt is None:
         return GroundPlane(R_mount, height_m, 0.0, 0.0, False, Tilt(0.0, 0.0), (0.0, 0.0))
-    R_level = R_level_vehicle(*tilt)
+    R_level = R_level_vehicle(tilt.roll_deg, tilt.pitch_deg)
     right, ahead, up = R_level[:, 2]  # the plane's normal, in level axes
     rise = (-float(right / up), -float(ahead / up))
     A = R_level @ R_mount
@@ -151,7 +151,7 @@ def _levelled(mount: Mount, c: Float64) -> GroundPlane:
         math.degrees(math.atan2(-float(c[2]), math.hypot(1.0, float(c[1])))),
     )
     return GroundPlane(
-        R_level_vehicle(*tilt) @ mount.rotation(),
+        R_level_vehicle(tilt.roll_deg, tilt.pitch_deg) @ mount.rotation(),
         (mount.height_m - float(c[0])) / norm,
         math.degrees(math.atan(c[2])),
         math.degrees(math.atan(c[1])),

@@ -69,6 +69,10 @@ MOST_ABOVE_M = 100.0
 """No ground is seen that lies so much higher or lower than the vehicle."""
 
 
+SURE_TILT_DEG = 0.5
+"""Of a vehicle that leans by an angle less sure than this, heights of the ground are not kept: 15 m
+ahead they would be off by more than 13 cm."""
+
 TERRAIN_M = 0.2
 """Heights of the ground, which is followed in patches of half a metre, are kept for blocks of this
 size: a fifth of the bytes, and 1 cm on a slope of 10°."""
@@ -184,7 +188,7 @@ class LocalGridder:
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
         ground = _summary(plane)
-        if tilt is not None:
+        if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
             heights_cm = self._heights_cm(plane, ground_m, counts[0] >= self._needed[0])
             ground = ground._replace(heights_cm=heights_cm)
         return LocalGrid(spec, density, observed), ground

@@ -17,10 +17,11 @@ from fieldgrid.array_types import Float64
 
 class Tilt(NamedTuple):
     """How a vehicle leans against the vertical, degrees: pitch with the nose up, roll with the
-    right side down."""
+    right side down, and the 1-sigma error of the less certain one."""
 
     roll_deg: float
     pitch_deg: float
+    sigma_deg: float = 0.0
 
 
 def cross_matrices(vectors: Float64) -> Float64:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ from fieldgrid.errors import ConfigError, DatumError, MapExistsError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.pose import Estimate, PoseReport
 from fieldgrid.publish import replacing
+from fieldgrid.reasons import grouped_reasons
 from fieldgrid.track_formats import (
     GEOJSON_START,
     GPX_START,
@@ -249,12 +249,3 @@ def _gears(track: Trajectory) -> Gears:
     )
     moving = gear[gear != 0]
     return Gears(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving))))
-
-
-def grouped_reasons(reasons: Mapping[str, int]) -> list[tuple[int, str]]:
-    """Reasons that differ in their numbers only, together: how many, and one of them."""
-    groups: dict[str, list[tuple[int, str]]] = {}
-    for reason, count in reasons.items():
-        groups.setdefault(re.sub(r"\d+(\.\d+)?", "#", reason), []).append((count, reason))
-    totals = [(sum(n for n, _ in group), max(group)[1]) for group in groups.values()]
-    return sorted(totals, key=lambda total: -total[0])

@@ -218,3 +218,20 @@ def test_two_fixes_are_enough() -> None:
     found = estimate_attitude(short, np.array(ANTENNA_M))
     assert np.isfinite(found.roll_deg).all()
     assert np.all(found.roll_sigma_deg > 3.0)
+
+
+def test_a_night_between_two_drives_takes_no_nodes() -> None:
+    way = hike(GROUNDS["hills"], FIELD)
+    track, sensed = track_of(way), inertial(way)
+    noon_ns, night_ns = track.time_ns[len(track.time_ns) // 2], 14 * 3600 * 1_000_000_000
+    for times in (track.time_ns, sensed.time_ns):
+        times[times > noon_ns] += night_ns
+    found = estimate_attitude(track, np.array(ANTENNA_M), sensed=sensed)
+    assert len(found.time_ns) < 1.5 * len(track.time_ns)
+    drive = np.where(found.time_ns > noon_ns, found.time_ns - night_ns, found.time_ns)
+    k = np.clip(np.searchsorted(time_ns(way.drive.time_s), drive), 0, len(way.R) - 1)
+    roll, pitch = roll_pitch_deg(way.R[k])
+    off = np.abs(np.concatenate([found.roll_deg - roll, found.pitch_deg - pitch]))
+    sigma = np.concatenate([found.roll_sigma_deg, found.pitch_sigma_deg])
+    assert np.percentile(off, 95) < 0.5
+    assert np.mean(off < 3.0 * sigma) > 0.97

@@ -152,3 +152,8 @@ def test_noise_of_samples_is_found_beside_their_motion() -> None:
     noise = np.random.default_rng(1).normal(size=(2000, 3)) * 0.3
     assert sample_noise(motion + noise, time_ns) == pytest.approx(0.3 * 0.1, rel=0.05)  # type: ignore[arg-type]
     assert sample_noise(motion[:5], time_ns[:5]) == 0.0  # type: ignore[arg-type]
+
+
+def test_an_interval_that_is_too_long_for_small_rotations_is_not_known() -> None:
+    found = increments(spinning(100.0), np.array([0, 200, 400, 1500, 1700]) * 1_000_000)
+    assert np.isfinite(found.way_m[:, 0]).tolist() == [True, True, False, True]

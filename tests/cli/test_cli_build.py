@@ -21,8 +21,8 @@ import pytest
 
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
+from fieldgrid.reasons import grouped_reasons
 from fieldgrid.settings import BuildSettings
-from fieldgrid.track import grouped_reasons
 from fieldgrid.transfer import Transfer
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES

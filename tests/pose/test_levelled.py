@@ -12,6 +12,7 @@ from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.pose import Estimate, estimate_poses, tells_attitude
 from fieldgrid.rig import LeverArm, Mount, Rig
 from fieldgrid.rotations import heading_rad
+from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status
 from tests.hilly import (
     Hike,
@@ -154,3 +155,31 @@ def test_what_tells_the_attitude_before_an_image_is_read() -> None:
     assert tells_attitude(Motion(tilt=recorded_tilt(way)))
     blind = sensed._replace(force_mps2=np.full_like(sensed.force_mps2, np.nan))
     assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)))
+
+
+def test_an_unsure_lean_counts_before_the_verdict() -> None:
+    """The antenna is 2.85 m above the ground: a degree is 5 cm."""
+    way = hike(slope(0.0), rows(2, 28.0))
+    settings = PoseSettings(max_position_sigma_m=0.06)
+    sure, unsure = (
+        estimate_poses(
+            fixes_over(way),
+            RIG,
+            DATUM,
+            settings,
+            Motion(tilt=recorded_tilt(way, sigma_deg=sigma_deg)),
+            frame_ns=time_ns(FRAMES_S),
+            level_grids=False,
+        ).trajectory
+        for sigma_deg in (0.1, 5.0)
+    )
+    assert sure.accepted.mean() > 0.9
+    assert unsure.accepted.mean() < 0.1
+    assert "position sigma" in unsure.reason[len(unsure) // 2]
+
+
+def test_an_accelerometer_over_little_of_the_drive_tells_no_attitude() -> None:
+    sensed = inertial(hike(slope(0.0), rows(1, 10.0)))
+    few = sensed.force_mps2.copy()
+    few[: int(0.6 * len(few))] = np.nan
+    assert not tells_attitude(Motion(inertial=sensed._replace(force_mps2=few)))

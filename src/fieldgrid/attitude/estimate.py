@@ -89,7 +89,8 @@ class Attitude(NamedTuple):
     def tilt_at(self, time_ns: int) -> Tilt:
         """Roll and pitch at one instant."""
         at = self.at(np.array([time_ns]))
-        return Tilt(float(at.roll_deg[0]), float(at.pitch_deg[0]))
+        sigma_deg = float(max(at.roll_sigma_deg[0], at.pitch_sigma_deg[0]))
+        return Tilt(float(at.roll_deg[0]), float(at.pitch_deg[0]), sigma_deg)
 
     def at(self, time_ns: Int64) -> Attitude:
         """At other instants: between nodes linear; beyond them that of the nearest node, and
@@ -150,7 +151,8 @@ def _stretches(time_s: Float64) -> list[tuple[tuple[int, int], slice]]:
         own, after = np.searchsorted(time_s, [first_s, last_s])
         if last_s == time_s[-1]:
             stop = after = len(time_s)
-        found.append(((int(start), int(stop)), slice(int(own - start), int(after - start))))
+        if after > own:  # nobody drives at night
+            found.append(((int(start), int(stop)), slice(int(own - start), int(after - start))))
     return found
 
 

@@ -19,6 +19,10 @@ HOLE_NS = 250_000_000
 """Over a longer hole in its samples an IMU says nothing."""
 
 
+LONGEST_NS = 1_000_000_000
+"""Longer intervals are not of nodes that were laid for an IMU: rotations within are not small."""
+
+
 class Increments(NamedTuple):
     """From node to node, [n - 1, 3] each: rotation vector (rad), change of speed (m/s) and way
     (m) by specific force alone, gravity not taken off; NaN where there was no sample."""
@@ -36,7 +40,7 @@ def increments(sensed: Inertial, node_ns: Int64) -> Increments:
     # Nodes join the samples, so that every interval is a whole number of steps.
     inside = node_ns[(node_ns > sensed.time_ns[0]) & (node_ns < sensed.time_ns[-1])]
     times_ns = np.union1d(sensed.time_ns, inside)
-    known = _without_holes(sensed.time_ns, node_ns)
+    known = _without_holes(sensed.time_ns, node_ns) & (np.diff(node_ns) <= LONGEST_NS)
     time_s = (times_ns - times_ns[0]) / 1e9
     at_s = (sensed.time_ns - times_ns[0]) / 1e9
     rate = _at(time_s, at_s, sensed.rate_rad_s)

@@ -15,6 +15,9 @@ LEAST_STEP_NS, MOST_STEP_NS = 190_000_000, 250_000_000
 """Fixes closer than the one add little; nodes of a vehicle with an IMU are no farther apart than
 the other, so that it turns little between them."""
 
+BREAK_NS = 10_000_000_000
+"""In a longer break of the fixes nobody asks how the vehicle leant."""
+
 WANDER_S = 300.0
 """The slow part of a receiver's error changes in minutes."""
 
@@ -249,9 +252,9 @@ def _within(time_ns: Int64, steps: Steps) -> Bool:
 
 
 def _filled(time_ns: Int64) -> Int64:
-    """Instants with more of them evenly between, at most `MOST_STEP_NS` apart."""
+    """Instants with more of them evenly between, at most `MOST_STEP_NS` apart, but in a break."""
     steps = np.diff(time_ns)
-    parts = -(-steps // MOST_STEP_NS)
+    parts = np.where(steps <= BREAK_NS, -(-steps // MOST_STEP_NS), 1)
     first = np.repeat(np.cumsum(parts) - parts, parts)
     share = (np.arange(parts.sum()) - first) / np.repeat(parts, parts)
     more = np.rint(share * np.repeat(steps, parts)).astype(np.int64)

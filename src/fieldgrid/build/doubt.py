@@ -16,6 +16,7 @@ from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import Doubt
 from fieldgrid.errors import CalibrationError, FieldgridError
 from fieldgrid.odometry import features
+from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Frame, Recording
 from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -105,7 +106,7 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
             f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
         )
     if blind:
-        ((reason, _),) = report.camera_refusal_reasons.most_common(1)
+        reason = commonest_reason(report.camera_refusal_reasons.elements())
         yield (
             f"Only {report.camera_steps} of {tried} steps of the camera could be told from its "
             f"images, mostly because: {reason}. Unless they are metres apart or show little, check "

@@ -16,6 +16,7 @@ from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import Budget, Estimate, estimate_poses
 from fieldgrid.pose.clock import WIDEST_S
+from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import Carrier, Lidar, Rig
 from fieldgrid.settings import BuildSettings
@@ -164,10 +165,10 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
     """Raise GnssError when no image has a usable pose."""
     images = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     if not trajectory.accepted.any():
-        commonest = Counter(trajectory.reason).most_common(1)[0][0]
         raise GnssError(
             f"None of the {len(trajectory)} poses of the drive can be used, mostly because: "
-            f"{commonest}; choose another log with --gnss or another --heading."
+            f"{commonest_reason(trajectory.reason)}; choose another log with --gnss or another "
+            "--heading."
         )
     poses = (trajectory.at(time_ns) for time_ns in images.tolist())
     reasons: Counter[str] = Counter()
@@ -180,7 +181,7 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
 
 def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
     """The error of a drive none of whose frames can be used."""
-    reason = reasons.most_common(1)[0][0]
+    reason = commonest_reason(reasons.elements())
     advice = "choose another log with --gnss or another --heading"
     if reason == no_ground(rig):
         advice = "check the calibration, and the camera's height and tilt in the mounting"

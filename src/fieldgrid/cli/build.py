@@ -196,7 +196,7 @@ def _report(report: SessionReport) -> None:
 
 
 def _report_remarks(report: Any) -> None:
-    from fieldgrid.track import grouped_reasons
+    from fieldgrid.reasons import grouped_reasons
 
     for count, example in grouped_reasons(report.reasons):
         output.report_line(f"rejected {count}: {example}")

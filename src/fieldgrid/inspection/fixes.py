@@ -13,7 +13,7 @@ from fieldgrid.fixes import NOT_SAID, FixColumns
 from fieldgrid.gnss import ConditioningSummary, Gate
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.quality import Quality
-from fieldgrid.track import grouped_reasons
+from fieldgrid.reasons import grouped_reasons
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import FixNoise, Verdicts, fix_noise, quantum_m
+from fieldgrid.reasons import commonest_reason
 
 UNSTATED_HEADING_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
@@ -74,7 +74,7 @@ def no_fix_sentence(fixes: FixColumns, verdicts: Verdicts) -> str:
     """Why there is nothing to place images with: how many fixes, and the commonest reason."""
     if not len(fixes):
         return "The GNSS log holds no position at all; record one, or choose another with --gnss."
-    commonest = Counter(verdicts.reason).most_common(1)[0][0]
+    commonest = commonest_reason(verdicts.reason)
     return (
         f"None of the {len(fixes)} fixes can be used, mostly because: {commonest}; "
         "choose another log with --gnss, or declare its quality with --quality."

@@ -25,6 +25,7 @@ from fieldgrid.pose.levelled import (
     levelled_fixes,
     levelled_motion,
     tells_attitude,
+    unsure_lean,
 )
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
@@ -91,6 +92,8 @@ def estimate_poses(
         drive = with_recorded(drive, log.accepted, motion, axle, recorded, hints)
     # A row for each fix and each instant between, carried to the grid origin and judged.
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
+    if lean is not None:
+        table = unsure_lean(table, lean, level_grids=level_grids)
     trajectory = _judged(table, log.datum, rig, settings, budget, source)
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)

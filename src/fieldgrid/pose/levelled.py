@@ -19,6 +19,7 @@ from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import axle_forward_m
 from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
 from fieldgrid.trajectory import Trajectory
@@ -44,9 +45,12 @@ class Lean(NamedTuple):
 
 
 def tells_attitude(motion: Motion) -> bool:
-    """Whether a drive says how its vehicle leans, whatever its camera sees."""
+    """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
+    most of what its IMU logged, or recorded angles."""
     sensed, tilt = motion.inertial, motion.tilt
-    pushed = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
+    pushed = sensed is not None and bool(
+        np.isfinite(sensed.force_mps2).all(axis=1).sum() * 2 > len(sensed.time_ns)
+    )
     return pushed or (tilt is not None and len(tilt.time_ns) > 1)
 
 
@@ -136,13 +140,21 @@ def leaning(trajectory: Trajectory, lean: Lean, *, level_grids: bool) -> Traject
     point_m = lean.sensor_m if level_grids else np.zeros(3)
     time_ns = trajectory.time_ns
     east, north, _ = lean.shift_m(time_ns, point_m, trajectory.heading_deg).T
-    at = lean.attitude.at(time_ns)
-    tilt_sigma = np.radians(np.maximum(at.roll_sigma_deg, at.pitch_sigma_deg))
-    above_m = abs(float(lean.antenna_m[2] - point_m[2]))
     return replace(
         trajectory,
         east_m=trajectory.east_m + east,
         north_m=trajectory.north_m + north,
-        up_m=at.up_m - float(lean.sensor_m[2]),
-        position_sigma_m=np.hypot(trajectory.position_sigma_m, tilt_sigma * above_m),
+        up_m=lean.attitude.at(time_ns).up_m - float(lean.sensor_m[2]),
+    )
+
+
+def unsure_lean(table: PoseTable, lean: Lean, *, level_grids: bool) -> PoseTable:
+    """The same poses with what an unsure lean of the antenna above the origin adds to their
+    sigmas."""
+    at = lean.attitude.at(table.time_ns)
+    above_m = abs(float(lean.antenna_m[2]) - (float(lean.sensor_m[2]) if level_grids else 0.0))
+    off_m = above_m * np.radians(np.maximum(at.roll_sigma_deg, at.pitch_sigma_deg))
+    return table._replace(
+        position_sigma_m=np.hypot(table.position_sigma_m, off_m),
+        relative_sigma_m=np.hypot(table.relative_sigma_m, off_m),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.drive import Drive, fix_offsets
 from fieldgrid.pose.settings import HeadingSource
+from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant, Declared
@@ -185,12 +185,17 @@ def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
 
 def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings) -> str:
     """What to declare for poses of a refused drive to be used."""
-    commonest = Counter(trajectory.reason).most_common(1)[0][0]
+    commonest = commonest_reason(trajectory.reason)
     advice = "choose another log with --gnss"
     if commonest.startswith("position sigma"):
         advice = (
             "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "
             "(rtk-fixed, rtk-float, differential, ...)"
+        )
+    elif commonest.startswith("the estimate lies"):
+        advice = (
+            "the fixes contradict each other by more than they state; say how good they are with "
+            "--accuracy METRES, or leave out the epochs of another receiver or of a jump"
         )
     elif commonest.startswith("forward or reverse"):
         advice = "say --starts forward or --starts reverse, or give --gear FILE with spans"
