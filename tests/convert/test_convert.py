@@ -23,7 +23,7 @@ from fieldgrid.build import build_map
 from fieldgrid.convert import Images, convert_recording
 from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.quality import Quality
 from fieldgrid.recording import DepthFrame, DriveOptions, FixLog, open_recording
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
@@ -288,6 +288,38 @@ def test_gyro_and_wheels_come_back(make_drive: MakeDrive, tmp_path: Path) -> Non
     with open_recording(out) as again:
         np.testing.assert_array_equal(again.motion().gyro, moved.gyro)
         np.testing.assert_array_equal(again.motion().wheels, moved.wheels)
+
+
+@pytest.mark.parametrize("told", [0, 3])
+def test_rates_that_are_not_known_are_written_as_unknown(
+    told: int, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out, times = tmp_path / "june.mcap", START_NS + np.arange(5) * 10**7
+    rates = np.tile(np.float32([0.1, 0.2, 0.3]), (told, 1))
+    forces = np.tile(np.float32([0.5, 0.7, 9.8]), (told, 1))
+    moved = Motion(
+        gyro=Gyro(times, np.full(5, -0.3)), inertial=Inertial(times[1 : 1 + told], rates, forces)
+    )
+    with open_recording(make_drive()) as recording:
+        done = convert_recording(
+            replace(recording, log=recording.log._replace(motion=moved)), out, images="none"
+        )
+    assert (
+        f"Rates about the axes forward and left are not known in {5 - told} of 5 messages of "
+        "/imu/data and are written as NaN."
+    ) in done.notes
+    sent = [message for _, message in messages(out)["/imu/data"]]
+    known = range(1, 1 + told)
+    for k, message in enumerate(sent):
+        rate = message.angular_velocity
+        expected = [0.2, -0.1] if k in known else [math.nan, math.nan]
+        np.testing.assert_allclose([rate.x, rate.y], expected, rtol=1e-6)
+        assert rate.z == 0.3
+        assert message.linear_acceleration_covariance[0] == (0.0 if k in known else -1.0)
+    with fg.open_drive(out) as again:
+        np.testing.assert_array_equal(again.motion().gyro, moved.gyro)
+        found = again.motion().inertial
+        assert (0 if found is None else len(found.time_ns)) == told
 
 
 def content(path: Path) -> tuple[list[Any], Any]:

@@ -158,10 +158,16 @@ def test_fixes_without_position_or_height(opened: Opened) -> None:
 # Motion
 
 
-def imu_said(maker: Maker, frame: str = "imu_link", **changes: Any) -> Iterator[Said]:
+def imu_said(
+    maker: Maker,
+    frame: str = "imu_link",
+    forces: tuple[float, float, float] = (0.0, 0.0, 9.81),
+    across: tuple[float, float] = (0.1, 0.2),
+    **changes: Any,
+) -> Iterator[Said]:
     for k in range(5):
         time_ns = UTC + k * 10_000_000
-        message = maker.imu(time_ns, (0.1, 0.2, 0.3 + k), frame)
+        message = maker.imu(time_ns, (*across, 0.3 + k), frame, forces)
         for name, value in changes.items():
             getattr(message, name)[0] = value
         yield Said(time_ns, "/imu/data", message)
@@ -173,6 +179,42 @@ def test_the_gyro_turns_clockwise_about_the_vehicles_vertical(opened: Opened) ->
         assert gyro is not None
         assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
         assert gyro.time_ns.tolist() == [UTC + k * 10_000_000 for k in range(5)]
+
+
+@pytest.mark.parametrize("gravity", [9.81, 1.0])
+def test_an_imu_upside_down_is_told_by_gravity(gravity: float, opened: Opened) -> None:
+    upside_down = (0.01, 0.02, -gravity)
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=upside_down)]) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [0.3, 1.3, 2.3, 3.3, 4.3]
+        assert any("gravity is felt upward, along [0, 0, -1]" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(
+    "forces",
+    [(0.0, 0.0, -0.3), (0.0, 0.4, 0.0), (0.0, 0.0, -5.0), (0.0, 0.0, -12.0), (0.0, 0.0, 0.0)],
+)
+def test_forces_without_gravity_tell_no_axis(
+    forces: tuple[float, float, float], opened: Opened
+) -> None:
+    """A driver that removes gravity leaves a bias, which points anywhere."""
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=forces)]) as recording:
+        gyro, inertial = recording.motion().gyro, recording.motion().inertial
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
+        assert not any("gravity is felt upward" in note for note in recording.notes)
+        assert inertial is not None
+        assert np.isnan(inertial.force_mps2).all()
+
+
+def test_an_imu_whose_other_axes_are_not_known_is_a_gyro(opened: Opened) -> None:
+    unknown = (math.nan, math.nan)
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, across=unknown)]) as recording:
+        assert recording.motion().inertial is None
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
 
 
 def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened) -> None:

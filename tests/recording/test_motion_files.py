@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.motion_files import MotionFiles, check_axes, read_motion
+from fieldgrid.recording.motion_files import (
+    MotionFiles,
+    Series,
+    check_axes,
+    inertial_of,
+    read_motion,
+)
 
 START_S = 1_717_243_200
 
@@ -150,16 +156,36 @@ def test_an_accelerometer_that_does_not_see_gravity_upward_is_not_used(
 def test_samples_without_their_force_are_left_out_of_the_imu_alone(tmp_path: Path) -> None:
     rows = [f"{START_S}.{k},0,0,0.1,0,0,{'' if k == 3 else 9.8}" for k in range(9)]
     write(tmp_path, "imu", SENSED, rows)
-    motion = read_motion(tmp_path).motion
+    read = read_motion(tmp_path)
+    motion = read.motion
     assert motion.gyro is not None
     assert motion.inertial is not None
     assert (len(motion.gyro.time_ns), len(motion.inertial.time_ns)) == (9, 8)
+    assert read.notes == (
+        "The accelerometer says nothing in 1 of 9 samples; those are left out of the IMU.",
+    )
     assert np.isfinite(motion.inertial.force_mps2).all()
     write(tmp_path, "imu", SENSED, [f"{START_S}.{k},0,0,0.1,,," for k in range(9)])
     motion = read_motion(tmp_path).motion
     assert motion.inertial is not None
     assert len(motion.inertial.time_ns) == 9
     assert np.isnan(motion.inertial.force_mps2).all()
+
+
+def test_an_accelerometer_of_few_samples_is_dropped_with_a_note(tmp_path: Path) -> None:
+    rows = [f"{START_S}.{k},0,0,0.1,0,0,{9.8 if k < 3 else ''}" for k in range(9)]
+    write(tmp_path, "imu", SENSED, rows)
+    read = read_motion(tmp_path)
+    assert read.motion.inertial is not None
+    assert np.isnan(read.motion.inertial.force_mps2).all()
+    assert len(read.motion.inertial.time_ns) == 9
+    assert read.notes == ("The accelerometer says nothing in 6 of 9 samples; it is not used.",)
+
+
+def test_an_imu_without_samples_is_none() -> None:
+    notes: list[str] = []
+    assert inertial_of(Series(np.zeros(0, np.int64), np.zeros((0, 6))), notes) is None
+    assert notes == []
 
 
 def test_a_gyro_of_one_axis_is_no_inertial_unit(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.angles import yaw_from_heading_rad
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Inertial, Motion
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
@@ -20,7 +20,7 @@ from fieldgrid.trajectory import Trajectory
 
 LEFT, RIGHT, DEPTH, LIDAR = "left_optical", "right_optical", "depth_optical", "lidar_optical"
 ANTENNA, IMU, AXLE = "gnss_antenna", "imu", "rear_axle"
-FIX = "/gnss/fix"
+FIX, IMU_DATA = "/gnss/fix", "/imu/data"
 
 _FLU_FROM_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _ATTITUDE_RAD2 = math.radians(2.0) ** 2
@@ -73,11 +73,18 @@ def fix_messages(fixes: FixColumns) -> Iterator[StampedMessage]:
         yield StampedMessage(fix.time_ns, 0, FIX + gnss.DETAILS, gnss.details_message(fix))
 
 
-def motion_messages(motion: Motion) -> Iterator[StampedMessage]:
-    """IMU and wheels, as far as there are any."""
+def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage]:
+    """IMU and wheels, as far as there are any; notes tell which rates are not known."""
     streams = []
     if motion.gyro is not None:
-        streams.append(_imu_messages(motion.gyro, motion.inertial))
+        sensed = _sensed(motion.gyro, motion.inertial)
+        unknown = int(np.isnan(sensed[:, 0]).sum())
+        if unknown:
+            notes.append(
+                f"Rates about the axes forward and left are not known in {unknown} of "
+                f"{len(sensed)} messages of {IMU_DATA} and are written as NaN."
+            )
+        streams.append(_imu_messages(motion.gyro.time_ns, sensed))
     if motion.wheels is not None:
         times, speeds = motion.wheels.time_ns.tolist(), motion.wheels.speed_mps.tolist()
         streams.append(
@@ -87,27 +94,24 @@ def motion_messages(motion: Motion) -> Iterator[StampedMessage]:
     return heapq.merge(*streams, key=lambda one: one.time_ns)
 
 
-def _imu_messages(gyro: Gyro, inertial: Inertial | None) -> Iterator[StampedMessage]:
-    """The gyro, and at the same instants what else the IMU tells: nothing of the other axes where
-    it does not."""
-    across = np.zeros((len(gyro.time_ns), 2))
-    force = np.full((len(gyro.time_ns), 3), np.nan)
+def _sensed(gyro: Gyro, inertial: Inertial | None) -> Float64:
+    """Rates and forces along forward, left, up at the instants of the gyro, [n, 6]; NaN where the
+    IMU does not tell them."""
+    sensed = np.full((len(gyro.time_ns), 6), np.nan)
     if inertial is not None:
-        at = np.searchsorted(inertial.time_ns, gyro.time_ns)
-        at = np.minimum(at, len(inertial.time_ns) - 1)
-        same = inertial.time_ns[at] == gyro.time_ns
-        right, forward, up = inertial.force_mps2[at[same]].T
-        across[same] = np.stack(
-            [inertial.rate_rad_s[at[same], 1], -inertial.rate_rad_s[at[same], 0]], axis=1
-        )
-        force[same] = np.stack([forward, -right, up], axis=1)
-    for time_ns, rate, (x, y), felt in zip(
-        gyro.time_ns.tolist(), gyro.rate_rad_s.tolist(), across.tolist(), force.tolist(),
-        strict=True,
-    ):  # fmt: skip
+        _, at, of = np.intersect1d(gyro.time_ns, inertial.time_ns, return_indices=True)
+        for first, told in ((0, inertial.rate_rad_s), (3, inertial.force_mps2)):
+            right, forward, up = told[of].T
+            sensed[at, first : first + 3] = np.stack([forward, -right, up], axis=1)
+    sensed[:, 2] = -gyro.rate_rad_s
+    return sensed
+
+
+def _imu_messages(times_ns: Int64, sensed: Float64) -> Iterator[StampedMessage]:
+    for time_ns, (x, y, z, *felt) in zip(times_ns.tolist(), sensed.tolist(), strict=True):
         known = None if math.isnan(felt[0]) else (felt[0], felt[1], felt[2])
-        message = messages.imu_message(time_ns, IMU, (x, y, -rate), known)
-        yield StampedMessage(time_ns, 1, "/imu/data", message)
+        message = messages.imu_message(time_ns, IMU, (x, y, z), known)
+        yield StampedMessage(time_ns, 1, IMU_DATA, message)
 
 
 def pose_messages(trajectory: Trajectory) -> Iterator[StampedMessage]:

@@ -93,7 +93,7 @@ def _converted(
             raise
     with McapWriter(out, overwrite=overwrite) as writer:
         trajectory, notes = _trajectory(drive)
-        streams = [fix_messages(drive.fixes()), motion_messages(drive.motion())]
+        streams = [fix_messages(drive.fixes()), motion_messages(drive.motion(), notes)]
         if trajectory is not None:
             streams.append(pose_messages(trajectory))
         if recording is not None and images is not Images.NONE:

@@ -41,7 +41,7 @@ _FORCES = (
 )  # fmt: skip
 _STANDARD_GRAVITY_MPS2 = 9.80665
 
-MOSTLY = 0.5
+_MOSTLY = 0.5
 """An accelerometer that says something in fewer of its rows than this says nothing."""
 _SPEEDS = (
     *("speed", "wheel_speed", "velocity", "vel", "v", "vx", "twist_linear_x", "linear_x"),
@@ -97,32 +97,48 @@ def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
     )
 
 
-def inertial_of(sensed: Series, notes: list[str]) -> Inertial:
+def gravity_unit_mps2(usual: Float64) -> float | None:
+    """The unit of the usual specific force [3] of a drive: 1 m/s² or 1 g; None where its size is
+    not that of gravity, as in a message from which gravity was removed."""
+    size = float(np.linalg.norm(usual))
+    if 0.9 < size < 1.1:
+        return _STANDARD_GRAVITY_MPS2
+    return 1.0 if 9.0 < size < 10.6 else None
+
+
+def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
-    gravity, in m/s² or in g, and sees it above it."""
+    gravity, in m/s² or in g, and sees it above it. None without a sample."""
     complete = np.isfinite(sensed.values).all(axis=1)
-    if complete.mean() > MOSTLY:  # a sample without its force is as if there were none
+    count, felt = len(complete), int(complete.sum())
+    if not count:
+        return None
+    if 0 < felt < count:
+        # A sample without its force is as if there were none.
+        used = "those are left out of the IMU" if felt > _MOSTLY * count else "it is not used"
+        notes.append(
+            f"The accelerometer says nothing in {count - felt} of {count} samples; {used}."
+        )
+    if felt > _MOSTLY * count:
         sensed = Series(sensed.time_ns[complete], sensed.values[complete])
     rates, forces = sensed.values[:, :3], sensed.values[:, 3:]
     inertial = Inertial(sensed.time_ns, rates.astype(np.float32), forces.astype(np.float32))
     usual = np.median(forces, axis=0)
-    size, up = float(np.linalg.norm(usual)), float(usual[2])
-    if not np.isfinite(size):
-        return inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
-    in_g = 0.9 < size < 1.1
-    if not (in_g or 9.0 < size < 10.6) or up < 0.8 * size:
+    without = inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
+    if not np.isfinite(usual).all():
+        return without
+    unit_mps2, up = gravity_unit_mps2(usual), float(usual[2])
+    if unit_mps2 is None or up < 0.8 * float(np.linalg.norm(usual)):
         notes.append(
             "The accelerometer is not used: it should see gravity upward, 9.8 m/s² or 1 g, and "
             f"sees {usual[0]:.2f} to the right, {usual[1]:.2f} forward, {up:.2f} up; correct "
             "imu_axes in mounting.json."
         )
-        return inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
-    if in_g:
-        notes.append("The accelerometer is taken to be in g.")
-        return inertial._replace(
-            force_mps2=inertial.force_mps2 * np.float32(_STANDARD_GRAVITY_MPS2)
-        )
-    return inertial
+        return without
+    if unit_mps2 == 1.0:
+        return inertial
+    notes.append("The accelerometer is taken to be in g.")
+    return inertial._replace(force_mps2=inertial.force_mps2 * np.float32(unit_mps2))
 
 
 def _tables(folder: Path) -> list[Path]:

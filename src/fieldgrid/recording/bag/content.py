@@ -33,6 +33,7 @@ from fieldgrid.recording.motion_files import (
     AXES,
     R_VEHICLE_FLU,
     directions,
+    gravity_unit_mps2,
     in_order,
     inertial_of,
 )
@@ -224,8 +225,8 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
         gyro = Gyro(*series) if len(series.time_ns) else None
         notes += [*_lost(topic, lost), f"{topic}: {told}."]
         across = sensed[:, [k for k in range(3) if abs(upward[k]) < _UPRIGHT]]
-        # With one axis, an IMU says 0 of the others.
-        if gyro is not None and is_whole and across.any():
+        # With one axis, an IMU says 0 or NaN of the others.
+        if gyro is not None and is_whole and np.nan_to_num(across).any():
             R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
             with np.errstate(over="ignore", invalid="ignore"):
                 turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
@@ -254,17 +255,19 @@ def _axes_of(content: Content, axes: str) -> tuple[Float64, str]:
 
 
 def _felt_upward(forces_mps2: Float64) -> Float64 | None:
-    """The axis of an IMU along which gravity is felt, [3], where that is another than the third."""
+    """The axis of an IMU along which gravity is felt, [3], where that is another than the third.
+    None where what is felt has not the size of gravity: then no axis is told by it."""
     known = np.isfinite(forces_mps2).all(axis=1)
     if not known.any():
         return None
     usual = np.median(forces_mps2[known], axis=0)
     own = int(np.abs(usual).argmax())
-    if abs(usual[own]) < _GRAVITY_SHARE * float(np.linalg.norm(usual)):
+    upright = abs(usual[own]) >= _GRAVITY_SHARE * float(np.linalg.norm(usual))
+    if gravity_unit_mps2(usual) is None or not upright:
         return None
     upward = np.zeros(3)
     upward[own] = np.sign(usual[own])
-    return None if upward[2] == 1.0 or not upward.any() else upward
+    return None if upward[2] == 1.0 else upward
 
 
 def _rate(rates: Float64, row: Float64) -> Float64:
