@@ -110,7 +110,7 @@ def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
     gravity, in m/s² or in g, and sees it above it. None without a sample."""
     complete = np.isfinite(sensed.values).all(axis=1)
-    count, felt = len(complete), int(complete.sum())
+    count, felt = len(sensed.time_ns), int(complete.sum())
     if not count:
         return None
     if 0 < felt < count:

@@ -122,5 +122,8 @@ def block_area(
     whole = shapely.union_all([*rows, *(area.buffer(0.05) for area in areas)])
     if isinstance(whole, shapely.MultiPolygon):
         # Rows with an unseen one between them hang together by their hull.
-        whole = shapely.concave_hull(whole, ratio=0.1)
+        try:
+            whole = shapely.concave_hull(whole, ratio=0.1)
+        except shapely.GEOSException:  # its triangulation fails on some outlines of many rows
+            whole = whole.convex_hull
     return shapely.Polygon(shapely.simplify(whole, 0.05).exterior)

@@ -9,6 +9,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.evidence import Evidence
 from fieldgrid.polyline import extended, lengths, part, project, resampled
+from fieldgrid.rows.contrast import chance_of_noise, stand_out
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, connected_run, find_extent
 from fieldgrid.rows.fit import fit_curve
@@ -20,7 +21,8 @@ _BEYOND_M = 4.0
 _WIDTH_SIGMA_M = 0.05
 """How much the canopies of two rows of a field differ in half width."""
 
-_PASSES = 2
+_GATE = 0.42
+"""Cells that are nearer than this share of the way to the next row belong to a row."""
 
 
 class Measured(NamedTuple):
@@ -44,23 +46,31 @@ class HalfWidth(NamedTuple):
 
 
 def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[Measured]:
-    """The rows near reference lines; a line that turns out to be none is left out."""
+    """The rows near reference lines; a line that turns out to be none, or that does not stand out
+    from the ground beside it, is left out."""
     gates = _gates(lines, crop)
-    profiles = []
+    settled = []
     for line, gate in zip(lines, gates, strict=True):
-        profile = _settled(evidence, line, gate, crop)
+        gate_m = max(gate, 3.0 * evidence.cell_m)
+        profile = _settled(evidence, line, gate_m, crop)
         if profile is not None:
-            profiles.append(profile)
-    width = _half_width(profiles, crop)
-    found = [_measured(evidence, profile, width, crop) for profile in profiles]
-    return [row for row in found if row is not None]
+            settled.append((profile, gate_m))
+    width = _half_width([profile for profile, _ in settled], crop)
+    rows, chances = [], []
+    for profile, gate_m in settled:
+        row = _measured(evidence, profile, width, crop)
+        if row is not None:
+            rows.append(row)
+            half_way_m = 0.5 / _GATE * gate_m
+            chances.append(chance_of_noise(evidence, row.line, row.half_width_m, half_way_m, crop))
+    return [row for row, is_row in zip(rows, stand_out(np.array(chances)), strict=True) if is_row]
 
 
 def _gates(lines: list[Float64], crop: Crop) -> list[float]:
     """How far from its line the cells of a row may lie: less than half of the way to the next."""
-    most = 0.42 * crop.max_spacing_m
+    most = _GATE * crop.max_spacing_m
     if len(lines) < 2:
-        return [0.42 * 0.5 * (crop.min_spacing_m + crop.max_spacing_m)] * len(lines)
+        return [_GATE * 0.5 * (crop.min_spacing_m + crop.max_spacing_m)] * len(lines)
     from scipy.spatial import cKDTree
 
     points = [resampled(line, 2.0) for line in lines]
@@ -73,12 +83,11 @@ def _gates(lines: list[Float64], crop: Crop) -> list[float]:
     nearest = np.where(other, distance, np.inf).min(axis=1)
     spacing = np.array([np.median(nearest[owner == k]) for k in range(len(lines))])
     usual = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else most
-    return [float(np.clip(0.42 * min(s, 1.2 * usual), 0.0, most)) for s in spacing]
+    return [float(np.clip(_GATE * min(s, 1.2 * usual), 0.0, most)) for s in spacing]
 
 
 def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Profile | None:
     """The profile of a row about its own middle: the line is moved onto the cells, read again."""
-    gate_m = max(gate_m, 3.0 * evidence.cell_m)
     for last in (False, True):
         wide = extended(line, _BEYOND_M, _BEYOND_M)
         profile = take_profile(evidence, wide, gate_m)

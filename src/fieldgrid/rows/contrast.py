@@ -1,0 +1,68 @@
+"""Whether a row stands out from the ground beside it, or is a line through noise.
+
+Lines can be drawn through obstacle cells that are scattered over a field, and some of them hold
+more cells than others. A row holds several times as many as the ground half-way to the next one,
+all along: its difference is tested plant by plant (Student's t), so that one heap does not make a
+row. Of many candidates some pass such a test by chance: as in the procedure of Benjamini and
+Hochberg, the fewer of them pass, the less chance is left to each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
+from fieldgrid.rows.crops import Crop
+
+_STEP_M = 0.1
+_CORE = 0.7
+"""Share of a canopy's half width that is taken for the row: shoots make its face ragged."""
+
+_FLANK = 0.8
+"""Ground from this share of the way to the middle between two rows is beside the row."""
+
+_LEAST_RATIO = 3.0
+_LEAST_SEEN = 0.2
+_CHANCE = 1e-4
+
+
+def chance_of_noise(
+    evidence: Evidence, line: Float64, half_width_m: float, reach_m: float, crop: Crop
+) -> float:
+    """How likely noise has so many more obstacle cells on a line [n, 2] than half-way to the next
+    row, `reach_m` beside it; 1 where there are not several times as many."""
+    strip = evidence.strip(line, reach_m, reach_m, _STEP_M)
+    beside_m = np.abs(strip.across_m)
+    core = strip.cells[:, beside_m < max(_CORE * half_width_m, evidence.cell_m)]
+    flank = strip.cells[:, beside_m > _FLANK * reach_m]
+    # What was not seen of the ground beside a row may be as noisy as what was.
+    seen = max(float((flank != UNSEEN).mean()), _LEAST_SEEN)
+    part_m = max(0.5 * crop.plant_spacing_m, 0.5)
+    count = int(len(core) * _STEP_M / part_m)
+    if count < 2:
+        return 1.0
+    on, off = (
+        np.array([(part == OBSTACLE).mean() for part in np.array_split(cells, count)])
+        for cells in (core, flank)
+    )
+    off /= seen
+    if on.mean() <= _LEAST_RATIO * off.mean():
+        return 1.0
+    error = float((on - off).std(ddof=1)) / np.sqrt(count)
+    return float(student.sf((on - off).mean() / max(error, 1e-9), count - 1))
+
+
+def stand_out(chances: Float64) -> Bool:
+    """Which of all candidates of a map are rows, by their chances [n] to be noise.
+
+    The k smallest of n are accepted when the largest of them is at most `_CHANCE` (k / n)²: the
+    square, as a candidate is already the densest line near it.
+    """
+    order = np.argsort(chances)
+    share = np.arange(1, len(chances) + 1) / max(len(chances), 1)
+    good = np.flatnonzero(chances[order] <= _CHANCE * share**2)
+    found = np.zeros(len(chances), dtype=np.bool_)
+    found[order[: good[-1] + 1 if len(good) else 0]] = True
+    return found
