@@ -73,15 +73,24 @@ class Evidence(NamedTuple):
         found[inside] = self.cells[j[inside], i[inside]]
         return found
 
-    def strip(self, line: Float64, left_m: float, right_m: float, step_m: float) -> Strip:
-        """The cells from `right_m` right of a line to `left_m` left of it, every `step_m` along."""
+    def strip(
+        self,
+        line: Float64,
+        left_m: float,
+        right_m: float,
+        step_m: float,
+        across_step_m: float | None = None,
+    ) -> Strip:
+        """The cells from `right_m` right of a line to `left_m` left of it, every `step_m` along,
+        and every `across_step_m` across: without it, as wide apart as cells are."""
         s = lengths(line)
         at = np.arange(0.5 * step_m, s[-1], step_m)
         middle = np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
         left = normals(line)
         left = np.column_stack([np.interp(at, s, left[:, k]) for k in (0, 1)])
         left /= np.hypot(left[:, 0], left[:, 1])[:, None]
-        across = np.arange(-right_m + 0.5 * self.cell_m, left_m, self.cell_m)
+        apart_m = across_step_m or self.cell_m
+        across = np.arange(-right_m + 0.5 * apart_m, left_m, apart_m)
         points = middle[:, None] + across[None, :, None] * left[:, None]
         return Strip(self.at(points), at, across)
 

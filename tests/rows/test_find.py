@@ -164,6 +164,51 @@ def test_things_in_lanes_belong_to_them_and_narrow_them() -> None:
     assert not thing.row
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 31.0, 45.0])
+def test_one_obstacle_cell_narrows_its_metre_of_a_lane(heading_deg: float) -> None:
+    """A stake is not listed, and a tractor that trusts the width drives into it."""
+    rows = straight(3, 30.0, heading_deg=heading_deg)
+    view = view_of(rows, dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0), cell_m=0.05)
+    before = rows_of_view(view).lanes[0]
+    i, j = view.lattice.index(*np.atleast_2d(before.line.interpolate(12.4).coords[0]).T)
+    density = view.density.copy()
+    density[j - view.window.j0, i - view.window.i0] = 255
+    found = rows_of_view(dataclasses.replace(view, density=density))
+    after = found.lanes[0]
+    assert before.free_width_m > 1.5
+    assert before.free_width_m == np.nanmin(before.widths_m)
+    assert 0.7 < after.free_width_m < 1.1
+    narrowed = np.flatnonzero(~np.isclose(after.widths_m, before.widths_m, atol=0.05))
+    assert narrowed.tolist() == [12]
+
+
+def test_a_width_is_told_of_the_metres_that_were_seen() -> None:
+    rows = straight(3, 30.0)
+    sight = dataclasses.replace(
+        QUIET, hole_share=0.0, noise_per_m2=0.0, unseen=[Bounds(0.5, 10.0, 2.0, 14.0)]
+    )
+    found = rows_of_view(view_of(rows, sight), hole_m=0.0)
+    lane = next(lane for lane in found.lanes if lane.rows == ("B1-R1", "B1-R2"))
+    at = 0.5 + np.arange(len(lane.widths_m)) + lane.line.coords[0][1]
+    unseen = (at > 10.6) & (at < 13.4)
+    assert unseen.sum() >= 2
+    assert np.isnan(lane.widths_m[unseen]).all()
+    assert np.isfinite(lane.widths_m[(at < 9.4) | (at > 14.6)]).all()
+    assert lane.free_width_m > 1.4
+    assert lane.known == pytest.approx(1.0 - 4.0 * 1.5 / 1.8 / lane.length_m, abs=0.06)
+
+
+def test_pinholes_count_as_free_but_not_as_seen() -> None:
+    sight = dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0)
+    view = view_of(straight(3, 30.0), sight)
+    seen = np.random.default_rng(2).random(view.observed.shape) > 0.05
+    observed = view.observed & (seen | (view.density > 0))
+    found = rows_of_view(dataclasses.replace(view, observed=observed))
+    for lane in found.lanes:
+        assert lane.known == pytest.approx(0.95, abs=0.02)
+        assert lane.free_width_m > 1.4
+
+
 def test_headlands_lie_before_and_behind_the_rows() -> None:
     rows = straight(5, 30.0)
     found = rows_of_view(view_of(rows))

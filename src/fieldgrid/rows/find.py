@@ -98,12 +98,10 @@ def rows_of_view(
     measured = _measured(evidence, crop)
     ordered = order_rows(measured, crop)
     lanes = lane_lines(ordered)
-    clean = fill_pinholes(without_specks(evidence), hole_m)
-    found_lanes = _lanes(clean, ordered, lanes, drives)
+    filled, clean = fill_pinholes(evidence, hole_m), without_specks(evidence)
+    found_lanes = _lanes(evidence, filled, ordered, lanes, drives)
     areas = _block_areas(ordered, lanes)
-    obstacles = _obstacles(
-        find_things(without_specks(evidence), ordered.rows), ordered, found_lanes
-    )
+    obstacles = _obstacles(find_things(clean, ordered.rows), ordered, found_lanes)
     return Planting(
         view.datum,
         view.bounds,
@@ -112,7 +110,7 @@ def rows_of_view(
         _rows(evidence, ordered, drives),
         found_lanes,
         _gaps(ordered),
-        _headlands(clean, ordered, areas, headland_m),
+        _headlands(fill_pinholes(clean, hole_m), ordered, areas, headland_m),
         _blocks(ordered, areas, found_lanes),
         obstacles,
     )
@@ -200,7 +198,11 @@ def _rows(evidence: Evidence, ordered: Ordered, drives: Drives | None) -> tuple[
 
 
 def _lanes(
-    evidence: Evidence, ordered: Ordered, lanes: list[LaneLine], drives: Drives | None
+    evidence: Evidence,
+    filled: Evidence,
+    ordered: Ordered,
+    lanes: list[LaneLine],
+    drives: Drives | None,
 ) -> tuple[Lane, ...]:
     counts: dict[str, int] = {}
     found = []
@@ -208,7 +210,7 @@ def _lanes(
         block = ordered.block_of[lane.left]
         counts[block] = counts.get(block, 0) + 1
         half = ordered.rows[lane.left].half_width_m, ordered.rows[lane.right].half_width_m
-        ground = measure_lane(evidence, lane, half)
+        ground = measure_lane(evidence, filled, lane, half)
         line = shapely.LineString(lane.line)
         driven = False
         if drives is not None and len(drives.track_m):
@@ -226,7 +228,7 @@ def _lanes(
                 lane.area,
                 float(line.length),
                 _least(ground.widths_m),
-                ground.widths_m[::4],
+                ground.widths_m,
                 ground.known,
                 driven,
             )

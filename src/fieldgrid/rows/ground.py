@@ -14,9 +14,11 @@ from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine
 from fieldgrid.rows.measure import Measured
 
-_STEP_M = 0.25
+_PER_CELL = 1.5
+"""Samples a cell along and across a lane: any more than √2 leave no cell out, however it lies."""
+
 _SPECK_M2 = 0.02
-"""Obstacle cells that stand alone on less ground are noise to a report; to a route they are not."""
+"""Obstacle cells that stand alone on less ground are no thing to list; they narrow a lane."""
 
 _CANOPY_MARGIN_M = 0.2
 """Shoots of a row reach this much beyond its face, on average."""
@@ -32,12 +34,13 @@ _MIN_HEADLAND_M2 = 8.0
 
 
 _SECTION_SEEN = 0.8
-"""A cross-section of a lane has a width when so much of it was seen."""
+"""A cross-section of a lane has a width when so much of it was seen, and a metre when so many of
+its cross-sections have."""
 
 
 class LaneGround(NamedTuple):
-    """Of a lane: free width every `_STEP_M` along its line, NaN where it was not seen, and the
-    share of its ground that was."""
+    """Of a lane: the least free width in every metre along its line, NaN in one that was not seen,
+    and the share of its ground that was."""
 
     widths_m: Float64
     known: float
@@ -58,25 +61,32 @@ def without_specks(evidence: Evidence) -> Evidence:
     return evidence._replace(cells=cells)
 
 
-def measure_lane(evidence: Evidence, lane: LaneLine, half_m: tuple[float, float]) -> LaneGround:
+def measure_lane(
+    evidence: Evidence, filled: Evidence, lane: LaneLine, half_m: tuple[float, float]
+) -> LaneGround:
     """The widest free stretch across a lane, between the middles of its rows, all along it.
 
-    `evidence` has its pinholes filled; what is still unseen is not free.
+    Every obstacle cell narrows it. `filled` is the evidence with its pinholes taken for free; what
+    is still unseen is not free, and pinholes were not seen.
     """
-    reach = 0.5 * lane.distance_m
-    strip = evidence.strip(lane.line, reach, reach, _STEP_M)
-    free = strip.cells == FREE
+    reach, step_m = 0.5 * lane.distance_m, evidence.cell_m / _PER_CELL
+    strip = evidence.strip(lane.line, reach, reach, step_m, step_m)
+    free = filled.strip(lane.line, reach, reach, step_m, step_m).cells == FREE
     run = np.zeros(len(free))
     widest = np.zeros(len(free))
     for column in range(free.shape[1]):
         run = (run + 1.0) * free[:, column]
         np.maximum(widest, run, out=widest)
     inner = (strip.across_m < reach - half_m[0]) & (strip.across_m > half_m[1] - reach)
+    metre = strip.along_m.astype(np.int64)
+    widths = np.full(int(metre[-1]) + 1, np.inf)
     if not inner.any():
-        return LaneGround(np.full(len(free), np.nan), 0.0)
+        return LaneGround(np.full(len(widths), np.nan), 0.0)
     seen = (strip.cells[:, inner] != UNSEEN).mean(axis=1)
-    widths = np.where(seen >= _SECTION_SEEN, widest * evidence.cell_m, np.nan)
-    return LaneGround(widths, float(seen.mean()))
+    is_seen = seen >= _SECTION_SEEN
+    np.minimum.at(widths, metre[is_seen], widest[is_seen] * step_m)
+    enough = np.bincount(metre, is_seen) >= _SECTION_SEEN * np.bincount(metre)
+    return LaneGround(np.where(enough, widths, np.nan), float(seen.mean()))
 
 
 class Thing(NamedTuple):

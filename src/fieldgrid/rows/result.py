@@ -44,10 +44,10 @@ class Lane(NamedTuple):
     """The ground between two neighbouring rows.
 
     `rows` are the left and the right one. `line` is its middle, from a quarter of a spacing inside
-    one mouth to the same in the other; `area` reaches from row to row. `widths_m` is the free width
-    a metre apart along the line, NaN where too little was seen to tell, and `free_width_m` the
-    least of them. `known` is the share of its ground that was seen. `driven` says whether a
-    vehicle went through it.
+    one mouth to the same in the other; `area` reaches from row to row. `widths_m` is the least
+    free width in each metre along the line, NaN where too little was seen to tell, and
+    `free_width_m` the least of them. `known` is the share of its ground that was seen, pinholes
+    not counted. `driven` says whether a vehicle went through it.
     """
 
     id: str
