@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -175,8 +176,17 @@ def _survey_geojson(path: Path, text: str, datum: Datum) -> Float64:
 
 
 def _survey_csv(path: Path, text: str, datum: Datum) -> Float64:
-    rows = list(csv.reader(text.splitlines()))
-    header = [re.sub(r"[^a-z]", "", name.lower()) for name in rows[0]] if rows else []
+    lines = csv.reader(text.splitlines())
+    try:
+        rows = [(lines.line_num, row) for row in lines if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise ConfigError(
+            f"{path}, line {lines.line_num}, is no line of a CSV ({error}); check the file."
+        ) from error
+    if not rows:
+        raise ConfigError(f"{path} is empty; give a header and one point a row.")
+    names, points = rows[0][1], rows[1:]
+    header = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
 
     def column(*names: str) -> int | None:
         return next((header.index(name) for name in names if name in header), None)
@@ -187,16 +197,15 @@ def _survey_csv(path: Path, text: str, datum: Datum) -> Float64:
     first, second = chosen
     if first is None or second is None:
         raise ConfigError(
-            f"{path} has columns {', '.join(rows[0]) if rows else 'none'}; a survey needs latitude "
-            "and longitude, or east_m and north_m."
+            f"{path} has the columns {', '.join(names)[:200]}; a survey needs latitude and "
+            "longitude, or east_m and north_m."
         )
-    try:
-        values = np.array([(float(row[first]), float(row[second])) for row in rows[1:] if row])
-    except (ValueError, IndexError) as error:
-        raise ConfigError(f"{path} has a row without two numbers ({error}); mend it.") from error
-    values = values.reshape(-1, 2)
-    if not np.isfinite(values).all():
-        raise ConfigError(f"{path} has a row without two numbers (not finite); mend it.")
+    values = np.array(
+        [
+            [_number(path, line, row[k] if k < len(row) else "", names[k]) for k in (first, second)]
+            for line, row in points
+        ]
+    ).reshape(-1, 2)
     if chosen == (east, north):
         if not len(values):
             raise ConfigError(f"{path} has no points; give one a row.")
@@ -204,9 +213,26 @@ def _survey_csv(path: Path, text: str, datum: Datum) -> Float64:
     return _plane(path, values[:, 0], values[:, 1], datum)
 
 
+def _number(path: Path, line: int, text: str, column: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        given = f"{text[:40]!r}, which is no number" if text.strip() else "nothing"
+        raise ConfigError(
+            f"{path}, line {line}: {column} is {given}; give a number, with a point for decimals, "
+            "or take the line out."
+        )
+    return value
+
+
 def _plane(path: Path, lat_deg: Float64, lon_deg: Float64, datum: Datum) -> Float64:
-    good = (np.abs(lat_deg) <= 90.0) & (np.abs(lon_deg) <= 180.0)
-    if not len(lat_deg) or not good.all():
-        raise ConfigError(f"{path} has points that are not on Earth; give degrees (WGS84).")
+    if not len(lat_deg):
+        raise ConfigError(f"{path} has no points; give one a row.")
+    off = np.flatnonzero(~((np.abs(lat_deg) <= 90.0) & (np.abs(lon_deg) <= 180.0)))
+    if len(off):
+        at = f"latitude {lat_deg[off[0]]:g}, longitude {lon_deg[off[0]]:g}"
+        raise ConfigError(f"{path} has a point that is not on Earth ({at}); give degrees (WGS84).")
     east, north, _ = datum.to_enu(lat_deg, lon_deg, datum.height_m)
     return np.column_stack([east, north])
