@@ -229,6 +229,57 @@ def test_a_drive_that_is_appended_shows_after_a_reload(own_server: Server) -> No
     assert after["version"] != before["version"]
 
 
+ASKED = (
+    "tiles/density/0/0/0",
+    "tiles/variance/0/0/0",
+    "tiles/change/0/0/0?from=0&to=0",
+    "scales/count",
+    "tracks/0",
+    "frames?bounds=0,0,9,9",
+    "cell?east=1&north=1",
+    "image?session=0&frame=x&image=0",
+    "features",
+)
+"""What a page asks for that was loaded before."""
+
+
+def test_a_page_gets_nothing_of_a_map_that_was_removed(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    with serving(path) as running:
+        assert running.get("/api/maps").status == 200
+        path.unlink()
+        for asked in ("/api/maps", *(f"/api/maps/0/{one}" for one in ASKED)):
+            answer = running.get(asked)
+            assert answer.status == 409, asked
+            assert "map.gpkg is no longer there; put it back" in answer.json()["error"]
+        path.write_text("no map at all")
+        assert "is not a fieldgrid map" in running.get("/api/maps/0/features").json()["error"]
+
+
+def test_a_page_gets_nothing_of_another_map(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    other = write_map(tmp_path / "other.gpkg", [drive(2), drive(3)])
+    with serving(path) as running:
+        version = running.json("/api/maps")["maps"][0]["version"]
+        shutil.copyfile(other, path)
+        for asked in (*ASKED, f"tiles/density/0/0/0?v={version}"):
+            answer = running.get(f"/api/maps/0/{asked}")
+            assert answer.status == 409, asked
+            assert "is another map than the one that the page" in answer.json()["error"]
+            assert "no-store" in answer.headers["cache-control"]
+        assert len(running.json("/api/maps")["maps"][0]["sessions"]) == 2
+        assert running.get("/api/maps/0/features").status == 200
+
+
+def test_a_page_goes_on_when_a_drive_is_appended(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    with serving(path) as running:
+        before = running.json("/api/maps/0/frames?bounds=-90,-90,90,90")["of"]
+        with open_map(path, writable=True) as universal:
+            write_session(universal, "1", drive(3))
+        assert running.json("/api/maps/0/frames?bounds=-90,-90,90,90")["of"] > before
+
+
 def test_a_map_that_is_built_again_shows_after_a_reload(tmp_path: Path) -> None:
     path = write_map(tmp_path / "map.gpkg", [drive(2)], trajectory=track(4))
     with serving(path) as running:

@@ -17,6 +17,7 @@ def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
     with pyramid.stored(shown.path) as connection:
         levels = pyramid.read_levels(connection)
     with shown.open() as universal:
+        shown.describe(universal)
         infos = universal.sessions()
         return {
             "number": number,

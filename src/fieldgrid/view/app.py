@@ -51,8 +51,10 @@ class Viewer(NamedTuple):
     recordings: tuple[Path, ...]
 
     def picked(self, request: Request) -> ShownMap:
-        """The map that a request is about."""
+        """The map that a request is about, once it is sure that it is the one that its page was
+        told of."""
         number = _whole(request.path_params["map"], 0, len(self.maps) - 1)
+        self.maps[number].check_same()
         return self.maps[number]
 
 

@@ -11,9 +11,10 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile, open_map
 
 _Made = TypeVar("_Made")
@@ -24,6 +25,25 @@ _CHANGE_COUNTER = slice(24, 28)
 _KEPT = 64
 
 
+class Identity(NamedTuple):
+    """What a page relies on until it is loaded again: places are metres from a datum, and sessions
+    are counted in their order (name and date of creation of each)."""
+
+    datum: Datum
+    cell_m: float
+    sessions: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, universal: MapFile) -> Identity:
+        """That of an open map."""
+        sessions = tuple((info.name, info.created) for info in universal.sessions())
+        return cls(universal.datum, universal.cell_m, sessions)
+
+    def goes_on_in(self, other: Identity) -> bool:
+        """Whether a map is the same one, with sessions appended at most."""
+        return self == other._replace(sessions=other.sessions[: len(self.sessions)])
+
+
 class ShownMap:
     """One map file: its place, the version of what is in it, and what was made of it."""
 
@@ -32,6 +52,7 @@ class ShownMap:
         self._lock = Lock()
         self._kept: dict[tuple[str, ...], Any] = {}
         self._version = ""
+        self._described: Identity | None = None
 
     @property
     def name(self) -> str:
@@ -44,11 +65,33 @@ class ShownMap:
             with self.path.open("rb") as file:
                 status = os.fstat(file.fileno())
                 header = file.read(100)
+        except FileNotFoundError as error:
+            raise MapError(
+                f"{self.path} is no longer there; put it back or build it again, then load the "
+                "page again."
+            ) from error
         except OSError as error:
             raise MapError(f"{self.path} cannot be read: {error.strerror}; check it.") from error
         counter = header[_CHANGE_COUNTER].hex()
         seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns} {counter}"
         return hashlib.sha256(seen.encode()).hexdigest()[:16]
+
+    def describe(self, universal: MapFile) -> None:
+        """Note which map a page is told of, so that it gets nothing of another."""
+        self._described = Identity.of(universal)
+
+    def check_same(self) -> None:
+        """Raise MapError where the file is not there, or holds another map than was described."""
+        found = self.kept(("identity",), self._identity)
+        if self._described is not None and not self._described.goes_on_in(found):
+            raise MapError(
+                f"{self.path} is another map than the one that the page was loaded with; load the "
+                "page again."
+            )
+
+    def _identity(self) -> Identity:
+        with self.open() as universal:
+            return Identity.of(universal)
 
     def check_version(self, version: str) -> None:
         """Raise ConfigError unless the file is as it was when it had this version."""
