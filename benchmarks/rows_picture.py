@@ -38,7 +38,8 @@ def draw(map_: Path, out: Path) -> None:
         axes.fill(*lane.area.exterior.xy, color="#3a9d5d", alpha=0.25 * lane.known + 0.05, lw=0)
         axes.plot(*lane.line.xy, color="#1d7a3f", lw=1.2, ls="-" if lane.driven else ":")
         place = lane.line.interpolate(0.4, normalized=True).coords[0]
-        name = f"{lane.id} {lane.free_width_m:.2f} m"
+        is_known = np.isfinite(lane.free_width_m)
+        name = f"{lane.id} {lane.free_width_m:.2f} m" if is_known else f"{lane.id} unknown"
         axes.annotate(name, place, fontsize=7, ha="center", color="#0b4a22")
     for row in found.rows:
         axes.plot(*row.line.xy, color="#c0392b", lw=1.4)

@@ -7,7 +7,6 @@ used, so that `import fieldgrid` costs nothing.
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -114,7 +113,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return importlib.metadata.version("fieldgrid")
+        from importlib.metadata import version  # 60 ms, which most commands do without
+
+        return version("fieldgrid")
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'fieldgrid' has no attribute {name!r}")

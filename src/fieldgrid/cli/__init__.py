@@ -6,7 +6,6 @@ data, 2 a wrong use of the command, 70 a defect of this program.
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import signal
 import sys
@@ -38,7 +37,9 @@ _LONGEST = 2000
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"fieldgrid {importlib.metadata.version('fieldgrid')}")
+        from fieldgrid import __version__
+
+        typer.echo(f"fieldgrid {__version__}")
         raise typer.Exit
 
 
