@@ -48,6 +48,7 @@ LAYERS = (
     ("build", "live"),
     ("inspection", "mounting", "convert", "view"),
     ("cli",),
+    ("__main__",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 

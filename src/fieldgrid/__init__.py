@@ -113,7 +113,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import version  # 60 ms, which most commands do without
+        from importlib.metadata import version  # 60 ms, which no command has to wait for
 
         return version("fieldgrid")
     home = _HOMES.get(name)
