@@ -189,3 +189,68 @@ def abandon(universal: MapFile) -> None:
     with universal.add_session("more") as session:
         session.add(*drive(1)[0])
         raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("statement", "told"),
+    [
+        ("UPDATE fieldgrid_frame SET east_m = east_m + 1 WHERE id = 13", "'000001' of session '2'"),
+        ("UPDATE fieldgrid_frame SET density = zeroblob(3) WHERE id = 2", "is damaged"),
+        ("UPDATE fieldgrid_frame SET east_m = 'x' WHERE id = 2", "is damaged"),
+        ("UPDATE fieldgrid_frame SET digest = x'00' WHERE id = 13", "'000001' of session '2'"),
+        ("UPDATE fieldgrid_session SET source = 'another' WHERE name = '2'", "Session '2' is not"),
+        ("UPDATE fieldgrid_session SET grid_cell_m = 1e300 WHERE name = '2'", "'2' is damaged"),
+        ("UPDATE density SET tile_data = (SELECT tile_data FROM density WHERE id = 1)", "picture"),
+        ("DELETE FROM density WHERE id = 2", "lacks picture"),
+        ("UPDATE trajectory SET heading_deg = 1 WHERE fid = 3", "fix 0"),
+        ("UPDATE footprint SET geom = NULL WHERE fid = 3", "footprint 0"),
+        ("UPDATE fieldgrid_meta SET value = '-39.4' WHERE key = 'datum_lat_deg'", "of its plane"),
+        (
+            "UPDATE gpkg_spatial_ref_sys SET definition = replace(definition, '39.4', '-39.4') "
+            "WHERE srs_id = 100001",
+            "of its plane",
+        ),
+    ],
+)
+def test_what_is_damaged_is_found_before_the_upgrade(path: Path, statement: str, told: str) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        assert database.execute(statement).rowcount >= 1
+    before = path.read_bytes()
+    with open_map(path) as universal:
+        problems = universal.verify().problems
+    assert any(told in problem for problem in problems), problems
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("datum_lat_deg", "-39.407121234"),
+        ("datum_lon_deg", "1.219356789"),
+        ("datum_lat_deg", "39.407121235"),
+        ("datum_height_m", "-702.417"),
+    ],
+)
+def test_another_datum_is_not_blessed(path: Path, key: str, value: str) -> None:
+    """It was the drive's when the plane was written; nothing else would tell."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE fieldgrid_meta SET value = ? WHERE key = ?", (value, key))
+    before = path.read_bytes()
+    with open_map(path, writable=True) as universal:
+        for change in (MapFile.upgrade, MapFile.repair, lambda u: u.remove_session("0")):
+            with pytest.raises(MapError, match="not that of its plane"):
+                change(universal)
+    assert path.read_bytes() == before
+
+
+def test_another_wording_of_the_plane_is_the_same_plane(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        changed = database.execute(
+            "UPDATE gpkg_spatial_ref_sys SET definition = replace(replace(definition, "
+            "'GEOGCS[\"unknown\"', 'GEOGCS[\"WGS 84\"'), '39.407121234]', '39.4071212340]') "
+            "WHERE srs_id = 100001 AND definition LIKE '%GEOGCS[\"unknown\"%'"
+        )
+        assert changed.rowcount == 1
+    with open_map(path, writable=True) as universal:
+        assert universal.upgrade()
+        assert universal.verify().sound

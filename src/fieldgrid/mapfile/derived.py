@@ -18,7 +18,7 @@ from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
-from fieldgrid.mapfile.styles import refresh_styles
+from fieldgrid.mapfile.styles import drop_styles, refresh_styles
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -68,8 +68,7 @@ def hide(
 
 
 def settle(connection: sqlite3.Connection, header: Header, path: Path) -> None:
-    """Fill in what commits have left for later, within the caller's transaction: tiles, styles."""
-    refresh_styles(connection)
+    """Fill in the tiles that commits have left for later, within the caller's transaction."""
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
@@ -94,7 +93,8 @@ def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
 
 
 def touch(connection: sqlite3.Connection) -> None:
-    """Tell a GIS that the layers have changed."""
+    """Tell a GIS that the layers have changed, and how to show their sessions."""
+    refresh_styles(connection)
     connection.execute(f"UPDATE gpkg_contents SET last_change = {NOW_SQL}")
 
 
@@ -122,7 +122,7 @@ def rebuild(
             for tile in sorted(tiles.tiles):
                 tables.put_session(session_id, tile, tiles.blobs(tile))
     Pyramid(connection, tables, jobs).rebuild()
-    refresh_styles(connection)
+    drop_styles(connection)
     touch(connection)
 
 

@@ -8,7 +8,9 @@ from typing import Any
 
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.derived import active, show_features
+from fieldgrid.mapfile.header import check_plane
 from fieldgrid.mapfile.metadata import find
+from fieldgrid.mapfile.styles import refresh_styles
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -23,10 +25,12 @@ def check_features(subject: Subject) -> Iterator[str]:
         for session_id, name in active(connection):
             metadata = find(connection, path, header.datum, name).metadata
             show_features(scratch, session_id, metadata, evidence=connection)
-        for what, query in _COMPARED:
+        refresh_styles(scratch, evidence=connection)
+        for what, query in _OLD if header.version < schema.FORMAT_VERSION else _COMPARED:
             yield from _differences(what, connection.execute(query), scratch.execute(query))
     finally:
         scratch.close()
+    check_plane(connection, path, header.datum)
 
 
 def _differences(what: str, here: Iterator[Any], anew: Iterator[Any]) -> Iterator[str]:
@@ -55,8 +59,8 @@ _OURS = ", ".join(repr(layer) for layer in schema.LAYERS)
 _COMPARED: tuple[tuple[str, str], ...] = (
     (
         "reference system",
-        "SELECT srs_id, organization, organization_coordsys_id, srs_name FROM gpkg_spatial_ref_sys "
-        "WHERE srs_id IN (-1, 0, 4326) ORDER BY 1",
+        "SELECT srs_id, organization, organization_coordsys_id, srs_name, definition, description "
+        "FROM gpkg_spatial_ref_sys WHERE srs_id IN (-1, 0, 4326) ORDER BY 1",
     ),
     (
         "tile matrix set",
@@ -70,8 +74,9 @@ _COMPARED: tuple[tuple[str, str], ...] = (
     ),
     (
         "layer",
-        "SELECT table_name, data_type, identifier, srs_id FROM gpkg_contents "
-        f"WHERE table_name IN ({_OURS}) ORDER BY 1",
+        "SELECT table_name, data_type, identifier, srs_id, CASE WHEN table_name <> "
+        "'fieldgrid_session' THEN description END FROM gpkg_contents "  # which has the root digest
+        f"WHERE table_name IN ({_OURS}, 'layer_styles') ORDER BY 1",
     ),
     (
         "extent of layer",
@@ -99,4 +104,17 @@ _COMPARED: tuple[tuple[str, str], ...] = (
         "SELECT session, frame_id, time_ns, status, geom, time FROM footprint "
         "ORDER BY session, frame_id",
     ),
+    (
+        "style of layer",
+        "SELECT f_table_name, f_geometry_column, f_table_catalog, f_table_schema, styleName, "
+        "styleSLD, description, ui, useAsDefault IN (0, 1), styleQML FROM layer_styles "
+        "WHERE owner = 'fieldgrid' ORDER BY 1",
+    ),
 )
+
+_OLD = tuple(
+    (what, query.replace("geom, time,", "geom,").replace("geom, time ", "geom "))
+    for what, query in _COMPARED
+    if "layer_styles" not in query
+)
+"""The same of format 2, which has neither styles nor the time of a feature as text."""

@@ -132,6 +132,36 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
         ) from error
 
 
+def check_plane(connection: sqlite3.Connection, path: Path, datum: Datum) -> None:
+    """Raise MapError when the plane that a GIS is told of is not that of the map's datum."""
+    *_, own = schema.reference_systems(datum)
+    found = connection.execute(
+        "SELECT srs_name, srs_id, organization, organization_coordsys_id, definition, description "
+        "FROM gpkg_spatial_ref_sys WHERE srs_id = ?",
+        (schema.SRS_ID,),
+    ).fetchone()
+    if found == own:
+        return
+    # Another version of PROJ may have put the same definition in other words.
+    same_words = found is not None and (*found[:4], found[5]) == (*own[:4], own[5])
+    if not (same_words and _is_same_plane(found[4], own[4])):
+        name = "none" if found is None else found[0]
+        raise MapError(
+            f"The datum of {path} is {datum.described()}, which is not that of its plane in "
+            f"gpkg_spatial_ref_sys ({name}): one of them has been changed. Restore a copy."
+        )
+
+
+def _is_same_plane(found: object, own: str) -> bool:
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        return bool(CRS.from_wkt(str(found)).equals(CRS.from_wkt(own)))
+    except CRSError:
+        return False
+
+
 def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
     """Raise MapError for a file that lost its end: SQLite overlooks a part of the last page."""
     pages, page_bytes, mode = (

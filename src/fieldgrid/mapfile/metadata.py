@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.errors import ConfigError, DatumError, MapError
-from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
+from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile.arrays import (
     Array,
     Kind,
@@ -22,11 +21,10 @@ from fieldgrid.mapfile.arrays import (
     trajectory_of,
 )
 from fieldgrid.mapfile.digest import session_digest
-from fieldgrid.mapfile.records import is_accepted
 from fieldgrid.mapfile.schema import software_version
 from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.quality import Quality
-from fieldgrid.trajectory import Pose, Trajectory
+from fieldgrid.trajectory import Trajectory
 
 
 class SessionMetadata(NamedTuple):
@@ -189,22 +187,6 @@ def digest_of(
         heading_source, *grid,
     )  # fmt: skip
     return session_digest(values, metadata.arrays, frames)
-
-
-def check_pose(pose: Pose) -> None:
-    """Raise for an accepted pose that cannot be folded: without numbers, or far from the datum."""
-    if not is_accepted(pose):
-        return
-    if not all(math.isfinite(v) for v in (pose.east_m, pose.north_m, pose.heading_deg)):
-        raise ConfigError(
-            f"A pose at east {pose.east_m}, north {pose.north_m}, heading {pose.heading_deg} "
-            "is marked ok; reject it, or give it numbers."
-        )
-    if max(abs(pose.east_m), abs(pose.north_m)) > MAX_DISTANCE_M:
-        raise DatumError(
-            f"A pose {pose.east_m:.0f} m east and {pose.north_m:.0f} m north is over "
-            f"{MAX_DISTANCE_M / 1000:.0f} km from the map's datum; start another map there."
-        )
 
 
 def quality_at(track: Trajectory | None, time_ns: int) -> int | None:

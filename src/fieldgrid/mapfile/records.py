@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from fieldgrid import notebook
-from fieldgrid.errors import FieldgridError, MapError
+from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError
+from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
 from fieldgrid.mapfile.codec import EncodedChannel, cells_sha256, decode_cells
@@ -156,6 +157,24 @@ def is_accepted(pose: Pose) -> bool:
     return pose.status is Status.OK
 
 
+def check_pose(pose: Pose) -> None:
+    """Raise for an accepted pose that cannot be folded: without numbers, or far from the datum."""
+    if not is_accepted(pose):
+        return
+    if not all(math.isfinite(v) for v in (pose.east_m, pose.north_m, pose.heading_deg)):
+        raise ConfigError(
+            f"A pose at east {pose.east_m}, north {pose.north_m}, heading {pose.heading_deg} "
+            "is marked ok; reject it, or give it numbers."
+        )
+    # A height may be unknown.
+    up_m = 0.0 if math.isnan(pose.up_m) else pose.up_m
+    if max(abs(pose.east_m), abs(pose.north_m), abs(up_m)) > MAX_DISTANCE_M:
+        raise DatumError(
+            f"A pose {pose.east_m:.6g} m east, {pose.north_m:.6g} m north and {up_m:.6g} m up is "
+            f"over {MAX_DISTANCE_M / 1000:.0f} km from the map's datum; start another map there."
+        )
+
+
 def frame_values(
     pose: Pose,
     frame_id: str,
@@ -192,32 +211,35 @@ def frame_record(
     status, reason, quality, images, images_sha256, cells_sha256, digest, transform = row[14:]
     try:
         driven = Pose(
-            time_ns=int(time_ns),
-            east_m=number(pose[0]),
-            north_m=number(pose[1]),
-            up_m=number(pose[2]),
-            heading_deg=number(pose[3]),
-            position_sigma_m=number(pose[4]),
-            heading_sigma_deg=number(pose[5]),
-            speed_mps=number(pose[6]),
+            time_ns=_whole(time_ns),
+            east_m=_number(pose[0]),
+            north_m=_number(pose[1]),
+            up_m=_number(pose[2]),
+            heading_deg=_number(pose[3]),
+            position_sigma_m=_number(pose[4]),
+            heading_sigma_deg=_number(pose[5]),
+            speed_mps=_number(pose[6]),
             status=Status(status),
-            reason=str(reason),
+            reason=_text(reason),
         )
+        placed = transform_of(transform).pose(driven)
+        check_pose(placed)
         return FrameRecord(
-            session=str(session),
-            frame_id=str(frame_id),
-            pose=transform_of(transform).pose(driven),
+            session=_text(session),
+            frame_id=_text(frame_id),
+            pose=placed,
             images=tuple(str(name) for name in json.loads(images)),
             spec=GridSpec(width_m, length_m, cell_m),
             load=load,
-            quality=None if quality is None else int(quality),
+            quality=None if quality is None else _whole(quality),
             images_sha256=tuple(str(value) for value in json.loads(images_sha256)),
-            cells_sha256=str(cells_sha256),
-            digest=str(digest),
+            cells_sha256=_text(cells_sha256),
+            digest=_text(digest),
             driven=driven,
         )
     except (TypeError, ValueError, FieldgridError) as error:
-        raise MapError(f"Frame {frame_id!r} of session {session!r} is damaged: {error}") from error
+        what = f"Frame {frame_id!r} of session {session!r}"
+        raise MapError(f"{what} is damaged: {str(error).rstrip('.')}.") from error
 
 
 def session_info(row: tuple[Any, ...]) -> SessionInfo:
@@ -227,26 +249,40 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
     frames, accepted, width_m, length_m, cell_m = counts
     try:
         return SessionInfo(
-            name=str(name),
-            created=str(created),
-            source=str(source),
+            name=_text(name),
+            created=_text(created),
+            source=_text(source),
             config=dict(json.loads(config)),
-            software_version=str(software),
-            heading_source=str(heading_source),
-            first_time_ns=None if first is None else int(first),
-            last_time_ns=None if last is None else int(last),
-            frames=int(frames),
-            accepted=int(accepted),
+            software_version=_text(software),
+            heading_source=_text(heading_source),
+            first_time_ns=None if first is None else _whole(first),
+            last_time_ns=None if last is None else _whole(last),
+            frames=_whole(frames),
+            accepted=_whole(accepted),
             grid=None if cell_m is None else GridSpec(width_m, length_m, cell_m),
-            removed=None if removed is None else str(removed),
-            source_sha256=str(source_sha256),
-            digest=str(digest),
+            removed=None if removed is None else _text(removed),
+            source_sha256=_text(source_sha256),
+            digest=_text(digest),
             transform=transform_of(transform),
         )
     except (TypeError, ValueError, FieldgridError) as error:
-        raise MapError(f"Session {name!r} is damaged: {error}") from error
+        raise MapError(f"Session {name!r} is damaged: {str(error).rstrip('.')}.") from error
 
 
-def number(value: Any) -> float:
+def _number(value: Any) -> float:
     """A stored number; SQLite has no NaN and keeps NULL in its place."""
+    if value is not None and not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is no number")
     return math.nan if value is None else float(value)
+
+
+def _whole(value: Any) -> int:
+    if not isinstance(value, int):
+        raise TypeError(f"{value!r} is no whole number")
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value

@@ -21,14 +21,13 @@ from fieldgrid.mapfile.metadata import (
     Found,
     as_json,
     check_name,
-    check_pose,
     find,
     put_arrays,
     quality_at,
     row_of,
     sum_up,
 )
-from fieldgrid.mapfile.records import frame_values
+from fieldgrid.mapfile.records import check_pose, frame_values
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.transform import IDENTITY, Transform
 from fieldgrid.trajectory import Pose, Trajectory
@@ -69,6 +68,7 @@ def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> No
     connection.execute("UPDATE fieldgrid_session SET name = ? WHERE id = ?", (to, session_id))
     for layer in FEATURE_LAYERS:
         connection.execute(f"UPDATE {layer} SET session = ? WHERE session = ?", (to, name))
+    derived.touch(connection)
 
 
 def transform(

@@ -62,7 +62,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
     return Root(
         hashed.hexdigest(),
         None if meta is None else str(meta[0]),
-        None if noted is None or "(" not in noted else noted.rsplit("(", 1)[1].rstrip(")")[-64:],
+        noted if noted is None else noted.removeprefix(f"{_DRIVES} (SHA-256 ").removesuffix(")"),
     )
 
 

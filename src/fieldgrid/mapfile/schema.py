@@ -242,6 +242,9 @@ EVIDENCE_TABLES = (
     "fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid", "fieldgrid_array",
 )  # fmt: skip
 
+COUNTED_TABLES = ("fieldgrid_session", "fieldgrid_frame", "density", *GEOMETRIES, "layer_styles")
+"""Those whose rows have numbers that are never given again."""
+
 DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
 """Those of our own that follow from the evidence."""
 
@@ -307,6 +310,7 @@ def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> 
     names = ", ".join(repr(layer) for layer in LAYERS)
     for table in ("gpkg_geometry_columns", "gpkg_tile_matrix_set", "gpkg_contents"):
         connection.execute(f"DELETE FROM {table} WHERE table_name IN ({names})")
+    connection.execute(f"DELETE FROM gpkg_contents WHERE identifier IN ({names})")
     for table, (data_type, description) in LAYERS.items():
         srs_id = None if data_type == "attributes" else SRS_ID
         connection.execute(

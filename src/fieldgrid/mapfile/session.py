@@ -20,14 +20,13 @@ from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import (
     SessionMetadata,
-    check_pose,
     name_is_taken,
     put_arrays,
     quality_at,
     sum_up,
 )
 from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
-from fieldgrid.mapfile.records import frame_values, is_accepted
+from fieldgrid.mapfile.records import check_pose, frame_values, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
 from fieldgrid.trajectory import Pose

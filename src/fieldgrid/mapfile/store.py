@@ -15,6 +15,7 @@ from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.schema import FORMAT_VERSION
+from fieldgrid.mapfile.styles import refresh_styles
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.mapfile.upgrade import read_as_is
 from fieldgrid.publish import Draft, mentions
@@ -99,6 +100,7 @@ def create_map(
         with writing(connection, path):
             matrices = TileMatrixSet(lattice)
             schema.create(connection, datum, matrices, header.transfer, header.groups)
+            refresh_styles(connection)
             seal(connection)
     except BaseException:
         universal.discard()

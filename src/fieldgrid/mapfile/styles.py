@@ -1,7 +1,7 @@
 """How QGIS shows the layers of a map, in the table that it looks into when it opens one.
 
-The styles of this package are rows of its own, brought up to date when a map that has changed is
-closed; styles that a user has saved, and which of them is the default, are left alone.
+The styles of this package are rows of its own, brought up to date with each change of the map;
+styles that a user has saved, and which of them is the default, are left alone.
 """
 
 from __future__ import annotations
@@ -33,16 +33,30 @@ CREATE TABLE IF NOT EXISTS layer_styles (
 """
 
 _ANNOUNCE = (
-    "INSERT OR IGNORE INTO gpkg_contents (table_name, data_type, identifier, description) "
+    "INSERT INTO gpkg_contents (table_name, data_type, identifier, description) "
     "VALUES ('layer_styles', 'attributes', 'layer_styles', 'How QGIS shows the layers')"
 )
 
 
-def refresh_styles(connection: sqlite3.Connection) -> None:
-    """Bring the styles up to date with the sessions, within the caller's transaction."""
+def drop_styles(connection: sqlite3.Connection) -> None:
+    """Forget the styles of this package, to be made again by `refresh_styles`."""
     connection.execute(_TABLE)
+    connection.execute("DELETE FROM layer_styles WHERE owner = ?", (_OWNER,))
+
+
+def refresh_styles(
+    connection: sqlite3.Connection, evidence: sqlite3.Connection | None = None
+) -> None:
+    """Bring the styles up to date with the sessions, within the caller's transaction; these are
+    those in `evidence`, where that is another database."""
+    connection.execute(_TABLE)
+    connection.execute("DELETE FROM gpkg_contents WHERE 'layer_styles' IN (table_name, identifier)")
     connection.execute(_ANNOUNCE)
-    rows = connection.execute("SELECT name, removed FROM fieldgrid_session ORDER BY id").fetchall()
+    rows = (
+        (evidence or connection)
+        .execute("SELECT name, removed FROM fieldgrid_session ORDER BY id")
+        .fetchall()
+    )
     sessions = [
         (str(name), palette.session_colour(number))
         for number, (name, removed) in enumerate(rows)

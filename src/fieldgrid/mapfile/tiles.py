@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
 from fieldgrid.layers import Cells, ChannelGroup
 from fieldgrid.layers.window import coarser, with_overviews
@@ -18,6 +19,9 @@ from fieldgrid.mapfile.tile_codec import stored_channels
 from fieldgrid.mapfile.tiling import TileMatrixSet, children
 
 _HALF = TILE_CELLS // 2
+_FARTHEST = 1 << 31
+"""Beyond the places of all tiles."""
+
 _SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
@@ -43,7 +47,7 @@ class TileTables:
     def session_tiles(self, session_id: int) -> set[TileIndex]:
         """The base tiles in which a session has something."""
         return {
-            TileIndex(*row)
+            _index(*row)
             for row in self.rows(
                 "SELECT DISTINCT ty, tx FROM fieldgrid_session_tile WHERE session_id = ?",
                 (session_id,),
@@ -80,7 +84,7 @@ class TileTables:
             "WHERE ty BETWEEN ? AND ? AND tx BETWEEN ? AND ? ORDER BY 1, 2, 3",
             (south, north, west, east),
         )
-        return [(TileIndex(ty, tx), session_id) for ty, tx, session_id in rows]
+        return [(_index(ty, tx), session_id) for ty, tx, session_id in rows]
 
     def cells(
         self, zoom: int, tile: TileIndex, groups: Sequence[ChannelGroup] | None = None
@@ -141,12 +145,12 @@ class TileTables:
             "GROUP BY 1, 2, 3 HAVING count(*) < ? ORDER BY 1 DESC, 2, 3",
             (self.matrices.base_zoom, len(self.groups)),
         )
-        return [(zoom, TileIndex(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
+        return [(zoom, _index(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
 
     def tiles(self, zoom: int) -> list[TileIndex]:
         """The observed tiles of a zoom level, in order."""
         return [
-            TileIndex(*row)
+            _index(*row)
             for row in self.rows(
                 "SELECT ty, tx FROM fieldgrid_tile WHERE zoom = ? AND channels = 'density' "
                 "ORDER BY 1, 2",
@@ -165,7 +169,7 @@ class TileTables:
             "SELECT min(ty), min(tx), max(ty), max(tx) FROM fieldgrid_tile WHERE zoom = ?",
             (self.matrices.base_zoom,),
         )
-        return [] if south is None else [TileIndex(south, west), TileIndex(north, east)]
+        return [] if south is None else [_index(south, west), _index(north, east)]
 
     def put_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         """Replace what a session has in a base tile; nothing when there are no blobs."""
@@ -210,6 +214,13 @@ class TileTables:
             "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
             [(zoom, *tile, name, blob) for name, blob in blobs.items()],
         )
+
+
+def _index(ty: object, tx: object) -> TileIndex:
+    """Where a tile lies, as it was stored."""
+    if not (isinstance(ty, int) and isinstance(tx, int) and max(abs(ty), abs(tx)) < _FARTHEST):
+        raise MapError(f"A tile lies at {ty!r}, {tx!r}, which is no place; try `fieldgrid repair`.")
+    return TileIndex(ty, tx)
 
 
 def quadrant_of(child: TileIndex) -> tuple[slice, slice]:

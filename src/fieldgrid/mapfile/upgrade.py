@@ -13,15 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec
 from fieldgrid.layers import GROUPS
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.derived import rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import Header, check_plane
 from fieldgrid.mapfile.metadata import digest_of, find
+from fieldgrid.mapfile.root import seal
 
 _GREY = "|u1"
 
@@ -62,12 +63,28 @@ def upgraded(header: Header) -> Header:
     return header._replace(groups=tuple(GROUPS), version=schema.FORMAT_VERSION)
 
 
+def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) -> sqlite3.Connection:
+    """A map of format 2 as it would be after an upgrade, in a temporary database; to be closed."""
+    copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+    try:
+        connection.backup(copy)
+        copy.execute("PRAGMA trusted_schema = OFF")
+        upgrade(copy, path, header)
+        seal(copy)
+    except BaseException:
+        copy.close()
+        raise
+    return copy
+
+
 def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
     """Bring a map of format 2 to the present one, within the caller's transaction.
 
     What was damaged stays so: it keeps a digest that does not fit. Raises MapError when the frames
-    of an active session cannot be read.
+    of an active session cannot be read, or the datum is not that of the map's plane: format 2 has
+    nothing else that confirms it.
     """
+    check_plane(connection, path, header.datum)
     for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
         connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
     # Other tables keep referring to the sessions by the name that the new table takes.
@@ -123,7 +140,7 @@ def _copy_frames(connection: sqlite3.Connection) -> set[int]:
             sha256 = cells_sha256(cells)
             if hashed.hexdigest() == digest:
                 renewed = frame_digest((*values, sha256))
-        except (MapError, TypeError, ValueError):
+        except (FieldgridError, TypeError, ValueError):
             pass
         if renewed == str(digest):
             damaged.add(session_id)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 from fieldgrid.errors import MapError
@@ -20,17 +21,23 @@ from fieldgrid.mapfile.codec import cells_sha256
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.feature_check import check_features
+from fieldgrid.mapfile.file_check import (
+    MAX_PROBLEMS,
+    check_file,
+    check_layout,
+    check_types,
+    damaged_pages,
+    orphans,
+    renew_file,
+)
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
-from fieldgrid.mapfile.records import FrameRecord, frame_values
+from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
 from fieldgrid.mapfile.root import check_root, read_root
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
-from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
 from fieldgrid.mapfile.workers import in_order
-
-MAX_PROBLEMS = 100
-"""Problems that are listed; a map with so many needs no longer list."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +67,12 @@ def verify(
     subject = Subject(connection, path, header, jobs)
     problems, notes = list[str](), list[str]()
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
-    checks = (_file, _root, _evidence, check_features, check_tiles)
+    checks = (check_file, check_layout, check_types, _root, _evidence, check_features, check_tiles)
     if header.version < schema.FORMAT_VERSION:
-        checks = (_pages_and_orphans,)
+        checks = (check_file, check_features, _upgraded)
         notes.append(
-            f"The map is of format {header.version}, whose evidence is checked when it is "
-            "upgraded: run `fieldgrid repair --upgrade`."
+            f"The map is of format {header.version}: its frames and pictures were checked by "
+            "upgrading a copy. `fieldgrid repair --upgrade` brings the map itself up to date."
         )
     unknown = [name for name in header.groups if name not in GROUPS]
     if unknown:
@@ -73,10 +80,14 @@ def verify(
             f"The tiles of {', '.join(unknown)} were not checked: no imported module knows them."
         )
     for check in checks:
+        before = len(problems)
         try:
             problems += islice(check(subject), MAX_PROBLEMS - len(problems))
         except (MapError, sqlite3.DatabaseError) as error:
             problems.append(str(error))
+        if check is check_types and len(problems) > before:
+            notes.append("Nothing else was checked: the tables hold what they cannot.")
+            break
         if len(problems) >= MAX_PROBLEMS:
             break
     sessions, removed, frames, tiles = (
@@ -88,44 +99,9 @@ def verify(
             "density",
         )
     )
-    return HealthReport(tuple(problems), tuple(notes), sessions, removed, frames, tiles)
-
-
-def _file(subject: Subject) -> Iterator[str]:
-    """The file as SQLite and GeoPackage see it, and the layout of its tables."""
-    yield from _pages_and_orphans(subject)
-    expected = sqlite3.connect("")
-    try:
-        matrices = TileMatrixSet(subject.header.lattice)
-        schema.create(expected, subject.header.datum, matrices, subject.header.transfer, ())
-        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
-        ours, known = set(subject.connection.execute(query)), set(expected.execute(query))
-        tables = {row[2] for row in known}
-    finally:
-        expected.close()
-    for kind, name, _, _ in sorted(known - ours):
-        yield f"The {kind} {name} is not laid out as in a map."
-    for kind, name, table, _ in sorted(ours - known):
-        if kind == "trigger" and table in tables:
-            yield f"A trigger {name} changes {table} behind the map's back; drop it."
-
-
-def _pages_and_orphans(subject: Subject) -> Iterator[str]:
-    yield from _pages(subject.connection)
-    yield from _orphans(subject.connection)
-
-
-def _pages(connection: sqlite3.Connection) -> Iterator[str]:
-    for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
-        if line != "ok":
-            yield f"The file is damaged: {line}."
-
-
-def _orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
-    """Rows of a table, or of all, that belong to nothing."""
-    check = f"foreign_key_check({table})" if table else "foreign_key_check"
-    for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
-        yield f"Row {row_id} of {name} has no counterpart in {parent}."
+    return HealthReport(
+        tuple(dict.fromkeys(problems)), tuple(notes), sessions, removed, frames, tiles
+    )
 
 
 def _root(subject: Subject) -> Iterator[str]:
@@ -148,16 +124,13 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
         f"grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session {which} ORDER BY id"
     ).fetchall()
     for session_id, name, digest, *counts, width_m, length_m, cell_m, heading_source in sessions:
-        frames = [
-            row[0]
-            for row in connection.execute(
-                "SELECT digest FROM fieldgrid_frame WHERE session_id = ?", (session_id,)
-            )
-        ]
         try:
+            session_info(
+                connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
+            )
             records = frames_of(connection, session_id)
         except MapError as error:
-            yield f"Session {name!r}: {error}"
+            yield str(error)
             continue
         yield from (problem for problem in in_order(_frame_problem, records, jobs) if problem)
         times_ns = [record.pose.time_ns for record in records]
@@ -179,11 +152,30 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
         except MapError as error:
             yield str(error)
             continue
+        frames = [record.digest for record in records]
         if digest_of(metadata, (width_m, length_m, cell_m), heading_source, frames) != digest:
             yield (
                 f"Session {name!r} is not as it was stored: its settings, trajectory, inputs or "
                 "list of frames have changed."
             )
+
+
+def _upgraded(subject: Subject) -> Iterator[str]:
+    """The evidence of a map of an older format, and its pictures, which are all that is read of
+    what follows from that."""
+    connection, path, header, jobs = subject
+    with closing(upgraded_copy(connection, path, header)) as copy:
+        anew = Subject(copy, path, upgraded(header), jobs)
+        wrong = list(islice(chain(check_types(anew), _evidence(anew)), MAX_PROBLEMS))
+        yield from wrong
+        if not wrong:
+            # The pictures are those of today: put into the copy, they must be those of its tiles.
+            copy.execute("DELETE FROM density")
+            copy.executemany(
+                "INSERT INTO density VALUES (?, ?, ?, ?, ?)",
+                connection.execute("SELECT * FROM density"),
+            )
+            yield from check_tiles(anew)
 
 
 def _frame_problem(record: FrameRecord) -> str:
@@ -220,23 +212,24 @@ def repair(
     if not read_root(connection).trusted:
         _renew_rows(connection, header)
         check_root(connection, path)
-    damaged = [
-        *_pages(connection),
-        *(
-            line
-            for name in ("frame", "array")
-            for line in _orphans(connection, f"fieldgrid_{name}")
+    damaged = next(
+        chain(
+            damaged_pages(connection),
+            orphans(connection, "fieldgrid_frame"),
+            orphans(connection, "fieldgrid_array"),
+            _evidence(subject, "WHERE removed IS NULL"),
         ),
-        *_evidence(subject, "WHERE removed IS NULL"),
-    ]
-    if damaged:
+        None,
+    )
+    if damaged is not None:
         raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: {damaged[0]} Take "
+            f"{path} cannot be repaired, because its evidence is damaged: {damaged} Take "
             "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
     derived.rebuild(connection, path, header, tuple(GROUPS), jobs)
+    renew_file(connection)
     return tuple(GROUPS)
 
 

@@ -1,0 +1,128 @@
+"""A map as SQLite and GeoPackage see it: the file, the layout of its tables, what they hold."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+
+from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.tiling import TileMatrixSet
+
+MAX_PROBLEMS = 100
+"""Problems that are listed; a map with so many needs no longer list."""
+
+_STORED = {
+    "INTEGER": ("integer", "a whole number"),
+    "TINYINT": ("integer", "a whole number"),
+    "DOUBLE": ("real", "a number"),
+    "TEXT": ("text", "a text"),
+    "DATETIME": ("text", "a date and time"),
+}
+"""What SQLite holds in a column of a type, and how that is called; a blob in all others."""
+
+_LARGEST_ID = 1 << 53
+"""SQLite takes no row behind the largest number that it has; some programs count no further."""
+
+
+def check_file(subject: Subject) -> Iterator[str]:
+    """The pages of the file, its header, and references between its tables."""
+    connection = subject.connection
+    yield from damaged_pages(connection)
+    yield from orphans(connection)
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if version != schema.GEOPACKAGE_VERSION:
+        yield (
+            f"The file says that it is a GeoPackage of version {version}, and not "
+            f"{schema.GEOPACKAGE_VERSION}."
+        )
+
+
+def check_layout(subject: Subject) -> Iterator[str]:
+    """The tables, their indexes, and triggers that change them."""
+    connection, expected = subject.connection, _empty(subject)
+    try:
+        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        ours, known = set(connection.execute(query)), set(expected.execute(query))
+        tables = {row[2] for row in known}
+    finally:
+        expected.close()
+    for kind, name, _, _ in sorted(known - ours):
+        yield f"The {kind} {name} is not laid out as in a map."
+    for kind, name, table, _ in sorted(ours - known):
+        if kind == "trigger" and table in tables:
+            yield f"A trigger {name} changes {table} behind the map's back; drop it."
+    for (table,) in connection.execute(
+        "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
+    ):
+        yield f"The time at which the layer {table} was last changed is none."
+    yield from _sequences(connection)
+
+
+def check_types(subject: Subject) -> Iterator[str]:
+    """What each column of each table holds, which SQLite itself does not enforce."""
+    connection, expected = subject.connection, _empty(subject)
+    try:
+        columns = expected.execute(
+            'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '
+            "JOIN pragma_table_info(t.name) AS c WHERE t.type = 'table' "
+            "AND t.name NOT LIKE 'sqlite_%' ORDER BY 1, c.cid"
+        ).fetchall()
+    finally:
+        expected.close()
+    for table, column, declared, is_needed in columns:
+        held, called = _STORED.get(declared, ("blob", "a blob"))
+        allowed = f"'{held}'" if is_needed else f"'{held}', 'null'"
+        for row_id, found in connection.execute(
+            f"SELECT rowid, typeof({column}) FROM {table} WHERE typeof({column}) NOT IN ({allowed})"
+        ):
+            yield f"Row {row_id} of {table} has {found} in {column}, where {called} belongs."
+
+
+def _sequences(connection: sqlite3.Connection) -> Iterator[str]:
+    """The numbers from which SQLite counts on."""
+    rows = connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall()
+    for table in schema.COUNTED_TABLES:
+        (largest,) = connection.execute(f"SELECT max(rowid) FROM {table}").fetchone()
+        if largest is None:
+            continue
+        kept = [seq for name, seq in rows if name == table]
+        if not (len(kept) == 1 and isinstance(kept[0], int) and largest <= kept[0] <= _LARGEST_ID):
+            yield f"The number of the last row of {table} is {largest}; {kept} is kept of it."
+
+
+def damaged_pages(connection: sqlite3.Connection) -> Iterator[str]:
+    """What SQLite finds wrong with its own file."""
+    for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
+        if line != "ok":
+            yield f"The file is damaged: {line}."
+
+
+def orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
+    """Rows of a table, or of all, that belong to nothing."""
+    check = f"foreign_key_check({table})" if table else "foreign_key_check"
+    for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
+        yield f"Row {row_id} of {name} has no counterpart in {parent}."
+
+
+def renew_file(connection: sqlite3.Connection) -> None:
+    """Bring what `check_file` and `check_types` find of the file's own numbers up to date."""
+    connection.execute(f"PRAGMA user_version = {schema.GEOPACKAGE_VERSION}")
+    connection.execute(
+        "DELETE FROM sqlite_sequence WHERE name IS NULL OR name NOT IN "
+        "(SELECT name FROM sqlite_schema WHERE type = 'table')"
+    )
+    for table in schema.COUNTED_TABLES:
+        connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (table,))
+        connection.execute(
+            f"INSERT INTO sqlite_sequence SELECT ?, max(rowid) FROM {table} HAVING count(*)",
+            (table,),
+        )
+
+
+def _empty(subject: Subject) -> sqlite3.Connection:
+    """A new map without sessions; to be closed."""
+    made = sqlite3.connect("", isolation_level=None)
+    matrices = TileMatrixSet(subject.header.lattice)
+    schema.create(made, subject.header.datum, matrices, subject.header.transfer, ())
+    return made
