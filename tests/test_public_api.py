@@ -20,7 +20,8 @@ import pytest
 import fieldgrid
 import fieldgrid as fg
 from fieldgrid.build import build_map
-from fieldgrid.settings import BuildSettings
+from fieldgrid.build.repose import repose_map
+from fieldgrid.settings import BuildSettings, resolve
 from tests.conftest import TWO_LANES
 
 MakeDrive = Callable[..., Path]
@@ -181,8 +182,17 @@ def test_a_script_can_evaluate_more_than_one_map(two_lanes_map: Path) -> None:
     assert done.stdout.split() == ["0.05", "0.05"], done.stderr
 
 
-def test_paths_may_be_text(two_lanes_map: Path) -> None:
-    fg.open_map(str(two_lanes_map)).close()
+def test_paths_may_be_text(two_lanes_map: Path, make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, out = make_drive("june-03", range(4, 6)), tmp_path / "map.gpkg"
+    (tmp_path / "settings.toml").write_text("[map]\ncell_m = 0.2\n")
+    settings = resolve(str(tmp_path / "settings.toml"), {})
+    options = fg.DriveOptions(mounting=str(drive / "calibration" / "mounting.json"))
+    build_map([str(drive)], str(out), settings, options)
+    assert repose_map(str(out))[0].session == "june-03"
+    assert fg.merge_maps([str(out)], str(tmp_path / "copy.gpkg"))[0].name == "june-03"
+    with fg.open_map(str(tmp_path / "copy.gpkg")) as universal:
+        assert universal.cell_m == 0.2
+        assert fg.export_map(universal, str(tmp_path / "map.tif")).paths[0].is_file()
     fg.open_recording(str(TWO_LANES), gnss="gnss_rtk.nmea").close()
     assert len(fg.read_truth(str(TWO_LANES / "truth")).poses) == 50
 

@@ -38,7 +38,7 @@ def build(paths: list[Path], out: Path, **options: Any) -> list[SessionReport]:
 def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
     """Every row of every table of a map, but for the times at which they were written, and the root
     digest, which covers those."""
-    written = {"created", "last_change", "description"}
+    written = {"created", "last_change", "description", "update_time"}
     connection = sqlite3.connect(path)
     try:
         names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")

@@ -219,7 +219,7 @@ def test_a_part_outside_of_what_was_seen_is_unknown(universal: MapFile, tmp_path
     [
         ("f.pgm", {}, {}, "does not end in .yaml"),
         ("f.png", {}, {}, "name of a file of format png, not nav2"),
-        ("f.yaml", {"layer": "count"}, {}, "'count' is none"),
+        ("f.yaml", {"layer": "count"}, {}, "cannot hold the layer 'count'"),
         (
             "f.yaml",
             {},

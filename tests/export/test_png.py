@@ -75,7 +75,7 @@ def test_in_another_system(universal: MapFile, tmp_path: Path) -> None:
 def test_layers_of_more_than_8_bits_are_refused(
     layer: str, universal: MapFile, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=f"png holds a layer of 8 bits, and '{layer}' is none"):
+    with pytest.raises(ConfigError, match=f"png cannot hold the layer '{layer}'"):
         export_map(universal, tmp_path / "f.png", Selection(layer=layer))
     assert list(tmp_path.iterdir()) == []
 

@@ -221,7 +221,7 @@ def test_what_cannot_be(
     universal: MapFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "TASKDATA"
-    with pytest.raises(ConfigError, match="traced from the density, and 'max' is none"):
+    with pytest.raises(ConfigError, match="cannot hold the layer 'max', only what is traced"):
         export_map(universal, out, Selection(layer="max"))
     with pytest.raises(ConfigError, match="hold nothing of the map"):
         export_map(universal, out, Selection(Bounds(50.0, 50.0, 60.0, 60.0)))

@@ -263,7 +263,7 @@ def test_what_cannot_be(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         exported(universal, tmp_path, kind, **options)
-    with pytest.raises(ConfigError, match="traced from the density, and 'count' is none"):
+    with pytest.raises(ConfigError, match="cannot hold the layer 'count', only what is traced"):
         export_map(universal, tmp_path / READERS[kind][0], Selection(layer="count"))
     assert list(tmp_path.iterdir()) == []
 

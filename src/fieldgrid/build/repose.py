@@ -48,7 +48,7 @@ class ReposeReport:
 
 
 def repose_map(
-    path: Path, pose_settings: Mapping[str, Any] | None = None, name: str | None = None
+    path: str | Path, pose_settings: Mapping[str, Any] | None = None, name: str | None = None
 ) -> list[ReposeReport]:
     """Estimate the poses of one or all active sessions of a map again.
 

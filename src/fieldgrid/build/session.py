@@ -289,8 +289,8 @@ def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
 
 
 def build_map(
-    paths: Sequence[Path],
-    out: Path,
+    paths: Sequence[str | Path],
+    out: str | Path,
     settings: BuildSettings,
     options: DriveOptions | None = None,
     *,
@@ -308,9 +308,10 @@ def build_map(
     What can be checked is checked before the first image is read. On any error a new map does
     not come to be and an existing one stays as it was, but for the sessions already appended.
     """
+    out = Path(out)
     check_output(out, append=append, overwrite=overwrite)
     if not append:
-        refuse_input(out, paths)
+        refuse_input(out, [Path(path) for path in paths])
     with ExitStack() as open_things:
         recordings = [
             open_things.enter_context(open_drive(path, options)).recording() for path in paths

@@ -58,8 +58,8 @@ class Holds(StrEnum):
     """Which layers of a map a format can hold."""
 
     ANY = "any layer"
-    GREY = "a layer of 8 bits"
-    OCCUPANCY = "the layer density or max"
+    GREY = "layers of whole numbers from 0 to 255"
+    OCCUPANCY = "the layers density and max"
     SHAPES = "what is traced from the density"
     MAP = "the density of the map as it is"
 
@@ -222,8 +222,8 @@ def _check_layer(chosen: Format, layer: str) -> None:
     if not fits[chosen.holds]:
         others = ", ".join(one.name for one in formats().values() if one.holds is Holds.ANY)
         raise ConfigError(
-            f"The format {chosen.name} holds {chosen.holds.value}, and {layer!r} is none; leave "
-            f"--layer out, or choose one of the formats {others}."
+            f"The format {chosen.name} cannot hold the layer {layer!r}, only "
+            f"{chosen.holds.value}; leave --layer out, or choose one of the formats {others}."
         )
 
 

@@ -170,7 +170,7 @@ GROUP = ChannelGroup(
 
 _GROUPS, _NAN = ("density", "ground"), float("nan")
 
-HEIGHT = Layer(
+GROUND = Layer(
     "ground",
     "float32",
     "m",

@@ -95,7 +95,7 @@ for _layer in (
     sessions.SESSIONS,
     sessions.PERSISTENCE,
     height.HEIGHT,
-    ground.HEIGHT,
+    ground.GROUND,
     ground.SIGMA,
     ground.SLOPE,
     density.PEAK,

@@ -47,7 +47,7 @@ class DriveOptions:
     gnss: str | Path | None = None
     columns: Columns | None = None
     topics: Mapping[str, str] = field(default_factory=dict)
-    mounting: Path | Mounting | None = None
+    mounting: str | Path | Mounting | None = None
     image_time_offset_ns: int | None = None
     unmounted: bool = False
 
@@ -86,7 +86,7 @@ class DriveOptions:
             return self.mounting
         if self.mounting is not None:
             try:
-                return read_mounting(self.mounting)
+                return read_mounting(Path(self.mounting))
             except CalibrationError as problem:
                 raise ConfigError(str(problem)) from problem
         if not usual.exists():

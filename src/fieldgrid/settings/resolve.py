@@ -17,11 +17,12 @@ Overrides = Mapping[str, Mapping[str, Any]]
 """What flags say: {table: {key: value}}; a value of None was not given."""
 
 
-def resolve(path: Path | None, overrides: Overrides) -> BuildSettings:
+def resolve(path: str | Path | None, overrides: Overrides) -> BuildSettings:
     """Settings from a TOML file (or none) with `overrides` on top.
 
     Unknown keys and impossible values are a ConfigError that names them.
     """
+    path = None if path is None else Path(path)
     tables = {} if path is None else _read(path)
     flagged = set()
     for table, values in overrides.items():

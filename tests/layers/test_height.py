@@ -1,0 +1,43 @@
+"""The layer `height`: where the vehicle stood when it saw a cell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.mapfile import create_map, open_map
+from tests.mapfile.maps import DATUM, one_cell
+
+NAN = float("nan")
+
+
+def test_it_is_the_mean_over_the_frames_that_observed_a_cell(tmp_path: Path) -> None:
+    """To the millimetre, and frames whose pose has no height do not count."""
+    seen = {
+        "a": [(2.05, 1.2346), (2.05, -0.5), (2.05, NAN), (2.15, 3.0), (2.45, NAN)],
+        "b": [(2.05, 2.0), (2.15, -7.0)],
+    }
+    path = tmp_path / "map.gpkg"
+    with create_map(path, DATUM, cell_m=0.1) as universal:
+        for name, frames in seen.items():
+            with universal.add_session(name) as session:
+                for east_m, up_m in frames:
+                    grid, pose = one_cell(east_m, 3.05, 9)
+                    session.add(grid, replace(pose, up_m=up_m))
+
+    def heights(cell_m: float, sessions: list[str] | None = None) -> list[float]:
+        view = universal.read(cell_m=cell_m, layers=["height"], sessions=sessions)
+        assert np.isnan(view.layer("height")[~view.observed]).all()
+        return [float(value) for value in view.layer("height")[view.observed]]
+
+    with open_map(path, writable=True) as universal:
+        means = [(1.235 - 0.5 + 2.0) / 3, -2.0]
+        assert heights(0.1) == pytest.approx([*means, NAN], abs=1e-6, nan_ok=True)
+        # A larger cell: over all frames of the cells in it.
+        assert heights(0.2) == pytest.approx([(2.735 - 4.0) / 5, NAN], abs=1e-6, nan_ok=True)
+        assert heights(0.1, ["b"]) == pytest.approx([2.0, -7.0], abs=1e-6)
+        universal.remove_session("a")
+        assert heights(0.1) == pytest.approx([2.0, -7.0], abs=1e-6)
