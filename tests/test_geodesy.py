@@ -166,3 +166,12 @@ def test_a_reference_system_of_this_part_of_the_earth(
 def test_a_reference_system_of_another_part(epsg: int, lat_deg: float, lon_deg: float) -> None:
     with pytest.raises(ConfigError, match=f"EPSG:{epsg} .* is made for .*; choose a system"):
         check_area_of_use(epsg, Datum(lat_deg, lon_deg, 0.0))
+
+
+def test_a_reference_system_is_known_in_other_words() -> None:
+    datum = Datum(39.407121234, -1.219356789, 702.417)
+    assert datum.is_crs_wkt(datum.crs_wkt("WKT2_2019"))
+    assert datum.is_crs_wkt(datum.crs_wkt().replace("fieldgrid LTP", "another name"))
+    assert not datum.is_crs_wkt(Datum(39.407121235, -1.219356789, 702.417).crs_wkt())
+    assert not datum.is_crs_wkt(Datum(39.407121234, -1.219356789, 702.918).crs_wkt())
+    assert not datum.is_crs_wkt("PROJCS[")

@@ -109,6 +109,22 @@ class Datum:
         crs["name"] = name
         return str(CRS.from_json_dict(crs).to_wkt(version))
 
+    def is_crs_wkt(self, text: str) -> bool:
+        """Whether well-known text says this reference system, in whatever words."""
+        from pyproj import CRS
+        from pyproj.exceptions import CRSError
+
+        try:
+            found = CRS.from_wkt(text)
+        except CRSError:
+            return False
+        own = CRS.from_wkt(self.crs_wkt())
+        if not found.equals(own):
+            return False
+        # PROJ takes systems some centimetres apart for equal; these are degrees, metres, a scale.
+        pairs = zip(found.coordinate_operation.params, own.coordinate_operation.params, strict=True)
+        return all(abs(one.value - other.value) <= 1e-10 for one, other in pairs)
+
     def _axes(self) -> tuple[float, float, float, float]:
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
         return math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)

@@ -200,7 +200,7 @@ def test_the_gdal_of_the_system_reads_it(universal: MapFile, tmp_path: Path) -> 
 
 
 def test_what_it_cannot_hold_is_refused(universal: MapFile, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="kmz cannot hold the layer 'count', only layers of whole"):
+    with pytest.raises(ConfigError, match="kmz cannot hold the layer 'count', only layers"):
         export_map(universal, tmp_path / "f.kmz", Selection(layer="count"))
     wide = Selection(Bounds(0.0, 0.0, 3000.0, 800.0))
     with pytest.raises(ConfigError, match=r"240 pictures, .* or cells of 0\.1 m"):

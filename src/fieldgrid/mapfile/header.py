@@ -144,22 +144,12 @@ def check_plane(connection: sqlite3.Connection, path: Path, datum: Datum) -> Non
         return
     # Another version of PROJ may have put the same definition in other words.
     same_words = found is not None and (*found[:4], found[5]) == (*own[:4], own[5])
-    if not (same_words and _is_same_plane(found[4], own[4])):
+    if not (same_words and datum.is_crs_wkt(str(found[4]))):
         name = "none" if found is None else found[0]
         raise MapError(
             f"The datum of {path} is {datum.described()}, which is not that of its plane in "
             f"gpkg_spatial_ref_sys ({name}): one of them has been changed. Restore a copy."
         )
-
-
-def _is_same_plane(found: object, own: str) -> bool:
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        return bool(CRS.from_wkt(str(found)).equals(CRS.from_wkt(own)))
-    except CRSError:
-        return False
 
 
 def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
