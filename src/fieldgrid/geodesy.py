@@ -119,11 +119,12 @@ class Datum:
         except CRSError:
             return False
         own = CRS.from_wkt(self.crs_wkt())
-        if not found.equals(own):
+        theirs, ours = found.coordinate_operation, own.coordinate_operation
+        if theirs is None or ours is None or not found.equals(own):
             return False
         # PROJ takes systems some centimetres apart for equal; these are degrees, metres, a scale.
-        pairs = zip(found.coordinate_operation.params, own.coordinate_operation.params, strict=True)
-        return all(abs(one.value - other.value) <= 1e-10 for one, other in pairs)
+        pairs = zip(theirs.params, ours.params, strict=True)
+        return all(abs(float(one.value) - float(other.value)) <= 1e-10 for one, other in pairs)
 
     def _axes(self) -> tuple[float, float, float, float]:
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
