@@ -43,7 +43,7 @@ LAYERS = (
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile", "track_formats"),
     ("evidence",),
-    ("rows",),
+    ("rows", "route"),
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),
     ("inspection", "mounting", "convert", "view"),

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fieldgrid.mapfile import merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
     from fieldgrid.recording import DriveOptions, open_drive, open_recording
+    from fieldgrid.route import Route, Vehicle, plan_route, read_vehicle
     from fieldgrid.rows import Crop, Planting, find_rows
     from fieldgrid.settings import BuildSettings
     from fieldgrid.trajectory import Pose, Trajectory
@@ -50,9 +51,11 @@ _HOMES = {
     "LocalGrid": "grids",
     "Planting": "rows",
     "Pose": "trajectory",
+    "Route": "route",
     "Selection": "export",
     "Trajectory": "trajectory",
     "Transfer": "transfer",
+    "Vehicle": "route",
     "add_recording": "build",
     "convert_recording": "convert",
     "estimate_drive": "build",
@@ -69,7 +72,9 @@ _HOMES = {
     "open_drive": "recording",
     "open_map": "mapfile",
     "open_recording": "recording",
+    "plan_route": "route",
     "read_truth": "evaluation",
+    "read_vehicle": "route",
     "visual_odometry": "build",
 }
 
@@ -87,9 +92,11 @@ __all__ = [
     "LocalGrid",
     "Planting",
     "Pose",
+    "Route",
     "Selection",
     "Trajectory",
     "Transfer",
+    "Vehicle",
     "add_recording",
     "convert_recording",
     "estimate_drive",
@@ -106,7 +113,9 @@ __all__ = [
     "open_drive",
     "open_map",
     "open_recording",
+    "plan_route",
     "read_truth",
+    "read_vehicle",
     "visual_odometry",
 ]
 

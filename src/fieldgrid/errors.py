@@ -10,6 +10,7 @@ what to do next::
     │   ├── NoFramesError                 a drive without frames where they are needed
     │   └── LimitError                    an input that unfolds to more than it may
     ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
+    ├── NoRouteError                      no way from start to goal, and where it is blocked
     ├── DatumError         (ValueError)   a position that does not belong to this datum
     ├── MapError           (ValueError)   a map file that is foreign, damaged or too new
     │   ├── MapExistsError (FileExistsError)
@@ -46,6 +47,17 @@ class LimitError(RecordingError):
 
 class GnssError(FieldgridError, ValueError):
     """No usable fix, or none at the time of the images."""
+
+
+class NoRouteError(FieldgridError):
+    """There is no way that the vehicle can drive; `east_m` and `north_m` say where it is blocked,
+    metres of the map."""
+
+    def __init__(self, reason: str, east_m: float, north_m: float, remedy: str) -> None:
+        super().__init__(f"{reason} at {east_m:.2f},{north_m:.2f}; {remedy}.")
+        self.reason = reason
+        self.east_m = east_m
+        self.north_m = north_m
 
 
 class DatumError(FieldgridError, ValueError):

@@ -7,13 +7,13 @@ reason. Each file's first line names fieldgrid, by which a later track knows wha
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from fieldgrid.angles import yaw_from_heading_rad
-from fieldgrid.array_types import Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.pose import Estimate
 from fieldgrid.trajectory import MAX_GAP_NS
 
@@ -27,23 +27,32 @@ TUM_START = "# fieldgrid track: seconds UTC, east, north, up (m), quaternion x y
 
 def gpx_lines(estimate: Estimate) -> Iterator[str]:
     """GPX 1.1: a segment for each stretch without a gap; elevations are above the ellipsoid."""
-    yield GPX_START
-    yield "<trk><name>fieldgrid track</name>"
     track, rows = estimate.trajectory, _accepted(estimate)
     lat, lon, height = track.datum.to_geodetic(
         track.east_m[rows], track.north_m[rows], track.up_m[rows]
     )
     times = np.datetime_as_string(track.time_ns[rows].astype("datetime64[ns]"), unit="ms")
-    starts = np.concatenate([[True], np.diff(track.time_ns[rows]) > MAX_GAP_NS])
-    points = zip(starts[: len(rows)].tolist(), lat, lon, height, times, strict=True)
-    for k, (new, lat_deg, lon_deg, height_m, time) in enumerate(points):
+    starts = np.concatenate([[True], np.diff(track.time_ns[rows]) > MAX_GAP_NS])[: len(rows)]
+    said = [
+        f"<ele>{height_m:.3f}</ele><time>{time}Z</time>"
+        for height_m, time in zip(height, times, strict=True)
+    ]
+    yield from gpx_track("fieldgrid track", lat, lon, starts, said)
+
+
+def gpx_track(
+    name: str, lat_deg: Float64, lon_deg: Float64, starts: Bool, said: Sequence[str]
+) -> Iterator[str]:
+    """A GPX 1.1 track of points; a segment begins where `starts` says so, and `said` is what each
+    point says beside its place."""
+    yield GPX_START
+    yield f"<trk><name>{name}</name>"
+    points = zip(starts.tolist(), lat_deg.tolist(), lon_deg.tolist(), said, strict=True)
+    for k, (new, lat, lon, words) in enumerate(points):
         if new:
             yield "</trkseg><trkseg>" if k else "<trkseg>"
-        yield (
-            f'<trkpt lat="{lat_deg:.9f}" lon="{lon_deg:.9f}"><ele>{height_m:.3f}</ele>'
-            f"<time>{time}Z</time></trkpt>"
-        )
-    yield "</trkseg></trk></gpx>" if len(rows) else "</trk></gpx>"
+        yield f'<trkpt lat="{lat:.9f}" lon="{lon:.9f}">{words}</trkpt>'
+    yield "</trkseg></trk></gpx>" if len(starts) else "</trk></gpx>"
 
 
 def geojson_lines(estimate: Estimate) -> Iterator[str]:

@@ -37,6 +37,7 @@ COMMANDS: dict[str, Entry] = {
     "show": Entry(_USE, "Draw a map."),
     "view": Entry(_USE, "Look at maps in the browser."),
     "rows": Entry(_USE, "Find rows of plants, lanes, gaps and headlands."),
+    "route": Entry(_USE, "Plan a route that a vehicle can drive."),
     "export": Entry(_USE, "Write a map for another program."),
     "query": Entry(_USE, "Tell which frames a cell's value comes from."),
     "diff": Entry(_USE, "Compare a map before and after a date."),

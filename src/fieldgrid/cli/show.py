@@ -50,7 +50,7 @@ def command(
     ] = "density",
     route: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.geojson", help="Lines in WGS84 that are drawn over the map."),
+        typer.Option(metavar="FILE", help="A route that is drawn over the map: .geojson or .csv."),
     ] = None,
     averaging: Annotated[
         str,

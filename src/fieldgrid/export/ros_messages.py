@@ -25,8 +25,8 @@ from fieldgrid.ros.messages import (
     MAP,
     header_of,
     new,
+    path_message,
     pose,
-    pose_stamped,
     time_of,
     transform,
     transforms,
@@ -93,16 +93,9 @@ def grid_map(view: MapView, layers: Mapping[str, AnyArray], time_ns: int) -> Any
 
 def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
     """nav_msgs/Path of some rows that have a heading; each has its own time."""
+    places = np.stack([track.east_m[rows], track.north_m[rows], track.up_m[rows]], axis=1)
     yaw_rad = yaw_from_heading_rad(track.heading_deg[rows])
-    poses = [
-        pose_stamped(
-            int(track.time_ns[k]),
-            MAP,
-            pose(float(track.east_m[k]), float(track.north_m[k]), float(track.up_m[k]), float(yaw)),
-        )
-        for k, yaw in zip(rows, yaw_rad, strict=True)
-    ]
-    return new("nav_msgs/Path", header=header_of(time_ns, MAP), poses=poses)
+    return path_message(time_ns, MAP, track.time_ns[rows].tolist(), places, yaw_rad)
 
 
 def fixes(track: Trajectory, wanted: Bool) -> Iterator[tuple[int, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,8 @@ _MAX_BYTES = 64 << 20
 
 
 def read_route(path: str | Path, datum: Datum) -> Float64:
-    """The lines of a GeoJSON file (RFC 7946: longitude, latitude), [n, 2] metres east and north.
+    """The lines of a GeoJSON file (RFC 7946: longitude, latitude), or the poses of a table with
+    the columns east_m and north_m (`.csv`): [n, 2] metres east and north.
 
     Several lines follow each other, apart by a row of NaN. Raises ConfigError for a file that
     cannot be read, and one that has no line.
@@ -25,15 +27,26 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     path = Path(path)
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise ConfigError(f"{path} has over {_MAX_BYTES >> 20} MB; give a route alone.")
+            raise ValueError(f"it has over {_MAX_BYTES >> 20} MB")
+        if path.suffix.lower() == ".csv":
+            return _poses(path)
         lines = list(_lines(json.loads(path.read_text(encoding="utf-8"))))
         places = [np.array([point[:2] for point in line], dtype=np.float64) for line in lines]
         if any(place.ndim != 2 or place.shape[1] != 2 for place in places):
             raise ValueError("a position has no two numbers")
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
-        raise ConfigError(f"{path} is no GeoJSON with lines in it ({error}).") from error
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        RecursionError,
+        csv.Error,
+    ) as error:
+        kind = "table of poses" if path.suffix.lower() == ".csv" else "GeoJSON with lines in it"
+        raise ConfigError(f"{path} is no {kind} ({error}).") from error
     if not places:
         raise ConfigError(f"{path} has no line; give GeoJSON with a LineString.")
     parts = []
@@ -41,6 +54,18 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
         east, north, _ = datum.to_enu(lon_lat[:, 1], lon_lat[:, 0], datum.height_m)
         parts += [np.stack([east, north], axis=1), np.full((1, 2), np.nan)]
     return np.concatenate(parts[:-1])
+
+
+def _poses(path: Path) -> Float64:
+    """The columns east_m and north_m of a table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        table = csv.DictReader(file)
+        if not {"east_m", "north_m"} <= set(table.fieldnames or ()):
+            raise ValueError("it has no columns east_m and north_m")
+        places = [(float(row["east_m"]), float(row["north_m"])) for row in table]
+    if len(places) < 2 or not np.isfinite(places).all():
+        raise ValueError("it has not two poses in metres")
+    return np.array(places)
 
 
 def _lines(thing: Any) -> Iterator[Any]:

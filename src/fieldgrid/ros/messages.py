@@ -7,6 +7,7 @@ is forward, left, up. Times are UTC in nanoseconds.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,19 @@ def pose(x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> Any:
 def pose_stamped(time_ns: int, frame: str, placed: Any) -> Any:
     """A geometry_msgs/PoseStamped."""
     return new("geometry_msgs/PoseStamped", header=header_of(time_ns, frame), pose=placed)
+
+
+def path_message(
+    time_ns: int, frame: str, stamps_ns: Sequence[int], places_m: Float64, yaw_rad: Float64
+) -> Any:
+    """A nav_msgs/Path through places [n, 3] with a stamp and a yaw each."""
+    poses = [
+        pose_stamped(int(stamp), frame, pose(x, y, z, yaw))
+        for stamp, (x, y, z), yaw in zip(
+            stamps_ns, places_m.tolist(), yaw_rad.tolist(), strict=True
+        )
+    ]
+    return new("nav_msgs/Path", header=header_of(time_ns, frame), poses=poses)
 
 
 def transform(time_ns: int, parent: str, child: str, at_m: Float64, turn: Any) -> Any:

@@ -1,0 +1,107 @@
+"""Where a vehicle may be: seen free ground, and how far it is to what is not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fieldgrid.array_types import Float32, Float64, UInt8
+from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
+from fieldgrid.mapfile import MapView
+
+FREE, OBSTACLE, UNSEEN = 0, 1, 2
+"""Classes of cells."""
+
+_NAMES = {OBSTACLE: "an obstacle", UNSEEN: "ground that was not seen"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Classes of the cells of a window [rows north, columns east], row 0 in the south, with their
+    south-west corner and side in metres.
+
+    `blocked` is 1 where a vehicle must not be. `to_blocked_m` is at most the distance from any
+    point of a cell to the nearest blocked cell.
+    """
+
+    west_m: float
+    south_m: float
+    cell_m: float
+    cells: UInt8
+    blocked: UInt8
+    to_blocked_m: Float32
+
+    @classmethod
+    def of(cls, view: MapView, curve: CostCurve, *, allow_unknown: bool, margin_m: float) -> Ground:
+        """The ground of a view, decided as a costmap decides, with `margin_m` of unseen cells
+        around it. Unseen cells are blocked but for `allow_unknown`."""
+        cost = curve.cost(view.peak, view.seen_share)
+        cell_m = 1.0 / view.lattice.cells_per_m
+        margin = math.ceil(margin_m / cell_m)
+        height, width = cost.shape
+        cells = np.full((height + 2 * margin, width + 2 * margin), UNSEEN, dtype=np.uint8)
+        inner = cells[margin : margin + height, margin : margin + width]
+        inner[cost < LETHAL] = FREE
+        inner[cost == LETHAL] = OBSTACLE
+        inner[cost == UNKNOWN_COST] = UNSEEN
+        blocked = cells == OBSTACLE if allow_unknown else cells != FREE
+        bounds = view.bounds
+        return cls(
+            bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,
+            blocked.view(np.uint8), _to_blocked_m(blocked.view(np.uint8), cell_m),
+        )  # fmt: skip
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the window."""
+        height, width = self.blocked.shape
+        return (
+            self.west_m, self.south_m,
+            self.west_m + width * self.cell_m, self.south_m + height * self.cell_m,
+        )  # fmt: skip
+
+    def blocked_boxes(
+        self, west_m: float, south_m: float, east_m: float, north_m: float
+    ) -> Float64:
+        """West, south, east, north [n, 4] in metres of the blocked cells that meet a box."""
+        j0, i0 = self._cell(west_m, south_m)
+        j1, i1 = self._cell(east_m, north_m)
+        j0, i0 = max(j0, 0), max(i0, 0)
+        j, i = np.nonzero(self.blocked[j0 : max(j1 + 1, 0), i0 : max(i1 + 1, 0)])
+        x, y = self.west_m + (i + i0) * self.cell_m, self.south_m + (j + j0) * self.cell_m
+        return np.column_stack([x, y, x + self.cell_m, y + self.cell_m])
+
+    def nearest_blocked(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """The middle of the blocked cell that is nearest to a point, metres east and north; the
+        point itself where none is."""
+        j, i = np.nonzero(self.blocked)
+        if not len(j):
+            return east_m, north_m
+        x, y = self.west_m + (i + 0.5) * self.cell_m, self.south_m + (j + 0.5) * self.cell_m
+        k = int(np.argmin((x - east_m) ** 2 + (y - north_m) ** 2))
+        return float(x[k]), float(y[k])
+
+    def what_is_at(self, east_m: float, north_m: float) -> str:
+        """What blocks the blocked cell that encloses a point, in words."""
+        return _NAMES[int(self.cells[self._cell(east_m, north_m)])]
+
+    def _cell(self, east_m: float, north_m: float) -> tuple[int, int]:
+        return (
+            math.floor((north_m - self.south_m) / self.cell_m),
+            math.floor((east_m - self.west_m) / self.cell_m),
+        )
+
+
+def _to_blocked_m(blocked: UInt8, cell_m: float) -> Float32:
+    """From anywhere in a cell to the nearest blocked one, never too far, metres."""
+    if not blocked.any():
+        return np.full(blocked.shape, 1e6, dtype=np.float32)
+    metres: Float32 = cv2.distanceTransform(1 - blocked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # From middle to middle; either point may be half a diagonal nearer.
+    metres -= np.float32(math.sqrt(2.0))
+    np.maximum(metres, 0.0, out=metres)
+    metres *= np.float32(cell_m)
+    return metres

@@ -1,0 +1,228 @@
+"""`plan_route`: a way that a vehicle can drive over what a map has seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fieldgrid.angles import wrap_deg, yaw_from_heading_rad
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.cost import CostCurve
+from fieldgrid.errors import ConfigError, NoRouteError
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
+from fieldgrid.route.ground import Ground
+from fieldgrid.route.path import Path
+from fieldgrid.route.search import MAX_STATES, Pose, Searcher
+from fieldgrid.route.vehicle import Vehicle
+from fieldgrid.route.verify import find_fault
+
+if TYPE_CHECKING:
+    import shapely
+
+USUAL_CELL_M = 0.2
+"""Cells that a route is planned on, where the map's own are smaller: stereo leaves pinholes in the
+smallest cells of ground that it has seen."""
+
+NEAR_M = 1.0
+"""Clearances are exact up to here, and at least this beyond."""
+
+_HEADINGS = 24
+
+_REMEDY = (
+    "give other places or a smaller vehicle, or where the ground is known to be free, "
+    "--allow-unknown"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A way in the plane of a datum, poses a decimetre apart or less, arrays [n].
+
+    Metres east and north of the vehicle's reference point; heading of its nose in degrees
+    clockwise from north; gear, 1 or -1, and curvature (1/m, positive to the left of the nose) of
+    the stretch that begins at each pose; clearance from the footprint to the nearest obstacle or
+    unseen cell in metres, exact up to 1 m and a lower bound above. Where the gear changes, two
+    poses are the same.
+    """
+
+    datum: Datum
+    vehicle: Vehicle
+    east_m: Float64
+    north_m: Float64
+    heading_deg: Float64
+    gear: Int64
+    curvature_1pm: Float64
+    clearance_m: Float64
+
+    @property
+    def path(self) -> Path:
+        """The poses alone."""
+        return Path(self.east_m, self.north_m, self.heading_deg, self.gear, self.curvature_1pm)
+
+    @property
+    def geometry(self) -> shapely.LineString:
+        """The way of the reference point, metres east and north."""
+        import shapely
+
+        return shapely.LineString(np.column_stack([self.east_m, self.north_m]))
+
+    @property
+    def length_m(self) -> float:
+        """The distance driven, forward and in reverse."""
+        return float(self.path.steps_m.sum())
+
+    @property
+    def turning_share(self) -> float:
+        """The share of the length that is driven on arcs, 0..1."""
+        turning = self.path.steps_m[self.curvature_1pm[:-1] != 0.0].sum()
+        return float(turning) / self.length_m
+
+    @property
+    def reverse_share(self) -> float:
+        """The share of the length that is driven backwards, 0..1."""
+        return float(self.path.steps_m[self.gear[:-1] < 0].sum()) / self.length_m
+
+    @property
+    def cusps(self) -> int:
+        """How often the gear changes."""
+        return int(np.count_nonzero(np.diff(self.gear)))
+
+    @property
+    def least_clearance_m(self) -> float:
+        """The least of the clearances."""
+        return float(self.clearance_m.min())
+
+
+def plan_route(
+    universal: MapFile | str | FilePath,
+    start: tuple[float, ...],
+    goal: tuple[float, ...],
+    vehicle: Vehicle | None = None,
+    *,
+    allow_unknown: bool = False,
+    cell_m: float | None = None,
+    bounds: Bounds | None = None,
+    curve: CostCurve | None = None,
+    at: str | int | None = None,
+) -> Route:
+    """A way from `start` to `goal` that a vehicle can drive, over seen free ground.
+
+    Places are (east_m, north_m) or (east_m, north_m, heading_deg), metres of the map and degrees
+    clockwise from north; without a heading any will do. What the footprint sweeps keeps the
+    vehicle's clearance to every obstacle and, but for `allow_unknown`, to every cell that was not
+    seen. Cells are decided by the map's own cells in them, as :class:`fieldgrid.CostCurve` says;
+    `cell_m` is their size, by default the smallest multiple of the map's own from 0.2 m up.
+    `bounds` keeps the route in a part of the map; `at` is a session or a date.
+
+    Raises NoRouteError, with the reason and the place, when there is no such way; ConfigError for
+    what cannot be asked.
+    """
+    if not isinstance(universal, MapFile):
+        with open_map(universal) as opened:
+            return plan_route(
+                opened, start, goal, vehicle, allow_unknown=allow_unknown, cell_m=cell_m,
+                bounds=bounds, curve=curve, at=at,
+            )  # fmt: skip
+    own = universal.cell_m
+    size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
+    layers = () if size == own else DECISION_LAYERS
+    view = universal.read(bounds, size, layers=layers, at=at)
+    return route_in_view(view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve)
+
+
+def route_in_view(
+    view: MapView,
+    start: tuple[float, ...],
+    goal: tuple[float, ...],
+    vehicle: Vehicle | None = None,
+    *,
+    allow_unknown: bool = False,
+    curve: CostCurve | None = None,
+    max_poses: int = MAX_STATES,
+) -> Route:
+    """The same of a view that was read already; where its cells are larger than the map's own,
+    with `DECISION_LAYERS`. `max_poses` bounds the search."""
+    vehicle = vehicle or Vehicle()
+    _check_places(start, goal)
+    # Beyond what was read nothing was seen; where that may be driven, there is room for a turn.
+    around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
+    margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
+    ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
+    searcher = Searcher(ground, vehicle)
+    starts = _free_poses(searcher, start, "start")
+    goals = _free_poses(searcher, goal, "goal")
+    left_m = searcher.distance_left(goals[0])
+    if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
+        x, y = searcher.bottleneck(starts[0], goals[0])
+        east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
+        raise NoRouteError(
+            f"There is no way from the start to the goal for a vehicle {vehicle.width_m:g} m wide, "
+            f"which is stopped by {ground.what_is_at(east, north)}",
+            east, north, _REMEDY,
+        )  # fmt: skip
+    found = searcher.search(starts, goals, left_m, max_poses)
+    if not len(found.samples):
+        searched = "there is none" if found.exhausted else "none was found"
+        raise NoRouteError(
+            f"A way from the start to the goal seems wide enough, but {searched} that a vehicle "
+            f"with a turning radius of {vehicle.turning_radius_m:g} m "
+            f"{'' if vehicle.reverse else 'and no reverse '}can drive, and the search came nearest",
+            found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, _REMEDY,
+        )  # fmt: skip
+    path = Path.of_samples(found.samples, ground.west_m, ground.south_m)
+    fault = find_fault(path, ground, vehicle)
+    if fault is not None:
+        raise NoRouteError(
+            f"The way that was found fails its check, for {fault.reason}",
+            fault.east_m, fault.north_m, "report this with the map",
+        )  # fmt: skip
+    clearance = searcher.gaps_m(found.samples[:, :3], NEAR_M)
+    return Route(view.datum, vehicle, *path, clearance)
+
+
+def _check_places(start: tuple[float, ...], goal: tuple[float, ...]) -> None:
+    for name, place in (("start", start), ("goal", goal)):
+        if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
+            raise ConfigError(
+                f"A {name} of {place!r} is no place; give metres east and north, and a heading in "
+                "degrees where it matters."
+            )
+    if math.dist(start[:2], goal[:2]) < 1e-3 and (
+        min(len(start), len(goal)) == 2 or wrap_deg(start[2] - goal[2]) == 0.0
+    ):
+        raise ConfigError(
+            f"The start and the goal are both {start[0]:g},{start[1]:g}; give two places."
+        )
+
+
+def _free_poses(searcher: Searcher, place: tuple[float, ...], name: str) -> list[Pose]:
+    """The poses at a place in which the vehicle may stand: one, or those of all headings."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    headings = place[2:] or tuple(np.arange(_HEADINGS) * 360.0 / _HEADINGS)
+    yaws = yaw_from_heading_rad(np.array(headings))
+    x, y = place[0] - ground.west_m, place[1] - ground.south_m
+    poses = np.column_stack([np.full((len(yaws), 2), (x, y)), yaws])
+    free = searcher.is_free(poses)
+    if free.any():
+        return [Pose(*pose) for pose in poses[free].tolist()]
+    west, south, east, north = ground.bounds_m
+    what = f"The {name}{'' if len(place) == 3 else ', with any heading,'}"
+    if not (west < place[0] < east and south < place[1] < north):
+        raise NoRouteError(
+            f"{what} is off the map, which spans {west:.1f}..{east:.1f} m east and "
+            f"{south:.1f}..{north:.1f} m north", place[0], place[1], "give another place",
+        )  # fmt: skip
+    first = np.array([0.0])
+    standing = Path(first + place[0], first + place[1], first + headings[0], np.array([1]), first)
+    fault = find_fault(standing, ground, vehicle)
+    assert fault is not None
+    raise NoRouteError(
+        f"{what} is not free: {fault.reason}", fault.east_m, fault.north_m,
+        "give another place or heading, or a smaller vehicle",
+    )  # fmt: skip

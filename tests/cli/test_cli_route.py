@@ -1,0 +1,125 @@
+"""`fieldgrid route`: tables, files, and what it answers where there is no way."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+import fieldgrid as fg
+from benchmarks.planting import Sight
+from tests.cli.conftest import Run
+from tests.rows.fields import straight, view_of, write_map
+
+START, GOAL = "1.25,-3,0", "1.25,33"
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four rows of 30 m to the north, seen without noise; a thing stands in the second lane."""
+    sight = Sight(noise_per_m2=0.0, hole_share=0.0, margin_m=6.0, headland_m=6.0)
+    view = view_of(straight(4, 30.0, 2.5), sight, things=[(3.75, 10.0, 0.5)])
+    return write_map(tmp_path_factory.mktemp("route") / "field.gpkg", view)
+
+
+def test_the_table_and_the_file(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    out = tmp_path / "route.csv"
+    text = fieldgrid("route", field, "--from", START, "--to", GOAL, "-o", out).output()
+    assert text.startswith("route")
+    for word in ("length", "36.0 m", "turning", "least clearance", str(out)):
+        assert word in text
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert (rows[0]["east_m"], rows[0]["north_m"]) == ("1.250000", "-3.000000")
+    assert all(float(row["clearance_m"]) >= 0.1 for row in rows)
+    fieldgrid("show", field, "-o", tmp_path / "route.png", "--route", out).output()
+
+
+def test_json_says_the_same_as_python(fieldgrid: Run, field: Path) -> None:
+    told = json.loads(fieldgrid("route", field, "--from", START, "--to", GOAL, "--json").output())
+    route = fg.plan_route(field, (1.25, -3.0, 0.0), (1.25, 33.0))
+    assert told["found"] is True
+    assert told["length_m"] == pytest.approx(route.length_m)
+    assert told["turning_share"] == pytest.approx(route.turning_share)
+    assert told["least_clearance_m"] == pytest.approx(route.least_clearance_m)
+    assert told["poses"] == len(route.east_m)
+
+
+def test_no_route_is_an_answer_with_a_place(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    """The lane is blocked and the vehicle too wide for the headland; nothing is written."""
+    vehicle, out = tmp_path / "wide.toml", tmp_path / "route.csv"
+    vehicle.write_text("width_m = 1.2\nturning_radius_m = 20\nclearance_m = 0\nreverse = false\n")
+    asked = ("route", field, "--from", "3.75,5,0", "--to", "3.75,15,0", "--vehicle", vehicle)
+    sentence = fieldgrid(*asked, "-o", out).sentence()
+    assert "way" in sentence
+    assert not out.exists()
+    failed = fieldgrid(*asked, "--json")
+    assert failed.status == 1
+    told = json.loads(failed.out)
+    assert told["found"] is False
+    assert told["reason"] in failed.err
+    assert 0.0 < told["blocked_at"]["north_m"] < 15.0
+
+
+def test_a_thing_in_the_start(fieldgrid: Run, field: Path) -> None:
+    sentence = fieldgrid("route", field, "--from", "3.75,10", "--to", GOAL).sentence()
+    assert "not free" in sentence
+    assert "an obstacle at 3." in sentence
+
+
+def test_larger_cells_keep_the_obstacles_of_the_map(fieldgrid: Run, field: Path) -> None:
+    for cell in ("0.1", "0.5"):
+        asked = ("route", field, "--from", "3.75,10", "--to", GOAL, "--cell", cell)
+        assert "an obstacle" in fieldgrid(*asked).sentence()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--from", "1,2,3,4", "--to", GOAL), "'1,2,3,4' is not E,N or E,N,HEADING"),
+        (("--from", "x", "--to", GOAL), "'x' is not E,N or E,N,HEADING"),
+        (("--from", START), "Missing option '--to'"),
+    ],
+)
+def test_places_that_are_none(
+    fieldgrid: Run, field: Path, options: tuple[str, ...], words: str
+) -> None:
+    assert words in " ".join(fieldgrid("route", field, *options).usage().split())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--vehicle", "none.toml"), "There is no vehicle file none.toml"),
+        (("-o", "route.xyz"), "ends in none of .geojson"),
+        (("--least-seen", "2"), "least share seen of 2"),
+        (("--obstacle-above", "300"), "300"),
+        (("--to", START), "give two places"),
+    ],
+)
+def test_bad_options_get_one_sentence(
+    fieldgrid: Run, field: Path, options: tuple[str, ...], words: str
+) -> None:
+    asked = ("route", field, "--from", START, "--to", GOAL, *options)
+    assert words in fieldgrid(*asked).sentence()
+
+
+def test_inputs_are_never_overwritten(fieldgrid: Run, field: Path) -> None:
+    before = field.read_bytes()
+    asked = ("route", field, "--from", START, "--to", GOAL, "-o", field, "--overwrite")
+    fieldgrid(*asked).sentence()
+    assert field.read_bytes() == before
+
+
+def test_the_example_drive(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
+    """From the first lane over the headland, as the pictures of the documentation show it."""
+    out = tmp_path / "route.csv"
+    asked = ("route", two_lanes_map, "--from", "-14,49.7,37", "--to", "6,76", "-o", out)
+    refused = fieldgrid(*asked).sentence()
+    assert "can drive" in refused or "stopped by an obstacle" in refused
+    told = json.loads(fieldgrid(*asked, "--obstacle-above", 130, "--json").output())
+    assert 32.5 < told["length_m"] < 35.0
+    assert told["gear_changes"] == 0
+    assert told["least_clearance_m"] >= 0.1
