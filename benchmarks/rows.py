@@ -123,7 +123,7 @@ def judge_drive(path: Path, name: str) -> str:
     seen = [_seen_part(points, row) for row in truth.rows]
     lines = [np.asarray(row.line.coords) for row in planting.rows]
     matched = match(lines, truth.rows, [share >= 0.4 for share, _ in seen])
-    off, turns, ends, widths = [], [], [], []
+    off, turns, ends, widths, metres = [], [], [], [], []
     for k, t in matched.pairs:
         off.append(offsets(lines[k], truth.rows[t]))
         turns.append(angle_deg(lines[k], truth.rows[t]))
@@ -143,7 +143,11 @@ def judge_drive(path: Path, name: str) -> str:
     right, listed, known = _gaps(planting, on_seen)
     for lane in planting.lanes:
         if lane.driven:
-            widths.append(lane.free_width_m - _true_width(truth.occupied, lane.line))
+            true_m = _true_widths(truth.occupied, lane.line)
+            widths.append(lane.free_width_m - true_m.min())
+            metres.append(lane.widths_m - true_m[: len(lane.widths_m)])
+    of_metres = np.concatenate(metres)
+    of_metres = of_metres[np.isfinite(of_metres)]
     things = [
         name
         for name, place in truth.things.items()
@@ -154,7 +158,9 @@ def judge_drive(path: Path, name: str) -> str:
         f"rows {len(matched.pairs)} right, {matched.false} false, {matched.missed} missed, F1 "
         f"{matched.f1:.3f}; RMSE {_rms(off):.3f} m, angle {max(turns):.2f}°, ends at most "
         f"{max(ends):.2f} m of {len(ends)}; gaps {right} of {known} true and {listed} found; free "
-        f"width {', '.join(f'{w:+.2f}' for w in widths)} m; found {', '.join(things) or 'nothing'} "
+        f"width {', '.join(f'{w:+.2f}' for w in widths)} m, of {len(of_metres)} metres "
+        f"{np.median(of_metres):+.2f}, 95 % {np.quantile(of_metres, 0.95):+.2f}, worst "
+        f"{of_metres.max():+.2f} m; found {', '.join(things) or 'nothing'} "
         f"of {', '.join(in_map) or 'nothing'} in the map"
     )
 
@@ -181,14 +187,19 @@ def _gaps(found: Found, true: list[shapely.LineString]) -> tuple[int, int, int]:
     return right, len(listed), len(true)
 
 
-def _true_width(truth: Evidence, line: shapely.LineString) -> float:
-    """The least free width across a line on the true raster, as wide as 1.5 m to either side."""
-    strip = truth.strip(np.asarray(line.coords), 1.5, 1.5, 0.25)
+def _true_widths(truth: Evidence, line: shapely.LineString) -> Array:
+    """The least free width in each metre of a line on the true raster, as wide as 1.5 m to either
+    side."""
+    step_m = truth.cell_m / 1.5
+    strip = truth.strip(np.asarray(line.coords), 1.5, 1.5, step_m, step_m)
     run, widest = np.zeros(len(strip.cells)), np.zeros(len(strip.cells))
     for column in range(strip.cells.shape[1]):
         run = (run + 1.0) * (strip.cells[:, column] != OBSTACLE)
         np.maximum(widest, run, out=widest)
-    return float(widest.min() * truth.cell_m)
+    metre = strip.along_m.astype(int)
+    widths = np.full(metre[-1] + 1, np.inf)
+    np.minimum.at(widths, metre, widest * step_m)
+    return widths
 
 
 def _is_seen(points: Array, place: shapely.Polygon) -> bool:

@@ -211,3 +211,14 @@ def test_a_relative_path_or_an_address_is_none(path: str) -> None:
 
 def test_a_package_registry_is_found() -> None:
     assert forbidden_in(("--index" + "-url x").encode()) == ["a package registry"]
+
+
+def test_colours_are_those_of_the_palette() -> None:
+    elsewhere = [
+        f"{path.relative_to(ROOT)}: {found}"
+        for _, path in modules(ROOT / "src")
+        if path.name != "palette.py"
+        for found in re.findall(r'"#?[0-9a-fA-F]{6}(?:[0-9a-fA-F]{2})?"', path.read_text())
+        if re.search("[a-fA-F#]", found)
+    ]
+    assert elsewhere == []

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 
-_SAME = 1e-3  # relative; what two focal lengths may differ by
+SAME = 1e-3
+"""Relative: two focal lengths, or two products f·b, that differ by less are one."""
 _MAX_SIZE_PX = 20_000
 MAX_NUMBER = 1e9
 
@@ -152,7 +153,7 @@ def raw_camera(
         raise CalibrationError(
             f"{source}: K[0] = 0 means that the camera was never calibrated; calibrate it."
         )
-    if abs(matrix[0, 1]) > _SAME * abs(matrix[0, 0]):
+    if abs(matrix[0, 1]) > SAME * abs(matrix[0, 0]):
         raise CalibrationError(
             f"{source}: the intrinsics have a skew of {matrix[0, 1]} px, which no camera of today "
             "has; correct the matrix, whose first row is fx, 0, cx."

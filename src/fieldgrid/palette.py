@@ -63,6 +63,35 @@ GEARS = {1: "#1f4e9c", -1: "#f28e2b", 0: "#000000"}
 
 REJECTED = "#8c8c8c"
 
+MEASURED, STATED, OTHER = "#1f4e9c", "#c1121f", "#8c8c8c"
+"""What a drive shows or uses; what is said against it, or is bad; what plays no part."""
+
+SHARE, BAND = "#a9c4e6", "#d5d5d5"
+"""Bars of a share, and the band of some sigma about a line."""
+
+ROUTE = "#00857c"
+
+FEATURES = {
+    "row": "#006b2f",
+    "lane": "#ffc800",
+    "gap": "#ff0000",
+    "headland": "#ffa500",
+    "block": "#808080",
+    "obstacle": "#d02020",
+    "trajectory": "#ffa500",
+    "route": ROUTE,
+}
+"""By kinds of features, on pictures from above."""
+
+TERRAIN = ("#1b5e3b", "#a3b18a", "#f2e8cf", "#8d5a34", "#ffffff")
+"""Heights of ground, from low to high."""
+
+UNSURE = ("#ffffff", "#b2182b")
+"""Sigmas, from small to large."""
+
+STEEP = ("#ffffcc", "#fd8d3c", "#800026")
+"""Slopes, from level to steep."""
+
 CHANGES = {
     "unknown": UNSEEN,
     "free": "#ffffff",
@@ -79,6 +108,11 @@ CHANGES = {
 def session_colour(number: int) -> str:
     """The colour of the n-th session of a map, from 0."""
     return SESSIONS[number % len(SESSIONS)]
+
+
+def kml(colour: str, alpha: str = "ff") -> str:
+    """`#rrggbb` as KML has it: alpha, blue, green, red."""
+    return f"{alpha}{colour[5:7]}{colour[3:5]}{colour[1:3]}"
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -15,12 +15,11 @@ import numpy as np
 
 from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.errors import CalibrationError
-from fieldgrid.lens import MAX_NUMBER, LensModel, RawCamera
+from fieldgrid.lens import MAX_NUMBER, SAME, LensModel, RawCamera
 from fieldgrid.rig import StereoCamera
 
 _Maps = tuple[Float32, Float32]
 
-_SAME = 1e-3  # relative; what two focal lengths or f·b may differ by
 _RECTIFY = "rectified images are required: rectify them and give the P1, P2 of that rectification"
 _NOTHING_PX = 1e-3
 """A map that moves no pixel by more than this changes no grey value by more than a half."""
@@ -270,14 +269,14 @@ def camera_from_projections(
             f"{source}: a projection matrix starts with {fx}, so this camera is not calibrated; "
             "calibrate it."
         )
-    if abs(fx - fy) > _SAME * fx:
+    if abs(fx - fy) > SAME * fx:
         raise CalibrationError(
             f"{source}: the focal lengths fx = {fx} and fy = {fy} px differ by more than 0.1 %; "
             f"{_RECTIFY}."
         )
     apart_px = np.abs(right[:2, :3] - left[:2, :3])
     apart_px[0, 2] = 0.0  # the principal points may differ along the row
-    if apart_px.max() > _SAME * fx or abs(right[1, 3] - left[1, 3]) > 0.01 * abs(right[0, 3]):
+    if apart_px.max() > SAME * fx or abs(right[1, 3] - left[1, 3]) > 0.01 * abs(right[0, 3]):
         raise CalibrationError(
             f"{source}: the two projection matrices do not share focal length and rows "
             f"({left.tolist()} and {right.tolist()}); {_RECTIFY}."

@@ -15,28 +15,21 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from fieldgrid.array_types import Float64
+from fieldgrid import palette
+from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.publish import mentions, replacing
 
 _DECIMALS = 9
 _KML = "http://www.opengis.net/kml/2.2"
-_COLOURS = {
-    "row": "ff2f6b00",
-    "lane": "ff00c8ff",
-    "gap": "ff0000ff",
-    "headland": "ff00a5ff",
-    "block": "ff808080",
-    "obstacle": "ff2020d0",
-    "route": "ffff5500",
-}
-"""Of lines in KML: alpha, blue, green, red."""
 
 
 class Feature(NamedTuple):
@@ -90,7 +83,7 @@ def plain_properties(feature: Feature) -> dict[str, Any]:
 
 
 def in_degrees(geometry: Any, datum: Datum) -> Any:
-    """A geometry in longitude and latitude, of points in the datum's plane."""
+    """Geometries in longitude and latitude, nine decimals, of points in the datum's plane."""
     import shapely
 
     def turned(places: Float64) -> Float64:
@@ -154,10 +147,11 @@ def _write_kml(path: Path, features: Sequence[Feature], datum: Datum, overwrite:
     for kind in kinds:
         style = ElementTree.SubElement(document, "Style", id=kind)
         line = ElementTree.SubElement(style, "LineStyle")
-        ElementTree.SubElement(line, "color").text = _COLOURS.get(kind, "ffffffff")
+        colour = palette.FEATURES.get(kind, palette.OTHER)
+        ElementTree.SubElement(line, "color").text = palette.kml(colour)
         ElementTree.SubElement(line, "width").text = "2"
         fill = ElementTree.SubElement(style, "PolyStyle")
-        ElementTree.SubElement(fill, "color").text = "40" + _COLOURS.get(kind, "ffffffff")[2:]
+        ElementTree.SubElement(fill, "color").text = palette.kml(colour, "40")
     for kind in kinds:
         folder = ElementTree.SubElement(document, "Folder")
         ElementTree.SubElement(folder, "name").text = kind
@@ -242,7 +236,36 @@ def _by_gdal(
     file: Path, target: Path, features: Sequence[Feature], layer: str, driver: str, datum: Datum,
     **options: Any,
 ) -> None:  # fmt: skip
-    """Write one layer by GDAL; MapWriteError names the target when that fails."""
+    kinds = {f.geometry.geom_type for f in features}
+    found = FeatureLayer(
+        layer,
+        kinds.pop() if len(kinds) == 1 else "Unknown",
+        np.array([f.geometry for f in features], dtype=object),
+        {
+            name: _column([_plain(f.properties.get(name)) for f in features])
+            for name in _columns(features)
+        },
+    )
+    write_layer(file, target, found, driver, datum.crs_wkt("WKT1_GDAL"), **options)
+
+
+class FeatureLayer(NamedTuple):
+    """Features of one kind, metres east and north: shapely's geometries [n], whose type may be
+    Unknown, and their attributes [n] by name; masked where nothing is known."""
+
+    name: str
+    geometry_type: str
+    geometry: npt.NDArray[np.object_]
+    columns: dict[str, AnyArray]
+
+
+def write_layer(
+    file: Path | BytesIO, target: Path, layer: FeatureLayer, driver: str, crs: str, **options: Any
+) -> None:
+    """Write a layer by GDAL.
+
+    Raises MapWriteError, which names the target, when that fails; ConfigError without pyogrio.
+    """
     import shapely
 
     try:
@@ -253,36 +276,43 @@ def _by_gdal(
             f"Writing {target.suffix} needs pyogrio, which is not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
-    columns = _columns(features)
-    values = [[_plain(f.properties.get(c)) for f in features] for c in columns]
-    data, masks = zip(*(_column(v) for v in values), strict=True) if columns else ((), ())
-    geometry = np.array([f.geometry for f in features], dtype=object)
-    kinds = {f.geometry.geom_type for f in features}
+    values = list(layer.columns.values())
     try:
         write(
-            file, geometry=shapely.to_wkb(geometry), field_data=list(data), field_mask=list(masks),
-            fields=columns, layer=layer, driver=driver, encoding="UTF-8",
-            geometry_type=kinds.pop() if len(kinds) == 1 else "Unknown",
-            crs=datum.crs_wkt("WKT1_GDAL"), **options,
-        )  # fmt: skip
+            file,
+            geometry=shapely.to_wkb(layer.geometry),
+            field_data=[np.ma.getdata(column) for column in values],
+            field_mask=[
+                np.ma.getmaskarray(column) if np.ma.isMaskedArray(column) else None
+                for column in values
+            ],
+            fields=list(layer.columns),
+            layer=layer.name,
+            driver=driver,
+            geometry_type=layer.geometry_type,
+            crs=crs,
+            encoding="UTF-8",
+            **options,
+        )
     except (DataSourceError, DataLayerError, RuntimeError) as error:
         raise MapWriteError(
             f"{target} could not be written ({error}); check the space on the disk."
         ) from error
 
 
-def _column(values: list[Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any] | None]:
-    """A column as GDAL takes it, and which of its values are missing."""
+def _column(values: list[Any]) -> AnyArray:
+    """A column as GDAL takes it, masked where values are missing."""
     missing = np.array([v is None for v in values], dtype=np.bool_)
     known = [v for v in values if v is not None]
-    mask = missing if missing.any() else None
+    column: AnyArray
     if known and all(isinstance(v, bool) for v in known):
-        return np.array([bool(v) for v in values]), mask
-    if known and all(isinstance(v, int | float) for v in known):
-        integers = all(isinstance(v, int) for v in known)
-        dtype = np.int64 if integers else np.float64
-        return np.array([0 if v is None else v for v in values], dtype=dtype), mask
-    return np.array(["" if v is None else str(_text(v)) for v in values], dtype=object), mask
+        column = np.array([bool(v) for v in values])
+    elif known and all(isinstance(v, int | float) for v in known):
+        dtype = np.int64 if all(isinstance(v, int) for v in known) else np.float64
+        column = np.array([0 if v is None else v for v in values], dtype=dtype)
+    else:
+        column = np.array(["" if v is None else str(_text(v)) for v in values], dtype=object)
+    return np.ma.MaskedArray(column, missing) if missing.any() else column
 
 
 def _replacing(path: Path, overwrite: bool) -> AbstractContextManager[Path]:

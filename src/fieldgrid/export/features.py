@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,22 +18,10 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import FrameRecord, MapFile
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
+from fieldgrid.vectors import FeatureLayer
 
 LAYERS = ("footprint", "obstacle", "trajectory", "pose")
 """The layers of features there are, as they are to be drawn: footprints lie under obstacles."""
-
-
-class FeatureLayer(NamedTuple):
-    """Features of one kind, metres east and north.
-
-    `geometry` are shapely's, `columns` their attributes, an array each; masked where nothing is
-    known.
-    """
-
-    name: str
-    geometry_type: str
-    geometry: npt.NDArray[np.object_]
-    columns: dict[str, AnyArray]
 
 
 def feature_layers(

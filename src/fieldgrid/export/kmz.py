@@ -17,6 +17,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
@@ -36,7 +37,6 @@ MAX_PICTURES = 64
 _KML = "http://www.opengis.net/kml/2.2"
 _GX = "http://www.google.com/kml/ext/2.2"
 _LINE_STYLE = "drive"
-_LINE_COLOUR = "ff00a5ff"  # opaque orange, as alpha, blue, green, red
 _SHOWN_FROM_PX = "64"
 """A picture is loaded when it is this large on the screen."""
 
@@ -159,7 +159,7 @@ def _document(
     style = _add(document, "Style")
     style.set("id", _LINE_STYLE)
     line = _add(style, "LineStyle")
-    _add(line, "color", _LINE_COLOUR)
+    _add(line, "color", palette.kml(palette.FEATURES["trajectory"]))
     _add(line, "width", "2")
     data = _add(document, "ExtendedData")
     for name, value in (

@@ -18,7 +18,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.features import FeatureLayer, feature_layers
+from fieldgrid.export.features import feature_layers
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -27,6 +27,7 @@ from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.publish import replacing_folder
 from fieldgrid.trajectory import Status
+from fieldgrid.vectors import FeatureLayer
 
 _DECIMALS = 9
 """0.1 mm; the standard allows no more."""

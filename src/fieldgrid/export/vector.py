@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Float64
-from fieldgrid.errors import ConfigError, MapWriteError
-from fieldgrid.export.features import LAYERS, FeatureLayer, feature_layers
+from fieldgrid.array_types import AnyArray
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.features import LAYERS, feature_layers
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -27,6 +27,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import mentions, replacing, replacing_folder
 from fieldgrid.settings import Flag, setting
+from fieldgrid.vectors import FeatureLayer, in_degrees, write_layer
 
 _SHAPEFILE_NAMES = {
     "mean_density": "mean_dens",
@@ -79,8 +80,12 @@ def geojson_text(
 def _write_geojson(
     file: Path | BytesIO, target: Path, layers: Sequence[FeatureLayer], datum: Datum
 ) -> None:
-    merged = _merged([_in_degrees(layer, datum) for layer in layers])
-    _write(file, target, merged, "GeoJSON", "EPSG:4326", RFC7946="YES", COORDINATE_PRECISION="9")
+    merged = _merged(
+        [layer._replace(geometry=in_degrees(layer.geometry, datum)) for layer in layers]
+    )
+    write_layer(
+        file, target, merged, "GeoJSON", "EPSG:4326", RFC7946="YES", COORDINATE_PRECISION="9"
+    )
 
 
 def export_geopackage(
@@ -103,7 +108,7 @@ def export_geopackage(
         # GDAL takes no empty file for a GeoPackage, and a draft is held as long as it is this file.
         written = Path(folder) / "features.gpkg"
         for layer in layers:
-            _write(
+            write_layer(
                 written,
                 path,
                 layer,
@@ -151,7 +156,7 @@ def _write_shapefiles(
 ) -> None:
     for layer in layers:
         short = {_SHAPEFILE_NAMES.get(key, key): v for key, v in layer.columns.items()}
-        _write(
+        write_layer(
             folder / f"{layer.name}.shp",
             target,
             layer._replace(columns=short),
@@ -209,17 +214,6 @@ def _datum_tags(datum: Datum) -> dict[str, str]:
     }
 
 
-def _in_degrees(layer: FeatureLayer, datum: Datum) -> FeatureLayer:
-    """The layer in longitude and latitude, of points in the datum's plane."""
-    import shapely
-
-    def turned(places: Float64) -> Float64:
-        lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
-        return np.column_stack([lon_deg, lat_deg])
-
-    return layer._replace(geometry=shapely.transform(layer.geometry, turned))
-
-
 def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
     """Features of all layers as one, which says of each where it is from."""
     sizes = [len(layer.geometry) for layer in layers]
@@ -244,50 +238,6 @@ def _nothing(size: int, dtype: np.dtype[Any]) -> AnyArray:
 
 def _dtype(layers: Sequence[FeatureLayer], key: str) -> np.dtype[Any]:
     return next(layer.columns[key].dtype for layer in layers if key in layer.columns)
-
-
-def _write(
-    file: Path | BytesIO,
-    target: Path,
-    layer: FeatureLayer,
-    driver: str,
-    crs: str,
-    *,
-    append: bool = False,
-    dataset_metadata: dict[str, str] | None = None,
-    dataset_options: dict[str, str] | None = None,
-    **options: str,
-) -> None:
-    """Write a layer by GDAL; MapWriteError names the target when that fails."""
-    import shapely
-    from pyogrio.errors import DataLayerError, DataSourceError
-    from pyogrio.raw import write
-
-    values = list(layer.columns.values())
-    try:
-        write(
-            file,
-            geometry=shapely.to_wkb(layer.geometry),
-            field_data=[np.ma.getdata(column) for column in values],
-            field_mask=[
-                np.ma.getmaskarray(column) if np.ma.isMaskedArray(column) else None
-                for column in values
-            ],
-            fields=list(layer.columns),
-            layer=layer.name,
-            driver=driver,
-            geometry_type=layer.geometry_type,
-            crs=crs,
-            encoding="UTF-8",
-            append=append,
-            dataset_metadata=dataset_metadata,
-            dataset_options=dataset_options,
-            **options,
-        )
-    except (DataSourceError, DataLayerError, RuntimeError) as error:
-        raise MapWriteError(
-            f"{target} could not be written ({error}); check the space on the disk."
-        ) from error
 
 
 _SHARED: Any = {

@@ -17,9 +17,8 @@ from fieldgrid.figures.drives import Drive
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
-from fieldgrid.palette import UNSEEN
+from fieldgrid.palette import ROUTE, UNSEEN
 
-_ROUTE = "#00857c"
 _MOST_NAMES = 8
 
 
@@ -79,7 +78,7 @@ def draw_grid(
     _mark_frames(axes, drives, view)
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
-        axes.plot(route[:, 0], route[:, 1], color=_ROUTE, linewidth=1.8, label="route")
+        axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")
         # A route that leaves the part that is drawn does not widen it.
         axes.set_xlim(bounds.west_m, bounds.east_m)
         axes.set_ylim(bounds.south_m, bounds.north_m)

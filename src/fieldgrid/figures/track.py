@@ -34,7 +34,7 @@ _GEAR_LOOKS = (
 )
 
 
-_BAND, _NOSE = "#d5d5d5", "0.25"
+_NOSE = "0.25"
 
 
 MOST_POINTS = 12_000
@@ -250,7 +250,7 @@ def _draw_nose(axes: Axes, drawn: _Drawn) -> None:
         value = drawn.heading_deg + turn
         low, high = value - drawn.sigma_deg, value + drawn.sigma_deg
         if np.any((high > -180.0) & (low < 180.0)):
-            axes.fill_between(drawn.time, low, high, color=_BAND, linewidth=0)
+            axes.fill_between(drawn.time, low, high, color=palette.BAND, linewidth=0)
     _draw_by_gear(axes, drawn, drawn.time, drawn.heading_deg)
     axes.set_ylim(-180, 180)
     axes.set_yticks(range(-180, 181, 60))

@@ -8,9 +8,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fieldgrid.inspection.report import Inspection
+from fieldgrid.palette import MEASURED, OTHER, SHARE, STATED
 from fieldgrid.trajectory import Trajectory
 
-_GOOD, _BAD, _OTHER = "#1f4e9c", "#c1121f", "#8c8c8c"
 MOST_STREAMS = 12
 
 
@@ -41,7 +41,7 @@ def _draw_streams(axes: Axes, found: Inspection) -> None:
     start_ns = min(one.start_ns for one in known if one.start_ns is not None)
     for row, one in enumerate(known):
         first_s, last_s = ((at_ns or start_ns) - start_ns for at_ns in (one.start_ns, one.stop_ns))
-        colour = _GOOD if one.role else _OTHER
+        colour = MEASURED if one.role else OTHER
         axes.plot([first_s / 1e9, last_s / 1e9], [row, row], color=colour, linewidth=6)
     axes.set_yticks(range(len(known)), [one.name[-28:] for one in known])
     axes.invert_yaxis()
@@ -58,7 +58,7 @@ def _draw_fixes(axes: Axes, found: Inspection) -> None:
     length_s = parts[1].start_s - parts[0].start_s if len(parts) > 1 else 1.0
     middle_s = np.array([part.start_s for part in parts]) + length_s / 2.0
     shares = [100.0 * (part.accepted_share or 0.0) for part in parts]
-    axes.bar(middle_s, shares, width=0.9 * length_s, color="#a9c4e6")
+    axes.bar(middle_s, shares, width=0.9 * length_s, color=SHARE)
     for at_s, part in zip(middle_s.tolist(), parts, strict=True):
         axes.text(at_s, 3.0, part.quality, rotation=90, ha="center", va="bottom", fontsize="small")
     axes.set_ylim(0, 105)
@@ -66,8 +66,8 @@ def _draw_fixes(axes: Axes, found: Inspection) -> None:
     axes.set_ylabel("accepted fixes (%)")
     sigma = axes.twinx()
     sigmas_m = [np.nan if part.sigma_m is None else part.sigma_m for part in parts]
-    sigma.plot(middle_s, sigmas_m, ".-", color=_BAD)
-    sigma.set_ylabel("sigma of a fix (m)", color=_BAD)
+    sigma.plot(middle_s, sigmas_m, ".-", color=STATED)
+    sigma.set_ylabel("sigma of a fix (m)", color=STATED)
     sigma.set_ylim(bottom=0.0)
     axes.set_title("fixes")
 
@@ -82,7 +82,7 @@ def _draw_images(axes: Axes, found: Inspection) -> None:
     axes.plot(time_s, [look.brightness[1] / 255.0 for look in looks], ".-", label="right")
     axes.plot(time_s, [look.blur for look in looks], ".-", label="blur")
     shifts = [np.nan if look.shift_px is None else look.shift_px for look in looks]
-    axes.plot(time_s, shifts, ".-", color=_BAD, label="rows off (px)")
+    axes.plot(time_s, shifts, ".-", color=STATED, label="rows off (px)")
     axes.set_ylim(*_limits(shifts))
     axes.set_xlabel("time since the first image (s)")
     axes.set_title(f"{len(looks)} pairs of {found.frames}")
@@ -101,11 +101,13 @@ def _draw_track(axes: Axes, found: Inspection) -> None:
         _empty(axes, "no track")
         return
     ok = track.accepted
-    axes.plot(track.east_m[ok], track.north_m[ok], ".", markersize=1.5, color=_GOOD, label="used")
+    axes.plot(
+        track.east_m[ok], track.north_m[ok], ".", markersize=1.5, color=MEASURED, label="used"
+    )
     if (~ok).any():
         axes.plot(
             *(track.east_m[~ok], track.north_m[~ok]),
-            "x", markersize=3, color=_BAD, label="rejected",
+            "x", markersize=3, color=STATED, label="rejected",
         )  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
     axes.ticklabel_format(useOffset=False)

@@ -19,6 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Bool, Int64, UInt64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec
 from fieldgrid.kernel import kernel
@@ -178,7 +179,7 @@ GROUND = Layer(
     _GROUPS,
     _height,
     _NAN,
-    Colours(("#1b5e3b", "#a3b18a", "#f2e8cf", "#8d5a34", "#ffffff")),
+    Colours(palette.TERRAIN),
     above_datum=True,
 )
 
@@ -190,7 +191,7 @@ SIGMA = Layer(
     _GROUPS,
     _sigma,
     _NAN,
-    Colours(("#ffffff", "#b2182b"), 0.0, 0.5),
+    Colours(palette.UNSURE, 0.0, 0.5),
 )
 
 SLOPE = Layer(
@@ -201,5 +202,5 @@ SLOPE = Layer(
     _GROUPS,
     _slope,
     _NAN,
-    Colours(("#ffffcc", "#fd8d3c", "#800026"), 0.0, 20.0),
+    Colours(palette.STEEP, 0.0, 20.0),
 )

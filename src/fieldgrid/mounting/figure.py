@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from fieldgrid.array_types import Float64
 from fieldgrid.measured import Measured
 from fieldgrid.mounting.estimate import HEIGHT, ROLL, TILT, YAW, MountEstimate
+from fieldgrid.palette import GEARS, MEASURED, STATED
 
-_MEASURED, _STATED, _POINT, _REVERSE = "#1f4e9c", "#c1121f", "0.45", "#f28e2b"
+_POINT = "0.45"
 
 
 def mount_figure(estimate: MountEstimate) -> Figure:
@@ -49,10 +50,10 @@ def _draw_series(
 ) -> None:
     axes.plot(time_s, values, ".", color=_POINT, label="frames")
     text = f"{mean.value:.3f} ± {mean.sigma:.3f}"
-    axes.axhline(mean.value, color=_MEASURED, label=text)
-    axes.axhspan(mean.value - mean.sigma, mean.value + mean.sigma, color=_MEASURED, alpha=0.2)
+    axes.axhline(mean.value, color=MEASURED, label=text)
+    axes.axhspan(mean.value - mean.sigma, mean.value + mean.sigma, color=MEASURED, alpha=0.2)
     if stated is not None:
-        axes.axhline(stated, color=_STATED, linestyle="--", label=f"stated {stated:.3f}")
+        axes.axhline(stated, color=STATED, linestyle="--", label=f"stated {stated:.3f}")
     axes.set_xlabel("time (s)")
     axes.set_ylabel(label)
     axes.legend(loc="best", fontsize=8)
@@ -62,7 +63,7 @@ def _draw_ways(axes: Axes, estimate: MountEstimate, stated_deg: float | None) ->
     steps, yaw = estimate.ways, estimate.yaw_deg
     for mask, colour, label in (
         (steps.forward_m >= 0.0, _POINT, "forward"),
-        (steps.forward_m < 0.0, _REVERSE, "reverse"),
+        (steps.forward_m < 0.0, GEARS[-1], "reverse"),
     ):
         if mask.any():
             axes.plot(
@@ -73,9 +74,9 @@ def _draw_ways(axes: Axes, estimate: MountEstimate, stated_deg: float | None) ->
         ahead_m = 0.0 if estimate.axle_ahead_m is None else estimate.axle_ahead_m.value
         ends = np.array([steps.curvature_per_m.min(), steps.curvature_per_m.max()])
         line = -yaw.value + np.degrees(ahead_m * ends)
-        axes.plot(ends, line, color=_MEASURED, label=f"yaw {yaw.value:.3f} ± {yaw.sigma:.3f}")
+        axes.plot(ends, line, color=MEASURED, label=f"yaw {yaw.value:.3f} ± {yaw.sigma:.3f}")
     if stated_deg is not None:
-        axes.axhline(-stated_deg, color=_STATED, linestyle="--", label=f"stated {stated_deg:.3f}")
+        axes.axhline(-stated_deg, color=STATED, linestyle="--", label=f"stated {stated_deg:.3f}")
     axes.set_xlabel("curvature, to the right (1/m)")
     axes.set_ylabel("direction of travel,\nto the right of the camera (°)")
     if axes.get_legend_handles_labels()[0]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fieldgrid.errors import CalibrationError
+from fieldgrid.lens import SAME
 from fieldgrid.recording.calibrated import Calibration
 from fieldgrid.recording.calibration_kalibr import read_kalibr
 from fieldgrid.recording.calibration_opencv import read_opencv
@@ -16,8 +17,6 @@ __all__ = ["Calibration", "read_calibration"]
 _OPENCV = "stereo_opencv.yaml"
 _ROS_LEFT, _ROS_RIGHT = "stereo_left_camera_info.yaml", "stereo_right_camera_info.yaml"
 _KALIBR = "camchain*.yaml"
-
-_SAME = 1e-3  # relative; what two products f·b may differ by
 
 
 def read_calibration(
@@ -39,7 +38,7 @@ def read_calibration(
     if not found:
         return read_kalibr(_camchain(folder), rectified)
     products = [calibration.camera.focal_baseline_px_m for calibration in found]
-    if abs(products[-1] - products[0]) > _SAME * products[0]:
+    if abs(products[-1] - products[0]) > SAME * products[0]:
         raise CalibrationError(
             f"{folder}: {_OPENCV} and {_ROS_RIGHT} disagree in f·b, {products[0]:g} and "
             f"{products[-1]:g} px·m; remove the one that is out of date."

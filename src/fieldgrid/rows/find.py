@@ -93,7 +93,7 @@ def rows_of_view(
     headland_m: float = DEFAULT_HEADLAND_M,
 ) -> Planting:
     """The same of a view that was read already."""
-    name, crop = ("given", crop) if isinstance(crop, Crop) else (crop, crop_named(crop))
+    crop = crop if isinstance(crop, Crop) else crop_named(crop)
     evidence = Evidence.of(view, obstacle_above)
     measured = _measured(evidence, crop)
     ordered = order_rows(measured, crop)
@@ -106,7 +106,6 @@ def rows_of_view(
         view.datum,
         view.bounds,
         evidence.cell_m,
-        name,
         _rows(evidence, ordered, drives),
         found_lanes,
         _gaps(ordered),

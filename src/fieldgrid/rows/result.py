@@ -22,8 +22,9 @@ class Row(NamedTuple):
     `sigma_m` is the standard deviation of its place across, in the plane of the map: of the fit, of
     the side that was not seen, and of the poses. `spacing_m` is the mean distance to its
     neighbours, NaN without one. `sides` tells from how many sides it was seen, 1 to 2. `known` is
-    the share of its length of which something was seen. It rests on `cells` obstacle cells of
-    `sessions`. `scatter_m` is how far half-metres of it lie off its line.
+    the share of its length of which something was seen. It rests on `cells` obstacle cells;
+    `sessions` are those of which a frame reaches it. `scatter_m` is how far half-metres of it lie
+    off its line.
     """
 
     id: str
@@ -110,7 +111,6 @@ class Planting:
     datum: Datum
     bounds: Bounds
     cell_m: float
-    crop: str
     rows: tuple[Row, ...]
     lanes: tuple[Lane, ...]
     gaps: tuple[Gap, ...]
