@@ -209,6 +209,21 @@ def test_pinholes_count_as_free_but_not_as_seen() -> None:
         assert lane.free_width_m > 1.4
 
 
+def test_a_piece_of_a_row_beside_the_last_is_a_row_and_a_trailer_is_none() -> None:
+    """Of the row beyond a neighbour of a driven lane some metres are seen, through the canopy."""
+    whole = straight(4, 30.0, heading_deg=25.0)
+    first, last = whole[3]
+    piece = np.array([first, first + 3.8 / 30.0 * (last - first)])
+    found = rows_of_view(view_of([*whole[:3], piece]))
+    assert len(found.rows) == 4
+    assert rms_m(line_of(found, piece), piece) < 0.15
+    assert not found.obstacles
+    east_m, north_m = 0.5 * (first + last)
+    found = rows_of_view(view_of(whole[:3], things=[(east_m, north_m, 1.0)]))
+    assert len(found.rows) == 3
+    assert len(found.obstacles) == 1
+
+
 def test_headlands_lie_before_and_behind_the_rows() -> None:
     rows = straight(5, 30.0)
     found = rows_of_view(view_of(rows))

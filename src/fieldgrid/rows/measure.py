@@ -13,6 +13,7 @@ from fieldgrid.rows.contrast import chance_of_noise, stand_out
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, connected_run, find_extent
 from fieldgrid.rows.fit import fit_curve
+from fieldgrid.rows.neighbours import is_apart, outer_lines
 from fieldgrid.rows.profile import STATION_M, Profile, moved, take_profile
 
 _BEYOND_M = 4.0
@@ -48,22 +49,49 @@ class HalfWidth(NamedTuple):
 def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[Measured]:
     """The rows near reference lines; a line that turns out to be none, or that does not stand out
     from the ground beside it, is left out."""
-    gates = _gates(lines, crop)
-    settled = []
+    settled = _all_settled(evidence, lines, _gates(lines, crop), crop)
+    width = _half_width([profile for profile, _ in settled], crop)
+    candidates = _candidates(evidence, settled, width, crop)
+    rows = _standing_out(candidates)
+    # Too little of a row beyond the last may have been seen to find it without its neighbour.
+    outer, apart_m = outer_lines([row.line for row in rows], crop)
+    settled = _all_settled(evidence, outer, [_GATE * apart_m] * len(outer), crop)
+    for candidate in _candidates(evidence, settled, width, crop):
+        if is_apart(candidate[0].line, [row.line for row, _ in candidates], apart_m):
+            candidates.append(candidate)
+    return _standing_out(candidates)
+
+
+def _all_settled(
+    evidence: Evidence, lines: list[Float64], gates: list[float], crop: Crop
+) -> list[tuple[Profile, float]]:
+    """The profiles near lines that have one, each with its gate."""
+    found = []
     for line, gate in zip(lines, gates, strict=True):
         gate_m = max(gate, 3.0 * evidence.cell_m)
         profile = _settled(evidence, line, gate_m, crop)
         if profile is not None:
-            settled.append((profile, gate_m))
-    width = _half_width([profile for profile, _ in settled], crop)
-    rows, chances = [], []
+            found.append((profile, gate_m))
+    return found
+
+
+def _candidates(
+    evidence: Evidence, settled: list[tuple[Profile, float]], width: HalfWidth, crop: Crop
+) -> list[tuple[Measured, float]]:
+    """The rows of profiles, each with its chance to be noise."""
+    found = []
     for profile, gate_m in settled:
         row = _measured(evidence, profile, width, crop)
         if row is not None:
-            rows.append(row)
             half_way_m = 0.5 / _GATE * gate_m
-            chances.append(chance_of_noise(evidence, row.line, row.half_width_m, half_way_m, crop))
-    return [row for row, is_row in zip(rows, stand_out(np.array(chances)), strict=True) if is_row]
+            chance = chance_of_noise(evidence, row.line, row.half_width_m, half_way_m, crop)
+            found.append((row, chance))
+    return found
+
+
+def _standing_out(candidates: list[tuple[Measured, float]]) -> list[Measured]:
+    are_rows = stand_out(np.array([chance for _, chance in candidates]))
+    return [row for (row, _), is_row in zip(candidates, are_rows, strict=True) if is_row]
 
 
 def _gates(lines: list[Float64], crop: Crop) -> list[float]:

@@ -98,6 +98,29 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
     return pairs, usual
 
 
+def outer_lines(lines: list[Float64], crop: Crop) -> tuple[list[Float64], float]:
+    """Lines beside those of rows on which there is no row yet, as far from them as rows usually
+    are, and that distance (NaN without neighbours)."""
+    pairs, apart_m = neighbour_pairs(lines, crop)
+    if not pairs:
+        return [], np.nan
+    found: list[Float64] = []
+    for line in lines:
+        points = resampled(line, _STEP_M)
+        for side in (1.0, -1.0):
+            beside = points + side * apart_m * normals(points)
+            if is_apart(beside, [*lines, *found], apart_m):
+                found.append(beside)
+    return found, apart_m
+
+
+def is_apart(line: Float64, others: list[Float64], apart_m: float) -> bool:
+    """Whether most of a line is on no other one, of rows that are so far apart."""
+    points = np.concatenate([resampled(other, _STEP_M) for other in others])
+    distance, _ = cKDTree(points).query(resampled(line, _STEP_M))
+    return bool((distance > 0.6 * apart_m).mean() > 0.5)
+
+
 def _at(line: Float64, s: Float64) -> Float64:
     along = lengths(line)
     return np.column_stack([np.interp(s, along, line[:, 0]), np.interp(s, along, line[:, 1])])
