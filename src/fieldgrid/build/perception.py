@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
@@ -53,8 +53,9 @@ def perceive(
     *,
     odometry: bool = False,
     attitude: Attitude | None = None,
-) -> Iterator[Perceived]:
-    """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory.
+) -> Generator[Perceived, None, None]:
+    """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
+    when it is not taken to its end: its threads end then.
 
     With the vehicle's `attitude` their columns are vertical.
     """
@@ -122,7 +123,9 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     return motion.steps()
 
 
-def side_by_side(work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int) -> Iterator[_T]:
+def side_by_side(
+    work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int
+) -> Generator[_T, None, None]:
     """The work on frames, or on what else there is one of a frame, in their order, `jobs` at a
     time."""
     threads_before = cv2.getNumThreads()

@@ -12,7 +12,7 @@ import os
 import time
 from array import array
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -111,8 +111,8 @@ def add_recording(
         ) as session:
             _place(staged, session, trajectory, recording.rig, report)
             report.notes += tuple(camera_notes(recording, report))
-            closing = time.perf_counter()
-    report.stages.map_s += time.perf_counter() - closing
+            placed = time.perf_counter()
+    report.stages.map_s += time.perf_counter() - placed
     report.wall_s = time.perf_counter() - started
     return report
 
@@ -136,31 +136,33 @@ class _Perceiving(NamedTuple):
         perceived = perceive(
             frames, self.gridder, self.jobs, odometry=odometry, attitude=self.attitude
         )
-        for seen in perceived:
-            start = time.thread_time()
-            frame = seen.frame
-            time_ns = frame.time_ns + recording.rig.image_time_offset_ns
-            names = tuple(source.name for source in frame.sources)
-            staged.append(
-                stage(
-                    seen.grid,
-                    frame.frame_id,
-                    time_ns,
-                    images=names,
-                    images_sha256=seen.sources_sha256,
-                    ground_found=seen.ground.refined,
-                    channels=seen.ground.channels(),
+        # A traceback that somebody keeps would keep its threads.
+        with closing(perceived):
+            for seen in perceived:
+                start = time.thread_time()
+                frame = seen.frame
+                time_ns = frame.time_ns + recording.rig.image_time_offset_ns
+                names = tuple(source.name for source in frame.sources)
+                staged.append(
+                    stage(
+                        seen.grid,
+                        frame.frame_id,
+                        time_ns,
+                        images=names,
+                        images_sha256=seen.sources_sha256,
+                        ground_found=seen.ground.refined,
+                        channels=seen.ground.channels(),
+                    )
                 )
-            )
-            written = time.thread_time()
-            if motion is not None and seen.features is not None:
-                motion.add(time_ns, seen.features)
-            stages.decode_s += seen.decode_s
-            stages.match_s += seen.match_s
-            stages.grid_s += seen.grid_s
-            stages.map_s += written - start
-            stages.odometry_s += seen.odometry_s + time.thread_time() - written
-            self._tell(report.session, len(staged), total, motion)
+                written = time.thread_time()
+                if motion is not None and seen.features is not None:
+                    motion.add(time_ns, seen.features)
+                stages.decode_s += seen.decode_s
+                stages.match_s += seen.match_s
+                stages.grid_s += seen.grid_s
+                stages.map_s += written - start
+                stages.odometry_s += seen.odometry_s + time.thread_time() - written
+                self._tell(report.session, len(staged), total, motion)
         if motion is None:
             return None
         steps = motion.steps()
