@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -26,6 +26,7 @@ HIGHEST = ("peak", "max", "count", "sessions")
 """The layers that say the highest of something."""
 
 
+@settings(max_examples=40)
 @given(
     density=arrays.arrays(np.uint8, (24, 31), elements=st.sampled_from([0, 0, 0, 60, 200])),
     observed=arrays.arrays(np.bool_, (24, 31)),

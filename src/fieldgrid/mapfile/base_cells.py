@@ -51,9 +51,9 @@ class Touching(NamedTuple):
     lattice: Lattice
 
     @property
-    def factor(self) -> int:
-        """How many of the map's own cells lie along the side of one, rounded up."""
-        return math.ceil(self.lattice.cell_m / self.own.cell_m)
+    def factor(self) -> float:
+        """How many of the map's own cells lie along the side of one."""
+        return max(1.0, self.lattice.cell_m / self.own.cell_m)
 
     def under(self, window: Window) -> Window:
         """See `Multiple`."""
@@ -73,6 +73,11 @@ class Touching(NamedTuple):
                 of = _highest if extra.coarser is Combine.MAX else _area
                 arrays[extra.name] = of(cells[extra.name], rows, columns)
         return Cells(arrays, PARTS * PARTS)
+
+
+def follows_from_touched(group: ChannelGroup) -> bool:
+    """Whether any channel of a group comes from the cells that a larger one touches."""
+    return bool(group.overview) or any(c.coarser is Combine.MAX for c in group.channels)
 
 
 def enlarged(groups: Sequence[ChannelGroup], own: Lattice, lattice: Lattice) -> Multiple | Touching:

@@ -16,7 +16,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
-from fieldgrid.mapfile.base_cells import Multiple, enlarged
+from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
@@ -139,7 +139,7 @@ def read_change(
     return ChangeView(request.lattice, request.window, change, header.datum, *names)
 
 
-def cell_source(evidence: Evidence, header: Header, request: Request) -> tuple[CellSource, int]:
+def cell_source(evidence: Evidence, header: Header, request: Request) -> tuple[CellSource, float]:
     """Where the cells that are asked for come from, and how many of those that are looked into lie
     along the side of one."""
     groups = tuple(GROUPS[name] for name in groups_of(request.layers))
@@ -151,8 +151,9 @@ def cell_source(evidence: Evidence, header: Header, request: Request) -> tuple[C
     folded = session_source(evidence, header, request, groups)
     if not request.beyond_density:
         return folded, 1
-    base, _ = _own_cells(evidence, header, own, groups, 1)
-    return FoldedOverBase(folded, Larger(base, by), groups), by.factor
+    touched = tuple(group for group in groups if follows_from_touched(group))
+    base, _ = _own_cells(evidence, header, own, touched, 1)
+    return FoldedOverBase(folded, Larger(base, by._replace(groups=touched)), groups), by.factor
 
 
 def _own_cells(
@@ -208,9 +209,12 @@ def layer_values(layer: Layer, cells: Cells) -> AnyArray:
     return np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
 
 
-def chunks(window: Window, factor: int) -> Iterator[Window]:
-    """A window cut where tiles begin, in squares of about a million stored cells."""
-    side = TILE_CELLS * max(1, 4 // factor) if factor <= 5 else max(1, _CHUNK_CELLS // factor)
+def chunks(window: Window, factor: float) -> Iterator[Window]:
+    """A window cut into squares of about a million stored cells, `factor` along the side of one of
+    its own; where tiles begin, if that is a small whole number."""
+    side = max(1, int(_CHUNK_CELLS / factor))
+    if factor in (1, 2, 3, 4, 5):
+        side = TILE_CELLS * max(1, int(4 // factor))
     for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
         for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
             chunk = window.intersect(Window(i0, j0, side, side))
