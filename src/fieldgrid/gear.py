@@ -169,9 +169,10 @@ def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
     away on both sides, degrees; 0 where the part ends within that."""
     n = points.shape[0]
     turning = np.zeros(n)
+    one = np.int64(1)  # of a literal Numba would compile the function anew
     for k in range(n):
-        before = _beyond(points, part, k, -1, reach_m)
-        after = _beyond(points, part, k, 1, reach_m)
+        before = _beyond(points, part, k, -one, reach_m)
+        after = _beyond(points, part, k, one, reach_m)
         if before >= 0 and after >= 0:
             a_e, a_n = points[k, 0] - points[before, 0], points[k, 1] - points[before, 1]
             b_e, b_n = points[after, 0] - points[k, 0], points[after, 1] - points[k, 1]

@@ -97,26 +97,26 @@ def empty_system(shape: Envelope) -> System:
 
 
 @kernel
-def add_residual(system, index, slope, count, residual, weight):  # type: ignore[no-untyped-def]
-    """One weighted residual with `count` slopes into the normal equations. An index beyond the
+def add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
+    """One weighted residual with its slopes into the normal equations. An index beyond the
     states is a constant's."""
     shape, values, right, border, corner, right_constants, total = system
     first, start = shape[0], shape[1]
     states = len(right)
     total[0] += weight * residual * residual
     total[1] += np.log(weight)
-    for a in range(count):
+    for a in range(len(index)):
         i, scaled = index[a], weight * slope[a]
         if i >= states:
             right_constants[i - states] -= scaled * residual
-            for b in range(count):
+            for b in range(len(index)):
                 if index[b] >= states:
                     corner[i - states, index[b] - states] += scaled * slope[b]
             continue
         right[i] -= scaled * residual
         node, row = i // STATES, i % STATES
         at = start[node] + row * STATES * (node - first[node] + 1) - STATES * first[node]
-        for b in range(count):
+        for b in range(len(index)):
             j = index[b]
             if j <= i:
                 values[at + j] += scaled * slope[b]
@@ -134,14 +134,16 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
     """
     # The equations of one node (0 to 7) and the next (8 to 15), lower triangle.
     pair, side = np.zeros((2 * STATES, 2 * STATES)), np.zeros(2 * STATES)
-    _add_start(pair, side, x, 0, 0)
+    # Of literals Numba would compile a function anew for each.
+    gyro_bias, speed, curvature = np.int64(GYRO), np.int64(V), np.int64(KAPPA)
+    _add_start(pair, side, x, np.int64(0), np.int64(0))
     for state in (BIAS_E, BIAS_N):
         weight = 1.0 / max(bias_m[0], NO_BIAS_M) ** 2
         pair[state, state] += weight
         side[state] -= weight * x[0, state]
     pair[GYRO, GYRO] += 1.0 / GYRO_BIAS_SIGMA**2
     side[GYRO] -= x[0, GYRO] / GYRO_BIAS_SIGMA**2
-    index, slope = np.empty(8, np.int64), np.empty(8)
+    index, slope = np.empty(3, np.int64), np.empty(3)
     total = system[6]
     for k in range(len(step_s)):
         h = step_s[k]
@@ -150,26 +152,26 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
         # said forward and backward in time, and at each node it has the sigma that is stated there.
         correlation = np.exp(-h / bias_s[k]) * min(one, two) / max(one, two)
         fading, variance = correlation * two / one, two**2 * (1.0 - correlation**2)
-        total[0] += _add_drift(pair, side, x, k, BIAS_E, fading, variance)
-        total[0] += _add_drift(pair, side, x, k, BIAS_N, fading, variance)
-        total[0] += _add_drift(pair, side, x, k, GYRO, 1.0, GYRO_BIAS_NOISE**2 * h)
+        for state in (BIAS_E, BIAS_N):
+            total[0] += _add_drift(pair, side, x, k, state, fading, variance)
+        total[0] += _add_drift(pair, side, x, k, gyro_bias, 1.0, GYRO_BIAS_NOISE**2 * h)
         gyro = not np.isnan(turned[k])
         if gyro:
             index[0], index[1], index[2] = PHI, STATES + PHI, GYRO
             slope[0], slope[1], slope[2] = -1.0, 1.0, h
             off = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * h)
-            total[0] += _add_to_pair(pair, side, index, slope, 3, off, 1.0 / (GYRO_NOISE**2 * h))
+            total[0] += _add_to_pair(pair, side, index, slope, off, 1.0 / (GYRO_NOISE**2 * h))
         if seen[k]:
             turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
             if standing[k] and standing[k + 1]:
                 turn_noise = STANDING_TURN_NOISE
             total[0] += _add_kinematics(pair, side, x, k, h, turn_noise)
-            total[0] += _add_drift(pair, side, x, k, V, 1.0, ACCELERATION_NOISE**2 * h)
+            total[0] += _add_drift(pair, side, x, k, speed, 1.0, ACCELERATION_NOISE**2 * h)
             fading = np.exp(-h / CURVATURE_S)
-            total[0] += _add_drift(pair, side, x, k, KAPPA, fading, steering[k])
+            total[0] += _add_drift(pair, side, x, k, curvature, fading, steering[k])
             total[1] -= np.log(steering[k])
         else:
-            _add_start(pair, side, x, k + 1, STATES)
+            _add_start(pair, side, x, k + 1, np.int64(STATES))
         _put_node(system, pair, side, k)
     _put_node(system, pair, side, len(step_s))
 
@@ -199,11 +201,11 @@ def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_to_pair(pair, side, index, slope, count, residual, weight):  # type: ignore[no-untyped-def]
-    for a in range(count):
+def _add_to_pair(pair, side, index, slope, residual, weight):  # type: ignore[no-untyped-def]
+    for a in range(len(index)):
         scaled = weight * slope[a]
         side[index[a]] -= scaled * residual
-        for b in range(count):
+        for b in range(len(index)):
             if index[b] <= index[a]:
                 pair[index[a], index[b]] += scaled * slope[b]
     return weight * residual * residual
@@ -235,24 +237,23 @@ def _add_kinematics(pair, side, x, k, h, turn_noise):  # type: ignore[no-untyped
     slope[0], slope[1], slope[2], slope[3] = -sin, -cos, sin, cos
     slope[4] = slope[5] = across / 2.0
     slope[6] = slope[7] = -h / 2.0
-    squared = _add_to_pair(
-        pair, side, index, slope, 8, along - distance, 1.0 / (ALONG_NOISE**2 * h)
-    )
+    squared = _add_to_pair(pair, side, index, slope, along - distance, 1.0 / (ALONG_NOISE**2 * h))
     # In a turn the tail slides outward: the path points outside of the heading.
     slide = -SLIP_ANGLE * curvature * speed * abs(speed)
     slope[0], slope[1], slope[2], slope[3] = -cos, sin, cos, -sin
     slope[4] = slope[5] = -along / 2.0
     slope[6] = slope[7] = -h / 2.0 * slide
     squared += _add_to_pair(
-        pair, side, index, slope, 8, across - distance * slide, 1.0 / (ACROSS_NOISE**2 * h)
+        pair, side, index, slope, across - distance * slide, 1.0 / (ACROSS_NOISE**2 * h)
     )
+    index, slope = np.empty(6, np.int64), np.empty(6)
     index[0], index[1], index[2], index[3] = PHI, STATES + PHI, V, STATES + V
     index[4], index[5] = KAPPA, STATES + KAPPA
     slope[0], slope[1] = -1.0, 1.0
     slope[2] = slope[3] = -h / 2.0 * curvature
     slope[4] = slope[5] = -distance / 2.0
     turn = x[k + 1, PHI] - x[k, PHI] - distance * curvature
-    return squared + _add_to_pair(pair, side, index, slope, 6, turn, 1.0 / (turn_noise**2 * h))
+    return squared + _add_to_pair(pair, side, index, slope, turn, 1.0 / (turn_noise**2 * h))
 
 
 @kernel
@@ -285,9 +286,9 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
         index[3], index[4] = STATES * k + BIAS_E, STATES * k + BIAS_N
         # The axes are held while the antenna turns about the axle.
         slope[0], slope[1], slope[2], slope[3], slope[4] = sin, cos, -lever[0], sin, cos
-        add_residual(system, index, slope, 5, ahead, weight[k, 0])
+        add_residual(system, index, slope, ahead, weight[k, 0])
         slope[0], slope[1], slope[2], slope[3], slope[4] = cos, -sin, lever[1], cos, -sin
-        add_residual(system, index, slope, 5, right, weight[k, 1])
+        add_residual(system, index, slope, right, weight[k, 1])
         off[k, 0], off[k, 1] = -ahead, -right
     return off
 
@@ -320,7 +321,7 @@ def add_headings(system, x, offset, heading, weight):  # type: ignore[no-untyped
             off[k] = x[k, PHI] + offset - heading[k]
             off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
             index[0] = STATES * k + PHI
-            add_residual(system, index, slope, 2, off[k], weight[k])
+            add_residual(system, index, slope, off[k], weight[k])
     return off
 
 
@@ -335,7 +336,7 @@ def add_speeds(system, x, scale, speed, weight):  # type: ignore[no-untyped-def]
             off[k] = (1.0 + scale) * x[k, V] - speed[k]
             index[0] = STATES * k + V
             slope[0], slope[1] = 1.0 + scale, x[k, V]
-            add_residual(system, index, slope, 2, off[k], weight[k])
+            add_residual(system, index, slope, off[k], weight[k])
     return off
 
 
@@ -347,6 +348,8 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
     """
     off = np.zeros((len(ends), 3))
     index, slope = np.empty(7, np.int64), np.empty(7)
+    turns, turn_slope = np.empty(2, np.int64), np.ones(2)
+    turn_slope[0] = -1.0
     index[6] = STATES * len(x) + CAMERA_SCALE
     size = 1.0 + scale
     for s in range(len(ends)):
@@ -366,15 +369,14 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         slope[2] = size * right
         slope[5] = size * ahead_m * (cos_b * sin - sin_b * cos)
         slope[6] = forward
-        add_residual(system, index, slope, 7, off[s, 0], weight[s, 0])
+        add_residual(system, index, slope, off[s, 0], weight[s, 0])
         slope[0], slope[1], slope[3], slope[4] = -size * cos, size * sin, size * cos, -size * sin
         slope[2] = -size * (forward + ahead_m)
         slope[5] = size * ahead_m * (cos_b * cos + sin_b * sin)
         slope[6] = right
-        add_residual(system, index, slope, 7, off[s, 1], weight[s, 0])
-        index[0], index[1] = STATES * a + PHI, STATES * b + PHI
-        slope[0], slope[1] = -1.0, 1.0
-        add_residual(system, index, slope, 2, off[s, 2], weight[s, 1])
+        add_residual(system, index, slope, off[s, 1], weight[s, 0])
+        turns[0], turns[1] = STATES * a + PHI, STATES * b + PHI
+        add_residual(system, turns, turn_slope, off[s, 2], weight[s, 1])
     return off
 
 
