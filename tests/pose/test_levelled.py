@@ -175,7 +175,7 @@ def test_an_unsure_lean_counts_before_the_verdict() -> None:
     )
     assert sure.accepted.mean() > 0.9
     assert unsure.accepted.mean() < 0.1
-    assert "position sigma" in unsure.reason[len(unsure) // 2]
+    assert any(reason.startswith("position sigma") for reason in unsure.reason)
 
 
 def test_an_accelerometer_over_little_of_the_drive_tells_no_attitude() -> None:

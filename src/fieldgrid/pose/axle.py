@@ -97,7 +97,7 @@ def _ways(steps: Steps) -> Ways:
 def unsure_heading_rad(smoothed: Smoothed, sigma_m: float) -> Float64:
     """1-sigma error of the headings [n] by an axle whose place is unsure by `sigma_m`: in a turn
     the antenna's path is not that of the axle."""
-    off_rad = np.abs(smoothed.heading_per_m)
+    off_rad = np.abs(smoothed.response.per_ahead_m)
     # Where a turn begins and ends is unsure by as much.
     east, north = smoothed.state[:, 0], smoothed.state[:, 1]
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)) + 1e-6)])

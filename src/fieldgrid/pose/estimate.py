@@ -19,6 +19,7 @@ from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
+from fieldgrid.pose.gyro_check import with_trusted_gyro
 from fieldgrid.pose.levelled import (
     find_lean,
     leaning,
@@ -72,6 +73,9 @@ def estimate_poses(
     hints = gear_hints(settings)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    drive, motion, gyro_note = with_trusted_gyro(
+        drive, log.accepted, log.fixes.time_ns, motion, axle, hints
+    )
     if drive.at.has_gyro() and not names_axle(axle.vehicle):
         axle = axle_by_gyro(axle, drive.smoothed.declared.ahead_m)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
@@ -108,6 +112,7 @@ def estimate_poses(
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
+            *([gyro_note] if gyro_note else []),
             *notes,
             *drive_notes(drive, log.accepted, declared, axle, source, settings, clock, trajectory),
         ),

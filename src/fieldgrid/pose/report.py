@@ -163,23 +163,35 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
 
 def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
     """What was declared of antenna and clock, and a drive whose turns were seen denies."""
+    told = False
     for one, more, less in (
         (found.ahead_m, "farther ahead", "farther back"),
         (found.right_m, "farther right", "farther left"),
     ):
         named = isinstance(rig, Rig) and (one is found.right_m or names_axle(rig))
         if named and abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
-            way = more if one.value > 0.0 else less
+            told, way = True, more if one.value > 0.0 else less
             yield (
                 f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
                 "than mounting.json says; measure its place and correct it."
             )
     delay = found.late_s
     if abs(delay.value) > max(CLEAR_SIGMAS * delay.sigma, LEAST_DELAY_S):
-        late = "late" if delay.value > 0.0 else "early"
+        told, late = True, "late" if delay.value > 0.0 else "early"
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
             f"{late} against gyro and camera; look at how they were logged."
+        )
+    if found.contradicts and not told:
+        suspects = "the antenna's place aside", "its place ahead", "the stamps", "the gyro's scale"
+        alone = [
+            what
+            for what, left in zip(suspects, found.left, strict=True)
+            if left < found.misfit / 2.0
+        ]
+        yield (
+            f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, "
+            f"so headings are less sure. Check {' or '.join(alone) or ', '.join(suspects)}."
         )
 
 

@@ -1,6 +1,7 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
-from fieldgrid.smoother.batch import Constant, Declared, Smoothed, refine, smooth
+from fieldgrid.smoother.batch import Smoothed, refine, smooth
+from fieldgrid.smoother.declared import Constant, Declared
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
 

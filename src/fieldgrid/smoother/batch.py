@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.envelope import STATES, solve
+from fieldgrid.smoother.declared import Constant, Declared, HeadingResponse, tested
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Linear,
@@ -31,26 +31,6 @@ from fieldgrid.smoother.steering import (
 GYRO_SHARE = 0.9
 """With a gyro over more of the drive than this, nothing needs to be expected of its steering."""
 
-TESTED_SIGMAS = np.array([5.0, 5.0, 5.0])
-"""What a place of the antenna (metres) and a stamp (seconds) could be off by, before the drive."""
-
-
-class Constant(NamedTuple):
-    """A constant of the drive, with its 1-sigma error."""
-
-    value: float
-    sigma: float
-
-
-class Declared(NamedTuple):
-    """What the drive would have added to what was declared of its fixes: to the antenna's place,
-    to the right and ahead (metres), and to how late the fixes are stamped (seconds). Nothing of it
-    is applied."""
-
-    right_m: Constant
-    ahead_m: Constant
-    late_s: Constant
-
 
 class Smoothed(NamedTuple):
     """The estimate at n nodes: `state` [n, 8] as in :mod:`fieldgrid.smoother.model`.
@@ -61,9 +41,9 @@ class Smoothed(NamedTuple):
     error have them, `step_off` [s, 3] the same of the steps.
 
     `heading_offset` (radians), `wheel_scale` and `camera_scale` are the constants; None where
-    nothing measures them. `heading_per_m` [n] is how headings would change (radians) with a place
-    of the antenna that is a metre farther ahead than was declared. `steering` [n - 1] is the
-    variance of the curvature's change that was learnt.
+    nothing measures them. `declared` is what the drive makes of what was declared, and `response`
+    what that does to headings. `steering` [n - 1] is the variance of the curvature's change that
+    was learnt.
     """
 
     state: Float64
@@ -76,7 +56,7 @@ class Smoothed(NamedTuple):
     wheel_scale: Constant | None
     camera_scale: Constant | None
     declared: Declared
-    heading_per_m: Float64
+    response: HeadingResponse
     steering: Float64
     steering_noise: float
     rounds: int
@@ -126,7 +106,7 @@ def refine(
 def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Smoothed:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
-    declared, heading_per_m = _tested(problem, found, linear)
+    declared, response = tested(problem, found, linear)
     blocks, _ = covariance_blocks(linear)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(
@@ -148,7 +128,7 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
         constants[model.WHEEL_SCALE],
         constants[model.CAMERA_SCALE],
         declared,
-        heading_per_m,
+        response,
         found.weights.steering,
         steering_noise,
         found.rounds,
@@ -164,21 +144,3 @@ def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
         for k, sigma in zip(linear.active.tolist(), sigmas.tolist(), strict=True):
             constants[k] = Constant(float(found.constants[k]), sigma)
     return constants
-
-
-def _tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared, Float64]:
-    """What would have to be added to the antenna's place and to the fixes' stamps for the drive
-    to fit best: one step of Gauss and Newton with all states following; and how headings follow a
-    place farther ahead."""
-    border, corner, right = model.lever_and_clock(
-        found.x, problem.measured.fix_m, found.weights.fix, problem.lever_m
-    )
-    followed = solve(linear.system.shape, linear.system.values, border)
-    if len(linear.active):
-        shared = linear.coupling.T @ border
-        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
-    schur = corner - border.T @ followed + np.diag(1.0 / TESTED_SIGMAS**2)
-    values = np.linalg.solve(schur, right - followed.T @ linear.system.right)
-    sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
-    right_m, ahead_m, late_s = map(Constant, values.tolist(), sigmas.tolist())
-    return Declared(right_m, ahead_m, late_s), -followed[model.PHI :: STATES, 1]

@@ -378,37 +378,3 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         turns[0], turns[1] = STATES * a + PHI, STATES * b + PHI
         add_residual(system, turns, turn_slope, off[s, 2], weight[s, 1])
     return off
-
-
-@kernel
-def lever_and_clock(x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
-    """How the fixes' residuals depend on what was declared of them: the antenna's place to the
-    right and ahead (metres) and how late fixes are stamped (seconds).
-
-    Returns the coupling with the states [states, 3], the corner [3, 3], the right side [3].
-    """
-    border, corner, right_side = np.zeros((x.size, 3)), np.zeros((3, 3)), np.zeros(3)
-    state, constant = np.empty((2, 5)), np.empty((2, 3))
-    columns = np.array([E, N, PHI, BIAS_E, BIAS_N])
-    for k in range(len(weight)):
-        if not weight[k, 0] > 0.0:
-            continue
-        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
-        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
-        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
-        turn = x[k, V] * x[k, KAPPA]
-        state[0] = sin, cos, -lever[0], sin, cos
-        state[1] = cos, -sin, lever[1], cos, -sin
-        # A fix that is stamped late is of an earlier place.
-        constant[0] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
-        constant[1] = 1.0, 0.0, -lever[1] * turn
-        for axis in range(2):
-            off = east * sin + north * cos if axis == 0 else east * cos - north * sin
-            for a in range(3):
-                scaled = weight[k, axis] * constant[axis, a]
-                right_side[a] -= scaled * off
-                for b in range(3):
-                    corner[a, b] += scaled * constant[axis, b]
-                for b in range(5):
-                    border[STATES * k + columns[b], a] += scaled * state[axis, b]
-    return border, corner, right_side

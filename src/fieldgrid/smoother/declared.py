@@ -1,0 +1,149 @@
+"""What was declared of antenna, clock and gyro, tested by the drive; nothing of it is applied."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.kernel import kernel
+from fieldgrid.smoother.envelope import STATES, solve
+from fieldgrid.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
+from fieldgrid.smoother.rounds import Linear, Problem, Solution, inverse
+
+LATE = 2
+"""Which of the constants that are tested is the delay of the fixes."""
+
+TESTED_SIGMAS = np.array([5.0, 5.0, 5.0, 2.0])
+"""What each could be off by, before the drive."""
+
+MOST_MISFIT = 6.0
+"""Real drives that fit are below 2, one with a gyro whose scale is off by 3 % is at 4."""
+
+
+class Constant(NamedTuple):
+    """A constant of the drive, with its 1-sigma error."""
+
+    value: float
+    sigma: float
+
+
+class Declared(NamedTuple):
+    """What the drive would have added to what was declared: to the antenna's place, to the right
+    and ahead (metres), to how late the fixes are stamped (seconds), and to the gyro's scale (a
+    share; of a gyro that is upside down it is near -2).
+
+    `misfit` is how many sigmas all of them together are from nothing, and `left` how many would
+    be left with each of them alone, in this order.
+    """
+
+    right_m: Constant
+    ahead_m: Constant
+    late_s: Constant
+    gyro_scale: Constant
+    misfit: float
+    left: tuple[float, float, float, float]
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether sensors and declarations do not fit together."""
+        return self.misfit > MOST_MISFIT
+
+    @property
+    def blames_gyro(self) -> bool:
+        """Whether they do not, and the gyro explains it better than anything else."""
+        *others, gyro = self.left
+        return self.contradicts and gyro < min(self.misfit / 2.0, *others)
+
+
+class HeadingResponse(NamedTuple):
+    """How headings [n] would change, radians: with an antenna a metre farther ahead than was
+    declared; and at most with what is tested as the drive has it, all of it or what explains the
+    misfit alone."""
+
+    per_ahead_m: Float64
+    at_most: Float64
+
+
+def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared, HeadingResponse]:
+    """What would have to be added to what was declared for the drive to fit best, and what the
+    headings would be then: one step of Gauss and Newton with all states following."""
+    measured = problem.measured
+    border, corner, right = couplings(
+        found.x,
+        measured.fix_m,
+        found.weights.fix,
+        problem.lever_m,
+        measured.turned_rad,
+        np.diff(measured.time_s),
+    )
+    followed = solve(linear.system.shape, linear.system.values, border)
+    if len(linear.active):
+        shared = linear.coupling.T @ border
+        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
+    schur = corner - border.T @ followed + np.diag(1.0 / TESTED_SIGMAS**2)
+    right = right - followed.T @ linear.system.right
+    values = np.linalg.solve(schur, right)
+    sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
+    together = float(values @ right)
+    left = np.sqrt(np.maximum(together - right**2 / np.diagonal(schur), 0.0))
+    right_m, ahead_m, late_s, gyro = map(Constant, values.tolist(), sigmas.tolist())
+    misfit, (r, a, t, g) = math.sqrt(max(together, 0.0)), left.tolist()
+    declared = Declared(right_m, ahead_m, late_s, gyro, misfit, (r, a, t, g))
+    heading = -followed[PHI::STATES]
+    alone = right / np.diagonal(schur)
+    at_most = np.abs(heading @ values)
+    for k in range(len(alone)):
+        if left[k] < misfit / 2.0:
+            # Nobody knows whose stamps are late: those of the gyro are late by as much as those of
+            # the fixes seem early, and headings with them.
+            turned = found.x[:, V] * found.x[:, KAPPA] if k == LATE else 0.0
+            at_most = np.maximum(
+                at_most, np.abs((np.abs(turned) + np.abs(heading[:, k])) * alone[k])
+            )
+    return declared, HeadingResponse(heading[:, 1], at_most)
+
+
+@kernel
+def couplings(x, fix_en, weight, lever, turned, step_s):  # type: ignore[no-untyped-def]
+    """How the residuals of fixes and gyro depend on what is tested.
+
+    Returns the coupling with the states [states, 4], the corner [4, 4], the right side [4].
+    """
+    border, corner, right_side = np.zeros((x.size, 4)), np.zeros((4, 4)), np.zeros(4)
+    state, constant = np.empty((2, 5)), np.empty((2, 3))
+    columns = np.array([E, N, PHI, BIAS_E, BIAS_N])
+    for k in range(len(weight)):
+        if not weight[k, 0] > 0.0:
+            continue
+        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
+        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
+        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
+        turn = x[k, V] * x[k, KAPPA]
+        state[0] = sin, cos, -lever[0], sin, cos
+        state[1] = cos, -sin, lever[1], cos, -sin
+        # A fix that is stamped late is of an earlier place.
+        constant[0] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
+        constant[1] = 1.0, 0.0, -lever[1] * turn
+        for axis in range(2):
+            off = east * sin + north * cos if axis == 0 else east * cos - north * sin
+            for a in range(3):
+                scaled = weight[k, axis] * constant[axis, a]
+                right_side[a] -= scaled * off
+                for b in range(3):
+                    corner[a, b] += scaled * constant[axis, b]
+                for b in range(5):
+                    border[STATES * k + columns[b], a] += scaled * state[axis, b]
+    for k in range(len(turned)):
+        if np.isnan(turned[k]):
+            continue
+        off = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * step_s[k])
+        scaled = -turned[k] / (GYRO_NOISE**2 * step_s[k])
+        right_side[3] -= scaled * off
+        corner[3, 3] -= scaled * turned[k]
+        border[STATES * k + PHI, 3] -= scaled
+        border[STATES * (k + 1) + PHI, 3] += scaled
+        border[STATES * k + GYRO, 3] += scaled * step_s[k]
+    return border, corner, right_side

@@ -1,0 +1,99 @@
+"""A gyro that does not fit the drive is corrected, or left out, and said to be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
+from fieldgrid.geodesy import Datum
+from fieldgrid.motion import Gyro, Motion
+from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.rig import Carrier, LeverArm
+from tests.scenes import paper_rig
+from tests.simulated import K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate, steps_of
+
+DATUM = Datum(39.5, -1.1, 700.0)
+ROWS = [
+    *(Command(20.0, 1.5), Command(6.3, 1.0, 0.5), Command(20.0, 1.5), Command(6.3, 1.0, -0.5)),
+    Command(20.0, 1.5),
+]
+
+
+def gyro(drive: Drive, size: float = 1.0, late_s: float = 0.0) -> Gyro:
+    true = gyro_of(drive, bias_dps=0.4, noise_dps=0.05)
+    return Gyro(true.time_ns + round(late_s * 1e9), size * true.rate_rad_s)
+
+
+def estimate(drive: Drive, motion: Motion) -> Estimate:
+    return estimate_poses(fixes_of(drive, 0.2, 0.01), Carrier(0.0), DATUM, motion=motion)
+
+
+def off_deg(found: Estimate, drive: Drive) -> Float64:
+    """Of accepted poses."""
+    trajectory = found.trajectory
+    truth = drive.at((trajectory.time_ns - trajectory.time_ns[found.fix_row[0]]) / 1e9)
+    off = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    return np.asarray(off[trajectory.accepted])
+
+
+def within_3_sigma(found: Estimate, drive: Drive) -> float:
+    sigma = found.trajectory.heading_sigma_deg[found.trajectory.accepted]
+    return float(np.mean(off_deg(found, drive) < 3.0 * sigma))
+
+
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_a_gyro_that_fits_is_left_as_it_is(commands: list[Command]) -> None:
+    drive = simulate(commands, 35.0)
+    found = estimate(drive, Motion(gyro=gyro(drive)))
+    assert found.report.notes == ()
+    assert off_deg(found, drive).max() < 0.5
+
+
+@pytest.mark.parametrize("size", [0.9, 1.05])
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_a_scale_is_taken_out(commands: list[Command], size: float) -> None:
+    drive = simulate(commands, 35.0)
+    found = estimate(drive, Motion(gyro=gyro(drive, size)))
+    assert off_deg(found, drive).max() < 0.7
+    assert within_3_sigma(found, drive) == 1.0
+    (note,) = found.report.notes
+    told = float(note.split("are ")[1].split(" %")[0]) / 100.0
+    assert told == pytest.approx(abs(1.0 / size - 1.0), abs=0.015)
+    assert ("too small" in note) == (size < 1.0)
+
+
+@pytest.mark.parametrize("with_steps", [False, True])
+@pytest.mark.parametrize("size", [-1.0, 180.0 / np.pi, 0.3])
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_a_gyro_with_wrong_axes_or_units_is_not_used(
+    commands: list[Command], size: float, with_steps: bool
+) -> None:
+    drive = simulate(commands, 35.0)
+    steps = steps_of(drive, noise=1.0) if with_steps else None
+    found = estimate(drive, Motion(gyro=gyro(drive, size), steps=steps))
+    assert found.trajectory.accepted.mean() > 0.9
+    assert off_deg(found, drive).max() < 4.0
+    assert within_3_sigma(found, drive) > 0.98
+    assert np.isnan(found.report.gyro_bias_dps)
+    assert "was not used: check imu_axes" in found.report.notes[0]
+
+
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_late_stamps_make_headings_less_sure(commands: list[Command]) -> None:
+    """Along an even slalom they cannot be told from an antenna ahead of the axle."""
+    drive = simulate(commands, 35.0)
+    found = estimate(drive, Motion(gyro=gyro(drive, late_s=0.3)))
+    assert within_3_sigma(found, drive) > 0.9  # where a turn begins it is not
+    assert any("stamp" in note for note in found.report.notes)
+
+
+def test_an_antenna_that_is_declared_wrongly_does_not_blame_the_gyro() -> None:
+    drive = simulate(ROWS, 35.0)
+    rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
+    fixes = fixes_of(drive, 0.2, 0.01, antenna=LeverArm(0.0, 1.5, 3.0))
+    found = estimate_poses(fixes, rig, DATUM, motion=Motion(gyro=gyro(drive)))
+    assert np.isfinite(found.report.gyro_bias_dps)
+    assert any("farther ahead than mounting.json says" in note for note in found.report.notes)
+    assert within_3_sigma(found, drive) > 0.97
