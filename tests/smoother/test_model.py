@@ -188,50 +188,6 @@ def test_steps_of_a_point_ahead_of_the_axle(seed: int, turns: int) -> None:
     assert_normal_equations(system, residuals, x, np.array([0.0, 0.0, scale]))
 
 
-@settings(deadline=None, max_examples=25)
-@given(SEEDS)
-def test_how_fixes_depend_on_lever_and_clock(seed: int) -> None:
-    """Beside fixes of an antenna elsewhere, taken a little earlier than they are stamped."""
-    random = np.random.default_rng(seed)
-    x, lever = states(seed, 3), random.normal(size=2)
-    fix, weight = x[:, :2] + random.normal(size=(3, 2)), random.uniform(0.5, 3.0, (3, 2))
-    weight[1] = 0.0
-    border, corner, right = model.lever_and_clock(x, fix, weight, lever)
-
-    def away(right_m: float, ahead_m: float, late_s: float) -> Float64:
-        """Residuals ahead and right [4] in axes that stand still."""
-        found = []
-        for k in (0, 2):
-            heading = 1j * np.exp(-1j * x[k, PHI])
-            now = x[k, E] + x[k, model.BIAS_E] + 1j * (x[k, N] + x[k, model.BIAS_N])
-            before = now - late_s * x[k, V] * heading
-            turned = heading * np.exp(1j * late_s * x[k, V] * x[k, KAPPA])
-            lever_now = (lever[1] + ahead_m) - 1j * (lever[0] + right_m)
-            off = before + lever_now * turned - (fix[k, 0] + 1j * fix[k, 1])
-            found += [(off * np.conj(heading)).real, (off * np.conj(-1j * heading)).real]
-        return np.array(found)
-
-    step = 1e-6
-    jacobian = np.stack(
-        [(away(*(step * e)) - away(*(-step * e))) / (2.0 * step) for e in np.eye(3)], axis=1
-    )
-    w = weight[[0, 2]].ravel()
-    assert corner == pytest.approx(jacobian.T @ (w[:, None] * jacobian), rel=1e-4, abs=1e-4)
-    assert right == pytest.approx(-jacobian.T @ (w * away(0.0, 0.0, 0.0)), rel=1e-4, abs=1e-4)
-    # The coupling is with the states that add_fixes has.
-    system = empty(3)
-    model.add_fixes(system, x, fix, weight, lever)
-    full = dense(system)[: x.size, : x.size]
-    for k in (0, 2):
-        # A place farther east is the same as one axis' share of an antenna elsewhere.
-        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
-        along = sin * full[STATES * k + E] + cos * full[STATES * k + N]
-        assert border[:, 1][STATES * k : STATES * (k + 1)] == pytest.approx(
-            along[STATES * k : STATES * (k + 1)]
-        )
-    assert not border[STATES : 2 * STATES].any()
-
-
 # --- what a vehicle can do
 
 
