@@ -265,7 +265,7 @@ def test_a_page_gets_nothing_of_another_map(tmp_path: Path) -> None:
         for asked in (*ASKED, f"tiles/density/0/0/0?v={version}"):
             answer = running.get(f"/api/maps/0/{asked}")
             assert answer.status == 409, asked
-            assert "is another map than the one that the page" in answer.json()["error"]
+            assert "is another map than the page was loaded with" in answer.json()["error"]
             assert "no-store" in answer.headers["cache-control"]
         assert len(running.json("/api/maps")["maps"][0]["sessions"]) == 2
         assert running.get("/api/maps/0/features").status == 200

@@ -85,8 +85,8 @@ class ShownMap:
         found = self.kept(("identity",), self._identity)
         if self._described is not None and not self._described.goes_on_in(found):
             raise MapError(
-                f"{self.path} is another map than the one that the page was loaded with; load the "
-                "page again."
+                f"{self.path} is another map than the page was loaded with, or its sessions have "
+                "other names; load the page again."
             )
 
     def _identity(self) -> Identity:
