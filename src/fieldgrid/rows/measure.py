@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64
 from fieldgrid.evidence import Evidence
@@ -57,7 +58,8 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
     outer, apart_m = outer_lines([row.line for row in rows], crop)
     settled = _all_settled(evidence, outer, [_GATE * apart_m] * len(outer), crop)
     for candidate in _candidates(evidence, settled, width, crop):
-        if is_apart(candidate[0].line, [row.line for row, _ in candidates], apart_m):
+        known = cKDTree(np.concatenate([row.line for row, _ in candidates]))
+        if is_apart(candidate[0].line, known, apart_m):
             candidates.append(candidate)
     return _standing_out(candidates)
 
@@ -99,8 +101,6 @@ def _gates(lines: list[Float64], crop: Crop) -> list[float]:
     most = _GATE * crop.max_spacing_m
     if len(lines) < 2:
         return [_GATE * 0.5 * (crop.min_spacing_m + crop.max_spacing_m)] * len(lines)
-    from scipy.spatial import cKDTree
-
     points = [resampled(line, 2.0) for line in lines]
     owner = np.repeat(np.arange(len(lines)), [len(p) for p in points])
     every = np.concatenate(points)

@@ -104,20 +104,23 @@ def outer_lines(lines: list[Float64], crop: Crop) -> tuple[list[Float64], float]
     pairs, apart_m = neighbour_pairs(lines, crop)
     if not pairs:
         return [], np.nan
+    samples = [resampled(line, _STEP_M) for line in lines]
+    rows = cKDTree(np.concatenate(samples))
     found: list[Float64] = []
-    for line in lines:
-        points = resampled(line, _STEP_M)
+    for sample in samples:
         for side in (1.0, -1.0):
-            beside = points + side * apart_m * normals(points)
-            if is_apart(beside, [*lines, *found], apart_m):
-                found.append(beside)
+            line = sample + side * apart_m * normals(sample)
+            if is_apart(line, rows, apart_m) and (
+                not found or is_apart(line, cKDTree(np.concatenate(found)), apart_m)
+            ):
+                found.append(line)
     return found, apart_m
 
 
-def is_apart(line: Float64, others: list[Float64], apart_m: float) -> bool:
-    """Whether most of a line is on no other one, of rows that are so far apart."""
-    points = np.concatenate([resampled(other, _STEP_M) for other in others])
-    distance, _ = cKDTree(points).query(resampled(line, _STEP_M))
+def is_apart(line: Float64, points: cKDTree, apart_m: float) -> bool:
+    """Whether most of a line is on no other one, of which there are points a metre apart; rows are
+    `apart_m` from each other."""
+    distance, _ = points.query(line)
     return bool((distance > 0.6 * apart_m).mean() > 0.5)
 
 
