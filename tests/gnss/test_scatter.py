@@ -145,6 +145,15 @@ def test_a_few_odd_positions_do_not_hide_the_spacing() -> None:
     assert quantum_m(lat_deg, lon_deg) == pytest.approx(0.1112, rel=1e-3)
 
 
+@pytest.mark.parametrize("decimals", [8, 9, 12])
+def test_a_drive_along_a_round_meridian_is_not_written_coarsely(decimals: int) -> None:
+    """Within a metre of it every longitude lies near one point of the lattice of 0.001 degrees."""
+    k = np.arange(300)
+    lat_deg = np.round(41.65 + k * 2.7e-6, decimals)
+    lon_deg = np.round(-4.72 + 1e-5 * np.sin(k / 30.0), decimals)
+    assert quantum_m(lat_deg, lon_deg) < 0.02
+
+
 def test_a_vehicle_that_stands_does_not_show_it() -> None:
     assert quantum_m(np.full(100, 39.5), np.full(100, -1.1)) == 0.0
     assert quantum_m([], []) == 0.0

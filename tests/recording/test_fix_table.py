@@ -77,6 +77,10 @@ def test_times_are_read_as_they_are_written(
         ("time=x,time_zone=-04:00", "2024-06-01 08:00:00"),
         ("time=x,time_zone=+2", "2024-06-01T14:00:00"),
         ("time=x,time_zone=+2", "2024-06-01T12:00:00Z"),
+        ("time=x,time_epoch=2024-06-01T12:00:00Z", "0"),
+        ("time=x,time_epoch=2024-06-01 11:59:00", "60.0"),
+        ("time=x,time_units=ms,time_epoch=2024-06-01T14:00:00+02:00", "0"),
+        ("time=x,time_epoch=2024-05-26T00:00:00Z", "561600"),  # seconds of its week
     ],
 )
 def test_what_is_said_of_a_time_counts(said: str, cell: str, tmp_path: Path) -> None:
@@ -260,6 +264,9 @@ def test_a_column_that_is_not_there_is_named(columns: str, match: str, tmp_path:
         ("lat=a,lat=b", "lat is given twice"),
         ("lat=a,speed_units=furlongs", "speed_units is 'furlongs'; give one of mps"),
         ("lat=a,time_zone=CET", "'CET' is no time zone like"),
+        ("lat=a,time_epoch=noon", "time_epoch is 'noon'; give a moment of UTC"),
+        ("lat=a,time_epoch=1970-01-01", "time_epoch is '1970-01-01'; give a moment of UTC"),
+        ("time_epoch=2024-06-01,time_zone=+2", "leave time_zone and the GPS scale out"),
     ],
 )
 def test_a_mapping_that_cannot_be(text: str, match: str) -> None:

@@ -224,6 +224,8 @@ def _spacing_deg(angles_deg: Float64) -> float:
     for spacing_deg in _LATTICES_DEG:
         steps = values / spacing_deg
         on_it = np.abs(steps - np.round(steps)) <= _ON_LATTICE_TOLERANCE
-        if np.mean(on_it) >= _ON_LATTICE_SHARE:
+        # A drive along a round meridian lies near one point of a coarse lattice, or few.
+        apart = np.unique(np.round(steps)).size
+        if np.mean(on_it) >= _ON_LATTICE_SHARE and 2 * apart >= values.size:
             return spacing_deg
     return 0.0

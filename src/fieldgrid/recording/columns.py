@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError
@@ -84,7 +85,7 @@ _TIME_WORDS = frozenset({"time", "timestamp", "stamp", "datetime", "utc", "epoch
 _NO_TIME_WORDS = frozenset(
     {"delta", "elapsed", "uptime", "duration", "zone", "timezone", "diff", "since", "boot", "fix"}
 )
-_OPTIONS = ("time_units", "time_zone", "speed_units", "height_units", "heading_units")
+_OPTIONS = ("time_units", "time_zone", "time_epoch", "speed_units", "height_units", "heading_units")
 
 ROLES = ("time", *_NAMES)
 """What a column may be mapped to."""
@@ -103,12 +104,14 @@ class Columns:
     """What is said of the columns of a log; what is not said is guessed.
 
     `names` maps :data:`ROLES` to column names as the header has them, '' for none. The units
-    are those of the mapped or guessed column, '' for what its name says.
+    are those of the mapped or guessed column, '' for what its name says. `time_epoch` is the UTC
+    from which a relative time counts, '' for a time that is one by itself.
     """
 
     names: Mapping[str, str] = field(default_factory=dict)
     time_units: str = ""
     time_zone: str = ""
+    time_epoch: str = ""
     speed_units: str = ""
     height_units: str = ""
     heading_units: str = ""
@@ -134,6 +137,27 @@ class Columns:
                 zone_s(self.time_zone)
             except ValueError as problem:
                 raise ConfigError(f"Columns: time_zone {problem}; correct it.") from problem
+        if self.time_epoch:
+            epoch_s(self.time_epoch)
+            if self.time_zone or self.time_units.startswith("gps_"):
+                raise ConfigError(
+                    "Columns: time_epoch counts from a moment of UTC; leave time_zone and the GPS "
+                    "scale out."
+                )
+
+
+def epoch_s(text: str) -> int:
+    """Unix seconds of a moment that is written like 2026-05-14T07:30:00Z."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or not 1980 <= moment.year <= 2200 or moment.microsecond:
+        raise ConfigError(
+            f"Columns: time_epoch is {text!r}; give a moment of UTC in whole seconds, like "
+            "2026-05-14T07:30:00Z."
+        )
+    return int((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp())
 
 
 def columns_from_mapping(mapping: Mapping[str, object]) -> Columns:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.columns import Columns, guess, time_candidates
+from fieldgrid.recording.columns import Columns, epoch_s, guess, time_candidates
 from fieldgrid.recording.tables import Block, Table
 from fieldgrid.recording.times import (
     UNITS,
@@ -71,7 +71,8 @@ def find_time(table: Table, columns: Columns) -> TimeColumn:
         tried = f" ({', '.join(names)[:200]} can not be read as one)" if names else ""
         raise RecordingError(
             f"{table.path} has no column with UTC times{tried}; name it with time=COLUMN and, if "
-            "need be, time_units=s, ms, us, ns, gps_s or gps_ms. "
+            "need be, time_units=s, ms, us, ns, gps_s or gps_ms; of a time that counts from the "
+            "start of a drive or a week, say when that was with time_epoch=2026-05-14T07:30:00Z. "
             f"It has: {', '.join(table.header)[:500]}."
         )
     return _noted(_finest(found) if len(found) > 1 else found[0], bool(said))
@@ -93,6 +94,9 @@ def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:
 
 def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> TimeScale | None:
     ahead_s = zone_s(columns.time_zone) if columns.time_zone else 0
+    if columns.time_epoch:
+        places = UNITS[columns.time_units or "s"]
+        return TimeScale(places, origin_s=epoch_s(columns.time_epoch), declared=True)
     if columns.time_units:
         unit = columns.time_units.removeprefix("gps_")
         return TimeScale(UNITS[unit], gps=unit != columns.time_units)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import date
+from datetime import UTC, date, datetime
 from decimal import Decimal, InvalidOperation
 from typing import NamedTuple
 
@@ -40,7 +40,8 @@ _REST_DASHED = re.compile(r"(?:[.,-](\d{1,12}))?()")
 class TimeScale(NamedTuple):
     """How a column writes time: in decimal `unit`s since `origin_s`, or as date and time.
 
-    `origin_s` is in Unix seconds. `gps` marks a scale without leap seconds. `zone_s` is how far
+    `origin_s` is in Unix seconds; `declared` says that a user gave it, so that the time 0 is one,
+    too. `gps` marks a scale without leap seconds. `zone_s` is how far
     a civil time without a zone of its own is ahead of UTC. `places` are the decimal places of
     a nanosecond that the unit has.
     """
@@ -51,6 +52,7 @@ class TimeScale(NamedTuple):
     zone_s: int = 0
     dashed: bool = False
     zoned: bool = True
+    declared: bool = False
 
     def describe(self) -> str:
         """The scale in words."""
@@ -59,6 +61,9 @@ class TimeScale(NamedTuple):
             hours = f", {self.zone_s / 3600:+g} h" if self.zone_s else zone
             return f"date and time{hours}"
         unit = next(name for name, places in UNITS.items() if places == self.places)
+        if self.declared:
+            origin = datetime.fromtimestamp(self.origin_s, UTC)
+            return f"{unit} since {origin:%Y-%m-%d %H:%M:%S} UTC"
         since = "GPS" if self.gps else "1980" if self.origin_s == _YEAR_1980_S else "1970"
         return f"{unit} since {since}"
 
@@ -121,8 +126,9 @@ class UnreadableTimeError(ValueError):
 def _on_scale(since_origin_ns: Int64, scale: TimeScale) -> Int64:
     if scale.gps:
         return _from_gps(*np.divmod(since_origin_ns, _WEEK_NS))
-    known = (since_origin_ns > 0) & (since_origin_ns <= MAX_TIME_NS)
-    return np.where(known, since_origin_ns + scale.origin_s * _S, NO_TIME)
+    earliest_ns, origin_ns = 0 if scale.declared else 1, scale.origin_s * _S
+    known = (since_origin_ns >= earliest_ns) & (since_origin_ns <= MAX_TIME_NS - origin_ns)
+    return np.where(known, since_origin_ns + origin_ns, NO_TIME)
 
 
 def _from_gps(weeks: Int64, of_week_ns: Int64) -> Int64:
