@@ -107,6 +107,37 @@ def faults(route: Route, view: MapView, *, allow_unknown: bool = False) -> str:
     return "" if fault is None else fault.reason
 
 
+def driven_task(seed: int) -> Task | None:
+    """The same field, with a goal to which a random drive of free arcs of any curvature leads from
+    the start, so that a route exists; None where the vehicle can hardly move."""
+    task = random_task(seed)
+    vehicle, rng = task.vehicle, np.random.default_rng(seed)
+    ground = Ground.of(task.view, CostCurve(), allow_unknown=False, margin_m=8.0)
+    searcher = Searcher(ground, vehicle)
+    x, y = task.start[0] - ground.west_m, task.start[1] - ground.south_m
+    here = np.array([x, y, math.radians(90.0 - rng.uniform(-180.0, 180.0))])
+    start, driven_m = here, 0.0
+    for _ in range(200):
+        gear = -1.0 if vehicle.reverse and rng.random() < 0.3 else 1.0
+        curvature = rng.choice([0.0, *rng.uniform(-1.0, 1.0, 3)]) * vehicle.curvature_1pm
+        d = gear * np.arange(0.0, rng.uniform(1.0, 4.0), 0.02)
+        yaw = here[2] + curvature * d
+        east, north = d * np.cos(here[2]), d * np.sin(here[2])
+        if curvature:
+            east = (np.sin(yaw) - np.sin(here[2])) / curvature
+            north = (np.cos(here[2]) - np.cos(yaw)) / curvature
+        poses = np.column_stack([here[0] + east, here[1] + north, yaw])
+        if (searcher.gaps_m(poses, 1.0) >= vehicle.clearance_m + 0.02).all():
+            here, driven_m = poses[-1], driven_m + abs(float(d[-1]))
+    if driven_m < 10.0 or math.dist(start[:2], here[:2]) < 1.0:
+        return None
+    ends = [
+        (float(p[0] + ground.west_m), float(p[1] + ground.south_m), 90.0 - math.degrees(p[2]))
+        for p in (start, here)
+    ]
+    return Task(task.view, vehicle, *ends)
+
+
 def least_length_m(task: Task) -> float:
     """No route is shorter: the straight line, and the way of a disc inside the vehicle around what
     is blocked, on eight neighbours, of which a straight line is up to 8.2 % shorter."""
@@ -122,12 +153,11 @@ def least_length_m(task: Task) -> float:
     return max(math.dist(start[:2], goal[:2]), around, 1.0)
 
 
-def over_fields(count: int) -> None:
-    """Print what came of random fields."""
+def over_fields(what: str, tasks: list[Task]) -> None:
+    """Print what came of some tasks."""
     outcome: Counter[str] = Counter()
     wrong, found_s, none_s, ratios = [], [], [], []
-    for seed in range(count):
-        task = random_task(seed)
+    for task in tasks:
         began = time.process_time()
         try:
             route = route_in_view(task.view, task.start, task.goal, task.vehicle)
@@ -135,23 +165,25 @@ def over_fields(count: int) -> None:
             outcome[next(what for what, words in _REASONS.items() if words in none.reason)] += 1
             none_s.append(time.process_time() - began)
             if "fails its check" in none.reason:
-                wrong.append(f"{seed}: {none}")
+                wrong.append(str(none))
             continue
         found_s.append(time.process_time() - began)
         outcome["found"] += 1
         ratios.append(route.length_m / least_length_m(task))
         if fault := faults(route, task.view):
-            wrong.append(f"{seed}: {fault}")
-    tried = outcome["found"] + outcome["none drivable"] + outcome["none within the limit"]
-    print(f"{count} random fields: " + ", ".join(f"{n} {what}" for what, n in outcome.items()))
+            wrong.append(fault)
+    tried = outcome["found"] + outcome["none on the lattice"] + outcome["none within the limit"]
+    print(f"{len(tasks)} {what}: " + ", ".join(f"{n} {why}" for why, n in outcome.items()))
     print(f"  found of those whose ends are free and connected  {outcome['found'] / tried:.1%}")
     print(f"  routes with a fault                               {len(wrong)} {wrong or ''}")
-    for what, times in (("found", found_s), ("not found", none_s)):
-        print(f"  processor time in s, {what:<10} {_spread(times)}")
+    for kind, times in (("found", found_s), ("not found", none_s)):
+        print(f"  processor time in s, {kind:<10} {_spread(times)}")
     print(f"  length to a lower bound          {_spread(ratios)}")
 
 
 def _spread(values: list[float]) -> str:
+    if not values:
+        return "     -"
     middle, late, worst = np.percentile(values, [50, 95, 100])
     return f"{middle:6.2f} median {late:6.2f} p95 {worst:6.2f} worst"
 
@@ -159,7 +191,7 @@ def _spread(values: list[float]) -> str:
 _REASONS = {
     "with an end that is not free": "not free",
     "cut off": "stopped by",
-    "none drivable": "there is none",
+    "none on the lattice": "ended without one",
     "none within the limit": "none was found",
     "faulty": "",
 }
@@ -199,5 +231,8 @@ def over_a_square_kilometre() -> None:
 
 
 if __name__ == "__main__":
-    over_fields(int(sys.argv[1]) if len(sys.argv) > 1 else 1000)
+    fields = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    over_fields("random ends", [random_task(seed) for seed in range(fields)])
+    driven = [task for task in map(driven_task, range(fields)) if task is not None]
+    over_fields("ends of a random drive, to which a route exists", driven)
     over_a_square_kilometre()

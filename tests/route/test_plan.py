@@ -208,6 +208,16 @@ def test_a_wall_is_named_with_its_place() -> None:
     assert 108.5 < refused.value.east_m < 110.5
 
 
+def test_a_map_that_is_too_large_for_memory_is_refused() -> None:
+    """Before anything of its size is made."""
+    nothing = np.lib.stride_tricks.as_strided(np.zeros(1, dtype=np.uint8), (10, 40_001), (0, 0))
+    view = MapView(
+        Lattice(CELL_M), Window(0, 0, 40_001, 10), nothing, nothing == 0, DATUM, is_base=True
+    )
+    with pytest.raises(ConfigError, match=r"give smaller --bounds or a larger --cell"):
+        route_in_view(view, (2.0, 1.0), (9.0, 1.0), SMALL)
+
+
 def test_the_narrowest_place_counts_for_the_widest_vehicle() -> None:
     """A gap of 1 m: a vehicle of 0.6 m with 0.1 m of clearance passes, one of 0.9 m does not."""
     view = field(obstacles=[(9, 0, 10, 4.4), (9, 5.4, 10, 10)])

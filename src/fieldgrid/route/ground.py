@@ -10,11 +10,17 @@ import numpy as np
 
 from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
+from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapView
 
 FREE, OBSTACLE, UNSEEN = 0, 1, 2
 """Classes of cells."""
 
+MAX_CELLS = 100_000_000
+MAX_SIDE = 40_000
+"""Cells along a side, for whose squares the distance transform has room."""
+
+_BLOCK_ROWS = 256
 _NAMES = {OBSTACLE: "an obstacle", UNSEEN: "ground that was not seen"}
 
 
@@ -37,16 +43,20 @@ class Ground:
     @classmethod
     def of(cls, view: MapView, curve: CostCurve, *, allow_unknown: bool, margin_m: float) -> Ground:
         """The ground of a view, decided as a costmap decides, with `margin_m` of unseen cells
-        around it. Unseen cells are blocked but for `allow_unknown`."""
-        cost = curve.cost(view.peak, view.seen_share)
+        around it. Unseen cells are blocked but for `allow_unknown`. Raises ConfigError for more
+        than 100 million cells, or 40000 along a side."""
         cell_m = 1.0 / view.lattice.cells_per_m
         margin = math.ceil(margin_m / cell_m)
-        height, width = cost.shape
+        height, width = view.density.shape
+        _check_size(width + 2 * margin, height + 2 * margin, cell_m)
         cells = np.full((height + 2 * margin, width + 2 * margin), UNSEEN, dtype=np.uint8)
         inner = cells[margin : margin + height, margin : margin + width]
-        inner[cost < LETHAL] = FREE
-        inner[cost == LETHAL] = OBSTACLE
-        inner[cost == UNKNOWN_COST] = UNSEEN
+        classes = np.full(256, FREE, dtype=np.uint8)
+        classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
+        peak, share = view.peak, view.seen_share
+        for first in range(0, height, _BLOCK_ROWS):
+            rows = slice(first, first + _BLOCK_ROWS)
+            inner[rows] = classes[curve.cost(peak[rows], share[rows])]
         blocked = cells == OBSTACLE if allow_unknown else cells != FREE
         bounds = view.bounds
         return cls(
@@ -92,6 +102,15 @@ class Ground:
         return (
             math.floor((north_m - self.south_m) / self.cell_m),
             math.floor((east_m - self.west_m) / self.cell_m),
+        )
+
+
+def _check_size(width: int, height: int, cell_m: float) -> None:
+    if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
+        raise ConfigError(
+            f"A route over {width} x {height} cells of {cell_m:g} m is over "
+            f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller "
+            "--bounds or a larger --cell."
         )
 
 

@@ -155,8 +155,8 @@ def route_in_view(
     margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
     ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
     searcher = Searcher(ground, vehicle)
-    starts = _free_poses(searcher, start, "start")
-    goals = _free_poses(searcher, goal, "goal")
+    starts = _free_poses(searcher, start, "start", view.bounds)
+    goals = _free_poses(searcher, goal, "goal", view.bounds)
     left_m = searcher.distance_left(goals[0])
     if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
         x, y = searcher.bottleneck(starts[0], goals[0])
@@ -168,7 +168,7 @@ def route_in_view(
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
-        searched = "there is none" if found.exhausted else "none was found"
+        searched = "the search ended without one" if found.exhausted else "none was found in time"
         raise NoRouteError(
             f"A way from the start to the goal seems wide enough, but {searched} that a vehicle "
             f"with a turning radius of {vehicle.turning_radius_m:g} m "
@@ -201,7 +201,9 @@ def _check_places(start: tuple[float, ...], goal: tuple[float, ...]) -> None:
         )
 
 
-def _free_poses(searcher: Searcher, place: tuple[float, ...], name: str) -> list[Pose]:
+def _free_poses(
+    searcher: Searcher, place: tuple[float, ...], name: str, seen: Bounds
+) -> list[Pose]:
     """The poses at a place in which the vehicle may stand: one, or those of all headings."""
     ground, vehicle = searcher.ground, searcher.vehicle
     headings = place[2:] or tuple(np.arange(_HEADINGS) * 360.0 / _HEADINGS)
@@ -215,8 +217,9 @@ def _free_poses(searcher: Searcher, place: tuple[float, ...], name: str) -> list
     what = f"The {name}{'' if len(place) == 3 else ', with any heading,'}"
     if not (west < place[0] < east and south < place[1] < north):
         raise NoRouteError(
-            f"{what} is off the map, which spans {west:.1f}..{east:.1f} m east and "
-            f"{south:.1f}..{north:.1f} m north", place[0], place[1], "give another place",
+            f"{what} is off the map, which spans {seen.west_m:.1f}..{seen.east_m:.1f} m east and "
+            f"{seen.south_m:.1f}..{seen.north_m:.1f} m north,",
+            place[0], place[1], "give another place",
         )  # fmt: skip
     first = np.array([0.0])
     standing = Path(first + place[0], first + place[1], first + headings[0], np.array([1]), first)
