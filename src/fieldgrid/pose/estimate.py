@@ -14,7 +14,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition, summarise
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
-from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of, names_axle
+from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
 from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
@@ -76,8 +76,9 @@ def estimate_poses(
     drive, motion, gyro_note = with_trusted_gyro(
         drive, log.accepted, log.fixes.time_ns, motion, axle, hints
     )
-    if drive.at.has_gyro() and not names_axle(axle.vehicle):
-        axle = axle_by_gyro(axle, drive.smoothed.declared.ahead_m)
+    told = axle_by_gyro(axle, drive.smoothed.declared.ahead_m) if drive.at.has_gyro() else axle
+    if told != axle:
+        axle = told
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     rig = axle.vehicle
     # The same of a vehicle that stands level, once its headings have told how it leans.

@@ -20,7 +20,7 @@ from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import Constant, Declared
+from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
 
 CLEAR_SIGMAS = 4.0
@@ -28,6 +28,10 @@ CLEAR_SIGMAS = 4.0
 
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
+
+
+LEAST_DOUBT_DEG = 1.0
+"""What does not fit together and moves no heading by more is not worth a word."""
 
 
 class FixOffset(NamedTuple):
@@ -117,7 +121,7 @@ def drive_notes(
     if not names_axle(rig):
         yield _no_axle(rig, axle)
     if drive.turns_seen:
-        yield from _contradictions(drive.smoothed.declared, rig)
+        yield from _contradictions(drive, rig)
     if not trajectory.accepted.any():
         yield _remedy(trajectory, fixes, settings)
 
@@ -161,9 +165,9 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
     return f"{unknown}; {taken}: {turns}. {remedy}"
 
 
-def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
+def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
     """What was declared of antenna and clock, and a drive whose turns were seen denies."""
-    told = False
+    found, told = drive.smoothed.declared, False
     for one, more, less in (
         (found.ahead_m, "farther ahead", "farther back"),
         (found.right_m, "farther right", "farther left"),
@@ -182,16 +186,18 @@ def _contradictions(found: Declared, rig: Vehicle | None) -> Iterator[str]:
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
             f"{late} against gyro and camera; look at how they were logged."
         )
-    if found.contradicts and not told:
+    most_deg = float(np.degrees(drive.smoothed.response.at_most[drive.gear != 0]).max(initial=0.0))
+    if found.contradicts and not told and most_deg > LEAST_DOUBT_DEG:
         suspects = "the antenna's place aside", "its place ahead", "the stamps", "the gyro's scale"
         alone = [
             what
             for what, left in zip(suspects, found.left, strict=True)
             if left < found.misfit / 2.0
         ]
+        check = " or ".join(alone) or ", ".join(suspects)
         yield (
             f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, "
-            f"so headings are less sure. Check {' or '.join(alone) or ', '.join(suspects)}."
+            f"so headings may be up to {most_deg:.1f}° off. Check {check}."
         )
 
 
