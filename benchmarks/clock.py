@@ -20,6 +20,7 @@ from fieldgrid.build.perception import visual_odometry
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, conditioned
 from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.recording import open_recording
@@ -105,7 +106,7 @@ def _drive(name: str, folder: Path, parts: dict[str, tuple[str, ...]]) -> Iterat
             fixes = drive.fixes().in_order()
         accepted = conditioned(fixes, PoseSettings()).accepted
         alone = {
-            turns: smooth_drive(accepted, fixes.time_ns, Motion(gyro if turns else None), rig)
+            turns: smooth_drive(accepted, fixes.time_ns, Motion(gyro if turns else None), Axle(rig))
             for turns in (True, False)
         }
         for part, beginnings in parts.items():
@@ -132,7 +133,7 @@ def tell(
     steps = motion.steps
     assert steps is not None
     return tuple(
-        clock_offset(drive, fixes, motion._replace(steps=late(steps, late_s)), rig)
+        clock_offset(drive, fixes, motion._replace(steps=late(steps, late_s)), Axle(rig))
         for late_s in LATE_S
     )
 

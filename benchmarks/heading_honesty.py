@@ -23,6 +23,7 @@ from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion
 from fieldgrid.pose import conditioned, estimate_poses
+from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.pose.report import FixOffset
 from fieldgrid.recording import open_recording
@@ -178,7 +179,7 @@ def report_doubts() -> Iterator[str]:
                 known = conditioned(fixes, PoseSettings())
             except GnssError:
                 continue
-            drive = smooth_drive(known.accepted, known.fixes.time_ns, Motion(), None)
+            drive = smooth_drive(known.accepted, known.fixes.time_ns, Motion(), Axle(None))
             at = drive.fix >= 0
             row = np.searchsorted(one.time_ns, drive.time_ns[at])
             told = np.isfinite(one.truth_deg[row]) & (one.speed_mps[row] > MOVING_MPS)

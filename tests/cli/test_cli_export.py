@@ -103,7 +103,10 @@ def test_a_layer_as_of_a_session_in_another_system(
         ("OUT/x.tif --bounds 0 0 1e300 1e300", r"^2e\+301 x 2e\+301 cells of"),
         ("OUT/x.png --bounds 0 0 9e3 9", "A PNG of 180000 x 180 pixels is more than"),
         ("OUT/x.kmz --bounds 0 0 9e3 99", r"88 pictures, .* or cells of 0\.1 m"),
-        ("OUT/x.png --layer count", "holds a layer of 8 bits, and 'count' is none; leave --layer"),
+        (
+            "OUT/x.png --layer count",
+            "cannot hold the layer 'count', only layers of .* 0 to 255; leave --layer",
+        ),
         ("OUT/x.tif --at winter", "'winter' is neither a session of .* nor a date"),
         ("OUT/x.tif --at 2019-01-01", "has no session up to 2019-01-01"),
     ],

@@ -67,7 +67,7 @@ def test_an_example_of_help_is_understood(fieldgrid: Run) -> None:
             assert result.status == 1, (example, result)
             # `inspect` says what is wrong as a finding, which is its output.
             said = result.out if name == "inspect" else result.sentence()
-            assert re.search("There is no map|does not exist", said)
+            assert re.search("There is no (map|vehicle file)|does not exist", said)
 
 
 def test_without_a_command_there_is_help(fieldgrid: Run) -> None:

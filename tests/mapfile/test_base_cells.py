@@ -181,6 +181,36 @@ def test_what_changed_is_decided_by_the_maps_own_cells(tmp_path: Path, cell_m: f
             universal.diff("0", "1", cell_m=CELL_M / 2)
 
 
+@pytest.mark.parametrize("cell_m", [0.1, 0.2, 0.25, 0.37])
+def test_an_obstacle_that_was_not_seen_again_has_not_vanished(
+    tmp_path: Path, cell_m: float
+) -> None:
+    """The later drive sees the ground beside it, in the same larger cell."""
+    post = (2.35, 3.35)
+    beside = [(2.05 + 0.1 * i, 3.05 + 0.1 * j) for i in range(12) for j in range(12)]
+    later = [place for place in beside if place != pytest.approx(post)]
+    assert len(later) == len(beside) - 1
+    days = (
+        [one_cell(*place, 0) for place in beside] + [one_cell(*post, 255)],
+        [one_cell(*place, 0) for place in later],
+    )
+    path = write_map(
+        tmp_path / "map.gpkg",
+        [
+            [
+                (grid, pose_at(pose.east_m, pose.north_m, 90.0, time_ns=day * 86_400_000_000_000))
+                for grid, pose in frames
+            ]
+            for day, frames in enumerate(days, start=1)
+        ],
+    )
+    with open_map(path) as universal:
+        view = universal.diff("0", "1", cell_m=cell_m)
+    i, j = view.lattice.index(*post)
+    assert view.change[j - view.window.j0, i - view.window.i0] == Change.NOT_SEEN_AGAIN
+    assert Change.VANISHED not in view.change
+
+
 def test_no_session_is_not_every_session(universal: MapFile) -> None:
     for cell_m in (None, 0.2, 0.25):
         for asked in ({}, {"layers": ["max"]}, {"frame_filter": lambda frame: True}):

@@ -78,7 +78,7 @@ def command(
 
         fieldgrid route vineyard.gpkg --from -14,50,37 --to 6,76 -o route.csv
 
-        fieldgrid route vineyard.gpkg --from -14,50 --to 2,72 --vehicle tractor.toml -o route.mcap
+        fieldgrid route vineyard.gpkg --from -14,50 --to 2,72 --vehicle my.toml -o r.mcap
     """
     from fieldgrid.cost import CostCurve
     from fieldgrid.errors import NoRouteError

@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from fieldgrid.array_types import Int64, UInt64
+from fieldgrid.array_types import Int64, UInt8, UInt64
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import Cells, ChannelGroup, Combine
 from fieldgrid.layers.window import coarser
+
+_Values = TypeVar("_Values", UInt8, UInt64)
 
 PARTS = 1 << 10
 """A cell that is no whole multiple is counted in so many parts along its side."""
@@ -38,6 +40,11 @@ class Multiple(NamedTuple):
     def larger(self, cells: Cells, window: Window) -> Cells:
         """The cells of a window from the map's own under it, overviews included."""
         return coarser(self.groups, cells, self.factor)
+
+    def highest(self, values: UInt8, window: Window) -> UInt8:
+        """The highest value in each cell of a window, from those of the map's own under it."""
+        blocks = (window.height, self.factor, window.width, self.factor)
+        return np.asarray(values.reshape(blocks).max(axis=(1, 3)))
 
 
 class Touching(NamedTuple):
@@ -61,9 +68,7 @@ class Touching(NamedTuple):
 
     def larger(self, cells: Cells, window: Window) -> Cells:
         """See `Multiple`."""
-        under, ratio = self.under(window), self.own.cell_m / self.lattice.cell_m
-        rows = _touched(under.j0, under.height, ratio, window.j0, window.height)
-        columns = _touched(under.i0, under.width, ratio, window.i0, window.width)
+        rows, columns = self._touched(window)
         arrays: dict[str, UInt64] = {}
         for group in self.groups:
             for channel in group.channels:
@@ -73,6 +78,18 @@ class Touching(NamedTuple):
                 of = _highest if extra.coarser is Combine.MAX else _area
                 arrays[extra.name] = of(cells[extra.name], rows, columns)
         return Cells(arrays, PARTS * PARTS)
+
+    def highest(self, values: UInt8, window: Window) -> UInt8:
+        """See `Multiple`."""
+        return _highest(values, *self._touched(window))
+
+    def _touched(self, window: Window) -> tuple[list[_Touched], list[_Touched]]:
+        """What the rows and the columns of a window touch."""
+        under, ratio = self.under(window), self.own.cell_m / self.lattice.cell_m
+        return (
+            _touched(under.j0, under.height, ratio, window.j0, window.height),
+            _touched(under.i0, under.width, ratio, window.i0, window.width),
+        )
 
 
 def follows_from_touched(group: ChannelGroup) -> bool:
@@ -114,7 +131,7 @@ def _touched(first: int, count: int, ratio: float, start: int, size: int) -> lis
     return found
 
 
-def _highest(values: UInt64, rows: list[_Touched], columns: list[_Touched]) -> UInt64:
+def _highest(values: _Values, rows: list[_Touched], columns: list[_Touched]) -> _Values:
     """The highest value that each cell touches."""
     for touched in (rows, columns):
         taken = (values[cell] * (parts > 0)[:, None] for cell, parts in touched)

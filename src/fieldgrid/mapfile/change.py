@@ -91,6 +91,11 @@ def latest_states(
     return states
 
 
+def unseen(states: UInt8) -> UInt8:
+    """Obstacles that were not observed after the moment, uint8 [rows, columns] of 0 and 1."""
+    return np.asarray((states[0] == 2) & (states[1] == 0), dtype=np.uint8)
+
+
 def outcome(states: UInt8) -> UInt8:
     """The `Change` of cells, from their states before and after."""
     found: UInt8 = _OUTCOME[states[0], states[1]]

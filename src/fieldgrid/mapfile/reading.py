@@ -17,7 +17,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
-from fieldgrid.mapfile.change import ChangeView, latest_states, outcome
+from fieldgrid.mapfile.change import ChangeView, latest_states, outcome, unseen
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.history import until
@@ -102,7 +102,8 @@ def read_change(
 ) -> ChangeView:
     """What changed between two moments; ConfigError when no drive is up to or after the first.
 
-    In cells of any size an obstacle is what holds one of the map's own cells that is one.
+    In cells of any size an obstacle is what holds one of the map's own cells that is one, and it
+    is gone only where each of those was seen again.
     """
     check_size(request.lattice, request.window)
     sessions = evidence.sessions()
@@ -128,10 +129,11 @@ def read_change(
     source = session_source(evidence, header, own, groups)
 
     def fill(chunk: Window) -> None:
-        own_cells = source.by_session(by.under(chunk))
-        found = ((name, by.larger(cells, chunk)) for name, cells in own_cells)
-        states = latest_states(chunk.shape, found, late)
-        change[request.window.slices_of(chunk)] = outcome(states)
+        under = by.under(chunk)
+        states = latest_states(under.shape, source.by_session(under), late)
+        before, after, lost = (by.highest(values, chunk) for values in (*states, unseen(states)))
+        after[(lost > 0) & (after == 1)] = 0
+        change[request.window.slices_of(chunk)] = outcome(np.stack([before, after]))
 
     for _ in in_order(fill, chunks(request.window, by.factor)):
         pass

@@ -170,6 +170,8 @@ def _drive(
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
     sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
+    if resting.all() and not np.isfinite(measured.heading_rad).any():
+        sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
     turns_seen = at.has_gyro() or len(measured.step) > 0
     if turns_seen and smoothed.declared.contradicts:
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
