@@ -12,7 +12,9 @@ import pytest
 
 from fieldgrid.build import (
     Progress,
+    visual_odometry,
 )
+from fieldgrid.build.perception import CameraMotion
 from fieldgrid.errors import (
     ConfigError,
     FieldgridError,
@@ -20,9 +22,12 @@ from fieldgrid.errors import (
     MapExistsError,
     RecordingError,
 )
+from fieldgrid.inspection import inspect_recording
 from fieldgrid.mapfile import open_map
+from fieldgrid.mounting import estimate_mount
 from fieldgrid.recording import (
     DriveOptions,
+    open_recording,
 )
 from fieldgrid.settings import resolve
 from fieldgrid.trajectory import Status
@@ -110,6 +115,32 @@ def test_after_an_interrupt_the_process_is_as_it_was(
     with pytest.raises(KeyboardInterrupt) as caught:
         build([make_drive(frames=range(3, 9))], tmp_path / "m.gpkg", jobs=3, progress=interrupt)
     # `caught` keeps the traceback, as an interactive Python does.
+    assert pipeline_threads() == []
+    assert cv2.getNumThreads() == opencv_threads
+    del caught
+
+
+@pytest.mark.parametrize("work", ["odometry", "mount", "inspect"])
+def test_after_another_interrupt_the_process_is_as_it_was(
+    work: str, make_drive: MakeDrive, opencv_threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    drive = make_drive(frames=range(3, 9))
+
+    def begin() -> None:
+        if work == "odometry":
+            monkeypatch.setattr(CameraMotion, "add", interrupt)
+            with open_recording(drive) as recording:
+                visual_odometry(recording, jobs=3)
+        elif work == "mount":
+            estimate_mount(drive, progress=interrupt)
+        else:
+            inspect_recording(drive, tell=interrupt)
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        begin()
     assert pipeline_threads() == []
     assert cv2.getNumThreads() == opencv_threads
     del caught

@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
@@ -118,8 +119,9 @@ def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     def look(frame: Frame) -> tuple[int, Features]:
         return frame.time_ns, features(camera, *frame.images())
 
-    for time_ns, seen in side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1):
-        motion.add(time_ns + offset_ns, seen)
+    with closing(side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1)) as looks:
+        for time_ns, seen in looks:
+            motion.add(time_ns + offset_ns, seen)
     return motion.steps()
 
 
@@ -127,7 +129,7 @@ def side_by_side(
     work: Callable[[_Item], _T], items: Iterable[_Item], jobs: int
 ) -> Generator[_T, None, None]:
     """The work on frames, or on what else there is one of a frame, in their order, `jobs` at a
-    time."""
+    time. Close it when it is not taken to its end: its threads end then."""
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
     cv2.setNumThreads(1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
@@ -93,18 +94,18 @@ def _pairs(
     unread: list[Unread] = []
     followed = 0
     chosen = ((k, frame) for k, frame in enumerate(recording.frames()) if k in run_of or k in close)
-    made = side_by_side(work, chosen, os.cpu_count() or 1)
-    for done, found in enumerate(made):
-        if tell is not None:
-            tell(done + 1, len(wanted))
-        if isinstance(found, Unread):
-            unread.append(found)
-            continue
-        if found.look is not None:
-            looks.append(found.look)
-        if found.features is not None:  # what is made of the frames comes in their order
-            motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
-            followed += 1
+    with closing(side_by_side(work, chosen, os.cpu_count() or 1)) as made:
+        for done, found in enumerate(made):
+            if tell is not None:
+                tell(done + 1, len(wanted))
+            if isinstance(found, Unread):
+                unread.append(found)
+                continue
+            if found.look is not None:
+                looks.append(found.look)
+            if found.features is not None:  # what is made of the frames comes in their order
+                motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
+                followed += 1
     steps = _joined([motion.steps() for motion in motions]) if motions else None
     return Seen(
         looks=tuple(looks),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -259,10 +260,11 @@ def _look(
     order = sorted(wanted)
     looks: list[FrameSample] = []
     picked = _picked(recording.frames(), wanted)
-    for look in side_by_side(FrameProbe(recording.rig), picked, jobs):
-        looks.append(look)
-        if progress is not None:
-            progress(len(looks), len(order))
+    with closing(side_by_side(FrameProbe(recording.rig), picked, jobs)) as probed:
+        for look in probed:
+            looks.append(look)
+            if progress is not None:
+                progress(len(looks), len(order))
     return looks, [k not in starts for k in order[: len(looks)]]
 
 
