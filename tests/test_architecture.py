@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -222,3 +223,11 @@ def test_colours_are_those_of_the_palette() -> None:
         if re.search("[a-fA-F#]", found)
     ]
     assert elsewhere == []
+
+
+def test_every_folder_of_tests_is_collected(request: pytest.FixtureRequest) -> None:
+    """pytest leaves out folders of some names by itself, `build` among them."""
+    left_out = request.config.getini("norecursedirs")
+    folders = {path.parent.name for path in Path(__file__).parent.rglob("test_*.py")}
+    assert "build" in folders
+    assert not [name for name in folders for pattern in left_out if fnmatch(name, pattern)]
