@@ -10,7 +10,10 @@ from fieldgrid.array_types import Float64
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.pose.estimate import conditioned
+from fieldgrid.pose.gyro_check import turn_ratio
 from fieldgrid.rig import Carrier, LeverArm
+from fieldgrid.settings import PoseSettings
 from tests.scenes import paper_rig
 from tests.simulated import K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate, steps_of
 
@@ -78,6 +81,30 @@ def test_a_gyro_with_wrong_axes_or_units_is_not_used(
     assert within_3_sigma(found, drive) > 0.98
     assert np.isnan(found.report.gyro_bias_dps)
     assert "was not used: check imu_axes" in found.report.notes[0]
+    if size == -1.0:
+        assert "the path turns -" in found.report.notes[0]
+
+
+@pytest.mark.parametrize("noise_m", [0.01, 0.03])
+@pytest.mark.parametrize("period_s", [0.1, 1.0])
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_the_path_tells_which_way_a_gyro_turns(
+    commands: list[Command], period_s: float, noise_m: float
+) -> None:
+    """At any rate, with decimetre fixes, an antenna ahead of the axle and holes."""
+    drive = simulate(commands, 35.0)
+    for ahead_m in (0.0, 1.5):
+        fixes = fixes_of(drive, period_s, noise_m, antenna=LeverArm(0.0, ahead_m, 0.0))
+        late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+        for some in (fixes, fixes[late_s % 10.0 < 5.0]):
+            settings = PoseSettings(quality=4, accuracy_m=10.0 * noise_m)
+            accepted = conditioned(some, settings, DATUM).accepted
+            right, upside_down = (turn_ratio(accepted, gyro(drive, s)) for s in (1.0, -1.0))
+            assert right is None or not right.is_wrong
+            if some is fixes:
+                assert upside_down is not None
+                assert upside_down.is_wrong
+                assert upside_down.value == pytest.approx(-1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])

@@ -19,7 +19,7 @@ from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
-from fieldgrid.pose.gyro_check import with_trusted_gyro
+from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.levelled import (
     find_lean,
     leaning,
@@ -71,9 +71,10 @@ def estimate_poses(
     log = conditioned(fixes, settings, datum)
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
+    motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    drive, motion, gyro_note = with_trusted_gyro(
+    drive, motion, unfit_gyro = with_trusted_gyro(
         drive, log.accepted, log.fixes.time_ns, motion, axle, hints
     )
     told = axle_by_gyro(axle, drive.smoothed.declared.ahead_m) if drive.at.has_gyro() else axle
@@ -113,7 +114,7 @@ def estimate_poses(
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
-            *([gyro_note] if gyro_note else []),
+            *(note for note in (wrong_gyro, unfit_gyro) if note is not None),
             *notes,
             *drive_notes(drive, log.accepted, declared, axle, source, settings, clock, trajectory),
         ),

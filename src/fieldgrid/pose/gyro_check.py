@@ -2,15 +2,111 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from fieldgrid.array_types import Int64
-from fieldgrid.motion import Motion
+from fieldgrid.course import first_beyond
+from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import GearHints
+from fieldgrid.smoother import MOST_MISFIT
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
+
+REACH_M, REACH_NOISES, MOST_S = 1.5, 10.0, 10.0
+"""The path's turn is that between chords of this length, or of so many times the noise, driven in
+at most this time each."""
+
+LEAST_TURN_RAD = np.radians(3.0)
+"""Turns that scatter by less tell nothing."""
+
+MOST_PERIODS = 2.5
+"""Fixes that are farther apart than so many usual ones have a hole between them."""
+
+MOST_TURN_RAD = np.radians(60.0)
+"""A path that turns by more within two chords has a cusp."""
+
+WRONG_RATIO, WRONG_SIGMAS, RELATED_SIGMAS = 0.4, 5.0, 2.5
+"""A gyro that tells another share of the path's turns, by more than this and by so many sigmas, has
+wrong axes or units: an antenna ahead of the axle or a scale make less."""
+
+FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
+
+CHECK = "was not used: check imu_axes (it may be upside down), its unit (rad/s) and its stamps."
+
+
+class Ratio(NamedTuple):
+    """What the path turns for each radian of the gyro, with its 1-sigma error."""
+
+    value: float
+    sigma: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether no gyro with the right axes and units is so far off."""
+        # Turns that have nothing to do with each other are of other moments: a clock is wrong.
+        related = abs(self.value) > RELATED_SIGMAS * self.sigma
+        return related and abs(self.value - 1.0) > max(WRONG_RATIO, WRONG_SIGMAS * self.sigma)
+
+
+def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
+    """The turns of the path beside those of the gyro, whose bias is free; in reverse the two turn
+    alike. None where there are too few."""
+    points, time_s = fixes.points_m(), (fixes.time_ns - gyro.time_ns[0]) / 1e9
+    reach_m = max(REACH_M, REACH_NOISES * float(np.median(fixes.noise.across_m)))
+    before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
+    at = np.flatnonzero((before >= 0) & (after >= 0) & (after < len(points)))
+    a, b = points[at] - points[before[at]], points[after[at]] - points[at]
+    turned = np.arctan2(a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1], (a * b).sum(axis=1))
+    start_s, stop_s = (
+        (time_s[before[at]] + time_s[at]) / 2.0,
+        (time_s[at] + time_s[after[at]]) / 2.0,
+    )
+    slowest_s = np.maximum(time_s[at] - time_s[before[at]], time_s[after[at]] - time_s[at])
+    gyro_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
+    rises = np.diff(gyro_s) * (gyro.rate_rad_s[1:] + gyro.rate_rad_s[:-1]) / 2.0
+    angle = np.concatenate([[0.0], np.cumsum(rises)])
+    told = np.interp(stop_s, gyro_s, angle) - np.interp(start_s, gyro_s, angle)
+    use = (slowest_s < MOST_S) & (np.abs(turned) < MOST_TURN_RAD)
+    use &= (start_s >= 0.0) & (stop_s <= gyro_s[-1])
+    # What the path did in a hole of the fixes, a cusp say, no chord tells.
+    step_s = np.diff(time_s)
+    holes = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * np.median(step_s))])
+    use &= holes[after[at]] == holes[before[at]]
+    overlap = float(np.median((after - before)[at])) if len(at) else 1.0
+    if use.sum() < FEWEST_TURNS * max(overlap / 2.0, 1.0):
+        return None
+    columns, off = np.column_stack([told, stop_s - start_s])[use], turned[use]
+    weight, line, normal, scale = np.ones(len(off)), np.zeros(2), np.eye(2), 1.0
+    for _ in range(ROUNDS):
+        normal = columns.T @ (columns * weight[:, None])
+        line = np.linalg.lstsq(normal, columns.T @ (weight * off), rcond=None)[0]
+        away = np.abs(off - columns @ line)
+        scale = max(1.4826 * float(np.median(away)), 1e-4)
+        weight = np.minimum(HUBER * scale / np.maximum(away, 1e-12), 1.0)
+    if np.std(columns[:, 0]) < LEAST_TURN_RAD:
+        return None  # straight on there is only the gyro's noise
+    # Neighbours share their chords.
+    sigma = scale * np.sqrt(overlap * np.linalg.pinv(normal)[0, 0])
+    return Ratio(float(line[0]), float(sigma))
+
+
+def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
+    """The motion without a gyro that turns otherwise than the path, and what was wrong with it."""
+    gyro = motion.gyro
+    ratio = None if gyro is None or len(gyro.time_ns) < 2 else turn_ratio(fixes, gyro)
+    if ratio is None or not ratio.is_wrong:
+        return motion, None
+    note = (
+        f"For each degree of the gyro the path turns {ratio.value:.2g}° ± {ratio.sigma:.1g}°: the "
+        f"gyro {CHECK}"
+    )
+    return motion._replace(gyro=None, inertial=None), note
 
 
 def with_trusted_gyro(
@@ -30,7 +126,7 @@ def with_trusted_gyro(
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         scaled = _scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
-        if not again.smoothed.declared.contradicts:
+        if again.smoothed.declared.misfit < MOST_MISFIT / 2.0:
             size = "small" if scale.value > 0.0 else "large"
             return (
                 again,
@@ -47,8 +143,7 @@ def with_trusted_gyro(
     return (
         rest,
         without,
-        f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and was not used: check "
-        "imu_axes (it may be upside down), its unit (rad/s) and its stamps.",
+        f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}",
     )
 
 
