@@ -45,6 +45,7 @@ LAYERS = (
     ("mapfile", "track_formats"),
     ("evidence",),
     ("rows", "route"),
+    ("coverage",),
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),
     ("inspection", "mounting", "convert", "view"),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fieldgrid.convert import convert_recording
     from fieldgrid.cost import CostCurve
     from fieldgrid.costmap import Costmap
+    from fieldgrid.coverage import Coverage, plan_coverage
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import Selection, export_geotiff, export_map
@@ -43,6 +44,7 @@ _HOMES = {
     "BuildSettings": "settings",
     "CostCurve": "cost",
     "Costmap": "costmap",
+    "Coverage": "coverage",
     "Crop": "rows",
     "Datum": "geodesy",
     "DriveOptions": "recording",
@@ -72,6 +74,7 @@ _HOMES = {
     "open_drive": "recording",
     "open_map": "mapfile",
     "open_recording": "recording",
+    "plan_coverage": "coverage",
     "plan_route": "route",
     "read_truth": "evaluation",
     "read_vehicle": "route",
@@ -84,6 +87,7 @@ __all__ = [
     "BuildSettings",
     "CostCurve",
     "Costmap",
+    "Coverage",
     "Crop",
     "Datum",
     "DriveOptions",
@@ -113,6 +117,7 @@ __all__ = [
     "open_drive",
     "open_map",
     "open_recording",
+    "plan_coverage",
     "plan_route",
     "read_truth",
     "read_vehicle",

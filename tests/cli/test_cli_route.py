@@ -63,6 +63,51 @@ def test_no_route_is_an_answer_with_a_place(fieldgrid: Run, field: Path, tmp_pat
     assert 0.0 < told["blocked_at"]["north_m"] < 15.0
 
 
+def test_covering_says_what_is_left_out(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    """The second lane is blocked: the others are written, and the status is that of a refusal."""
+    out = tmp_path / "work.csv"
+    done = fieldgrid("route", field, "--cover", "-o", out)
+    assert done.status == 1
+    for words in ("lanes covered", "2 of 3", "not covered", "stopped by an obstacle", str(out)):
+        assert words in done.out
+    assert "1 of 3 lanes are not covered; of B1-L2: There is no way along the lane" in done.err
+    assert "--lanes B1-L1,B1-L3 asks for the others alone" in done.err
+    with out.open(newline="") as file:
+        named = [row["lane"] for row in csv.DictReader(file)]
+    assert set(named) == {"B1-L1", "B1-L3", ""}
+    fieldgrid("show", field, "-o", tmp_path / "work.png", "--route", out).output()
+
+
+def test_covering_the_lanes_that_can_be(fieldgrid: Run, field: Path) -> None:
+    asked = ("route", field, "--cover", "--lanes", "B1-L3, B1-L1", "--from", "0,-4", "--json")
+    told = json.loads(fieldgrid(*asked).output())
+    coverage = fg.plan_coverage(field, lanes=["B1-L1", "B1-L3"], start=(0.0, -4.0))
+    assert told["found"] is True
+    assert told["left_out"] == []
+    assert [lane["lane"] for lane in told["lanes"]] == [lane.lane for lane in coverage.lanes]
+    assert told["length_m"] == pytest.approx(coverage.route.length_m)
+    assert told["turning_share"] == pytest.approx(coverage.turning_share)
+    assert 0.1 < told["turning_share"] < 0.5
+
+
+def test_no_lane_at_all(fieldgrid: Run, field: Path) -> None:
+    failed = fieldgrid("route", field, "--cover", "--lanes", "B1-L2", "--json")
+    assert failed.status == 1
+    told = json.loads(failed.out)
+    assert told["found"] is False
+    assert told["reason"] in failed.err
+    assert "None of 1 lanes can be covered; of B1-L2" in failed.err
+
+
+def test_lanes_are_for_covering_only(fieldgrid: Run, field: Path) -> None:
+    asked = ("route", field, "--from", START, "--to", GOAL)
+    for options in (("--lanes", "B1-L1"), ("--spacing", "1:3"), ("--crop", "orchard")):
+        assert f"for {options[0]}: it is for --cover only" in fieldgrid(*asked, *options).usage()
+    assert "no lane 'B9-L9'" in fieldgrid("route", field, "--cover", "--lanes", "B9-L9").sentence()
+    sentence = fieldgrid("route", field, "--cover", "--spacing", "20:30").sentence()
+    assert "No lanes were found" in sentence
+
+
 def test_a_thing_in_the_start(fieldgrid: Run, field: Path) -> None:
     sentence = fieldgrid("route", field, "--from", "3.75,10", "--to", GOAL).sentence()
     assert "not free" in sentence
@@ -80,7 +125,7 @@ def test_larger_cells_keep_the_obstacles_of_the_map(fieldgrid: Run, field: Path)
     [
         (("--from", "1,2,3,4", "--to", GOAL), "'1,2,3,4' is not E,N or E,N,HEADING"),
         (("--from", "x", "--to", GOAL), "'x' is not E,N or E,N,HEADING"),
-        (("--from", START), "Missing option '--to'"),
+        (("--from", START), "Invalid value for --to: it is needed"),
     ],
 )
 def test_places_that_are_none(

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,26 @@ def test_the_table_has_every_pose(route: Route, tmp_path: Path) -> None:
         assert np.allclose(values, getattr(route, name), atol=6e-4), name
     assert (rows[0]["east_m"], rows[0]["heading_deg"]) == ("2.000000", "90.000000")
     assert {row["lane"] for row in rows} == {""}
+
+
+def test_lanes_are_columns_and_lines(route: Route, tmp_path: Path) -> None:
+    """A lane ends where the next stretch begins."""
+    names = np.full(len(route.lane), "", dtype="U5")
+    names[10:30] = "B1-L2"
+    assert set(np.diff(route.gear[:31]).tolist()) == {0}
+    worked = replace(route, lane=names)
+    write_route(worked, tmp_path / "route.csv")
+    with (tmp_path / "route.csv").open(newline="") as file:
+        assert [row["lane"] for row in csv.DictReader(file)] == names.tolist()
+    write_route(worked, tmp_path / "route.geojson")
+    features = json.loads((tmp_path / "route.geojson").read_text())["features"]
+    assert [f["properties"]["lane"] for f in features[:3]] == [None, "B1-L2", None]
+    ends = [f["geometry"]["coordinates"] for f in features]
+    assert ends[0][-1] == ends[1][0]
+    assert ends[1][-1] == ends[2][0]
+    assert len(ends[1]) == 21
+    length = sum(f["properties"]["length_m"] for f in features)
+    assert length == pytest.approx(route.length_m, abs=1e-3)
 
 
 def test_lines_are_in_degrees_and_by_gear(route: Route, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -67,6 +67,13 @@ At = Annotated[
         rich_help_panel=PART,
     ),
 ]
+CropName = Annotated[str, typer.Option(metavar="NAME", help="vineyard, bushes, orchard or arable.")]
+Spacing = Annotated[
+    str | None, typer.Option(metavar="MIN:MAX", help="Distance between rows, metres.")
+]
+ObstacleAbove = Annotated[
+    int, typer.Option(metavar="N", help="Density above which a cell is an obstacle.")
+]
 DatumText = Annotated[
     str | None,
     typer.Option(
@@ -83,6 +90,21 @@ Config = Annotated[
 
 _PICTURES = (".png", ".svg", ".pdf")
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
+
+
+def out_file(endings: str) -> Any:
+    """The option that names a file to write, by whose ending its format is picked."""
+    return typer.Option(
+        "-o", "--out", metavar="FILE", help=f"Write {endings}.", rich_help_panel=OUTPUT
+    )
+
+
+def spacing(text: str | None) -> tuple[float | None, float | None]:
+    """`MIN:MAX`: metres between rows; nothing where nothing was given."""
+    if text is None:
+        return None, None
+    low, high = numbers("--spacing", text, ":", "MIN:MAX", "1.5:3")
+    return low, high
 
 
 def numbers(flag: str, text: str, separator: str, form: str, example: str) -> Sequence[float]:

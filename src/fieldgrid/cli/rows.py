@@ -15,22 +15,9 @@ if TYPE_CHECKING:
 
 def command(
     map_: options.MapArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="FILE",
-            help="Write .geojson, .gpkg, .csv, .kml or .dxf.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    crop: Annotated[
-        str, typer.Option(metavar="NAME", help="vineyard, bushes, orchard or arable.")
-    ] = "vineyard",
-    spacing: Annotated[
-        str | None, typer.Option(metavar="MIN:MAX", help="Distance between rows, metres.")
-    ] = None,
+    out: Annotated[Path | None, options.out_file(".geojson, .gpkg, .csv, .kml or .dxf")] = None,
+    crop: options.CropName = "vineyard",
+    spacing: options.Spacing = None,
     plant_spacing: Annotated[
         float | None, typer.Option(metavar="M", help="Largest usual distance between plants.")
     ] = None,
@@ -42,9 +29,7 @@ def command(
         float | None,
         typer.Option(metavar="M", help="Half width of a canopy, where no row shows both sides."),
     ] = None,
-    obstacle_above: Annotated[
-        int, typer.Option(metavar="N", help="Density above which a cell is an obstacle.")
-    ] = 100,
+    obstacle_above: options.ObstacleAbove = 100,
     hole: Annotated[
         float,
         typer.Option(metavar="M", help="Unseen ground counts as seen where no such square fits."),
@@ -82,9 +67,7 @@ def command(
 
     if out is not None:
         refuse_input(out, [map_, *([truth] if truth else [])])
-    low = high = None
-    if spacing is not None:
-        low, high = options.numbers("--spacing", spacing, ":", "MIN:MAX", "1.5:3")
+    low, high = options.spacing(spacing)
     planted = crop_named(crop).changed(
         min_spacing_m=low,
         max_spacing_m=high,

@@ -7,21 +7,26 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import shapely
 
 from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapView
 
-FREE, OBSTACLE, UNSEEN = 0, 1, 2
-"""Classes of cells."""
+FREE, OBSTACLE, UNSEEN, BEYOND = 0, 1, 2, 3
+"""Classes of cells; `BEYOND` is outside the part that a vehicle is confined to."""
 
 MAX_CELLS = 100_000_000
 MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
 _BLOCK_ROWS = 256
-_NAMES = {OBSTACLE: "an obstacle", UNSEEN: "ground that was not seen"}
+_NAMES = {
+    OBSTACLE: "an obstacle",
+    UNSEEN: "ground that was not seen",
+    BEYOND: "the side of the lane",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +68,26 @@ class Ground:
             bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,
             blocked.view(np.uint8), _to_blocked_m(blocked.view(np.uint8), cell_m),
         )  # fmt: skip
+
+    def confined(self, area: shapely.Geometry) -> Ground:
+        """The part of it inside an area (metres east and north), where all else is blocked."""
+        west, south, east, north = shapely.bounds(area)
+        height, width = self.blocked.shape
+        (j0, i0), (j1, i1) = self._cell(west, south), self._cell(east, north)
+        j0, i0 = min(max(j0 - 1, 0), height - 1), min(max(i0 - 1, 0), width - 1)
+        part = np.s_[j0 : max(j1 + 2, j0 + 1), i0 : max(i1 + 2, i0 + 1)]
+        cells = self.cells[part].copy()
+        corner_e, corner_n = self.west_m + i0 * self.cell_m, self.south_m + j0 * self.cell_m
+        rows, columns = cells.shape
+        inside = shapely.contains_xy(
+            area,
+            (corner_e + (np.arange(columns) + 0.5) * self.cell_m)[None, :],
+            (corner_n + (np.arange(rows) + 0.5) * self.cell_m)[:, None],
+        )
+        cells[~inside & (self.blocked[part] == 0)] = BEYOND
+        blocked = (~inside).view(np.uint8) | self.blocked[part]
+        to_blocked = _to_blocked_m(blocked, self.cell_m)
+        return Ground(corner_e, corner_n, self.cell_m, cells, blocked, to_blocked)
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:

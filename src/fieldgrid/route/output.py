@@ -23,7 +23,7 @@ from fieldgrid.vectors import Feature, write_features
 
 # A pose each decimetre: curvature read off positions needs their micrometres.
 COLUMNS = ("east_m", "north_m", "heading_deg", "gear", "curvature_1pm", "clearance_m", "lane")
-"""Of route.csv. `lane` is empty for a route from place to place."""
+"""Of route.csv. `lane` is empty where no lane is worked."""
 
 SUFFIXES = (".geojson", ".csv", ".gpx", ".mcap", ".gpkg", ".kml", ".dxf")
 """What the name of a route may end in."""
@@ -42,9 +42,10 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
     """Write a route in the format of the file's ending.
 
     `.csv` has a row a pose; `.geojson`, `.gpkg`, `.kml` and `.dxf` a line for each stretch in one
-    gear; `.gpx` a segment for each; `.mcap` one nav_msgs/Path on `/route`, whose poses are those of
-    the vehicle, in reverse too, and the datum. Raises ConfigError for another ending,
-    MapExistsError for a file that may not be overwritten, MapWriteError where it cannot be written.
+    gear and one lane; `.gpx` a segment for each stretch in one gear; `.mcap` one nav_msgs/Path on
+    `/route`, whose poses are those of the vehicle, in reverse too, and the datum. Raises
+    ConfigError for another ending, MapExistsError for a file that may not be overwritten,
+    MapWriteError where it cannot be written.
     """
     check_target(path)
     suffix = path.suffix.lower()
@@ -75,7 +76,7 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
 
 
 def route_features(route: Route) -> list[Feature]:
-    """A line for each stretch in one gear, in the order of driving."""
+    """A line for each stretch in one gear and one lane, in the order of driving."""
     found = []
     for number, rows in enumerate(_stretches(route), 1):
         line = shapely.LineString(np.column_stack([route.east_m[rows], route.north_m[rows]]))
@@ -87,6 +88,7 @@ def route_features(route: Route) -> list[Feature]:
                     "id": str(number), "gear": int(route.gear[rows.start]),
                     "length_m": float(line.length),
                     "clearance_m": float(route.clearance_m[rows].min()),
+                    "lane": str(route.lane[rows.start]) or None,
                 },
             )
         )  # fmt: skip
@@ -94,9 +96,12 @@ def route_features(route: Route) -> list[Feature]:
 
 
 def _stretches(route: Route) -> list[slice]:
-    """The poses of each stretch in one gear."""
-    ends = [0, *(np.flatnonzero(np.diff(route.gear)) + 1).tolist(), len(route.gear)]
-    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+    """The poses of each stretch in one gear and one lane, to the first pose of the next where the
+    gear stays."""
+    turns = np.diff(route.gear) != 0
+    ends = [0, *(np.flatnonzero(turns | (route.lane[:-1] != route.lane[1:])) + 1).tolist()]
+    stretches = [slice(a, b + (not turns[b - 1])) for a, b in itertools.pairwise(ends)]
+    return [*stretches, slice(ends[-1], len(route.gear))]
 
 
 def _rows(route: Route) -> Iterator[tuple[str, ...]]:
@@ -107,12 +112,13 @@ def _rows(route: Route) -> Iterator[tuple[str, ...]]:
         route.gear.tolist(),
         route.curvature_1pm.tolist(),
         route.clearance_m.tolist(),
+        route.lane.tolist(),
         strict=True,
     ):
-        east, north, heading, gear, curvature, clearance = row
+        east, north, heading, gear, curvature, clearance, lane = row
         yield (
             f"{east:.6f}", f"{north:.6f}", f"{heading:.6f}", f"{gear:d}", f"{curvature + 0.0:.6f}",
-            f"{clearance:.3f}", "",
+            f"{clearance:.3f}", lane,
         )  # fmt: skip
 
 

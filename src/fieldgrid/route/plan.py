@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg, yaw_from_heading_rad
 from fieldgrid.array_types import Float64, Int64
@@ -34,7 +35,7 @@ NEAR_M = 1.0
 
 _HEADINGS = 24
 
-_REMEDY = (
+REMEDY = (
     "give other places or a smaller vehicle, or where the ground is known to be free, "
     "--allow-unknown"
 )
@@ -47,8 +48,8 @@ class Route:
     Metres east and north of the vehicle's reference point; heading of its nose in degrees
     clockwise from north; gear, 1 or -1, and curvature (1/m, positive to the left of the nose) of
     the stretch that begins at each pose; clearance from the footprint to the nearest obstacle or
-    unseen cell in metres, exact up to 1 m and a lower bound above. Where the gear changes, two
-    poses are the same.
+    unseen cell in metres, exact up to 1 m and a lower bound above; the lane that is worked on the
+    stretch that begins there, empty where none is. Where the gear changes, two poses are the same.
     """
 
     datum: Datum
@@ -59,6 +60,7 @@ class Route:
     gear: Int64
     curvature_1pm: Float64
     clearance_m: Float64
+    lane: npt.NDArray[np.str_]
 
     @property
     def path(self) -> Path:
@@ -129,11 +131,17 @@ def plan_route(
                 opened, start, goal, vehicle, allow_unknown=allow_unknown, cell_m=cell_m,
                 bounds=bounds, curve=curve, at=at,
             )  # fmt: skip
+    view = planning_view(universal, cell_m, bounds, at)
+    return route_in_view(view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve)
+
+
+def planning_view(
+    universal: MapFile, cell_m: float | None, bounds: Bounds | None, at: str | int | None
+) -> MapView:
+    """What :func:`plan_route` reads of a map."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    layers = () if size == own else DECISION_LAYERS
-    view = universal.read(bounds, size, layers=layers, at=at)
-    return route_in_view(view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve)
+    return universal.read(bounds, size, layers=() if size == own else DECISION_LAYERS, at=at)
 
 
 def route_in_view(
@@ -149,62 +157,88 @@ def route_in_view(
     """The same of a view that was read already; where its cells are larger than the map's own,
     with `DECISION_LAYERS`. `max_poses` bounds the search."""
     vehicle = vehicle or Vehicle()
-    _check_places(start, goal)
-    # Beyond what was read nothing was seen; where that may be driven, there is room for a turn.
-    around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
-    margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
-    ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
-    searcher = Searcher(ground, vehicle)
-    starts = _free_poses(searcher, start, "start", view.bounds)
-    goals = _free_poses(searcher, goal, "goal", view.bounds)
-    left_m = searcher.distance_left(goals[0])
-    if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
-        x, y = searcher.bottleneck(starts[0], goals[0])
-        east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
-        raise NoRouteError(
-            f"There is no way from the start to the goal for a vehicle {vehicle.width_m:g} m wide, "
-            f"which is stopped by {ground.what_is_at(east, north)}",
-            east, north, _REMEDY,
-        )  # fmt: skip
-    found = searcher.search(starts, goals, left_m, max_poses)
-    if not len(found.samples):
-        searched = "the search ended without one" if found.exhausted else "none was found in time"
-        raise NoRouteError(
-            f"A way from the start to the goal seems wide enough, but {searched} that a vehicle "
-            f"with a turning radius of {vehicle.turning_radius_m:g} m "
-            f"{'' if vehicle.reverse else 'and no reverse '}can drive, and the search came nearest",
-            found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, _REMEDY,
-        )  # fmt: skip
-    path = Path.of_samples(found.samples, ground.west_m, ground.south_m)
-    fault = find_fault(path, ground, vehicle)
-    if fault is not None:
-        raise NoRouteError(
-            f"The way that was found fails its check, for {fault.reason}",
-            fault.east_m, fault.north_m, "report this with the map",
-        )  # fmt: skip
-    clearance = searcher.gaps_m(found.samples[:, :3], NEAR_M)
-    return Route(view.datum, vehicle, *path, clearance)
-
-
-def _check_places(start: tuple[float, ...], goal: tuple[float, ...]) -> None:
     for name, place in (("start", start), ("goal", goal)):
-        if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
-            raise ConfigError(
-                f"A {name} of {place!r} is no place; give metres east and north, and a heading in "
-                "degrees where it matters."
-            )
+        check_place(name, place)
     if math.dist(start[:2], goal[:2]) < 1e-3 and (
         min(len(start), len(goal)) == 2 or wrap_deg(start[2] - goal[2]) == 0.0
     ):
         raise ConfigError(
             f"The start and the goal are both {start[0]:g},{start[1]:g}; give two places."
         )
+    searcher = searcher_of(view, vehicle, allow_unknown=allow_unknown, curve=curve)
+    starts = free_poses(searcher, start, "start", view.bounds)
+    goals = free_poses(searcher, goal, "goal", view.bounds)
+    samples = find_way(searcher, starts, goals, "from the start to the goal", max_poses)
+    return checked_route(searcher, samples, np.full(len(samples), ""), view.datum)
 
 
-def _free_poses(
-    searcher: Searcher, place: tuple[float, ...], name: str, seen: Bounds
-) -> list[Pose]:
-    """The poses at a place in which the vehicle may stand: one, or those of all headings."""
+def searcher_of(
+    view: MapView, vehicle: Vehicle, *, allow_unknown: bool, curve: CostCurve | None
+) -> Searcher:
+    """What plans on a view for a vehicle."""
+    # Beyond what was read nothing was seen; where that may be driven, there is room for a turn.
+    around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
+    margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
+    ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
+    return Searcher(ground, vehicle)
+
+
+def find_way(
+    searcher: Searcher, starts: list[Pose], goals: list[Pose], what: str, max_poses: int
+) -> Float64:
+    """A way from one of the starts to one of the goals, as rows of x, y, yaw, gear, curvature;
+    `what` says in words from where to where. Raises NoRouteError where there is none."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    left_m = searcher.distance_left(goals[0])
+    if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
+        x, y = searcher.bottleneck(starts[0], goals[0])
+        east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
+        raise NoRouteError(
+            f"There is no way {what} for a vehicle {vehicle.width_m:g} m wide, "
+            f"which is stopped by {ground.what_is_at(east, north)}",
+            east, north, REMEDY,
+        )  # fmt: skip
+    found = searcher.search(starts, goals, left_m, max_poses)
+    if not len(found.samples):
+        searched = "the search ended without one" if found.exhausted else "none was found in time"
+        raise NoRouteError(
+            f"A way {what} seems wide enough, but {searched} that a vehicle "
+            f"with a turning radius of {vehicle.turning_radius_m:g} m "
+            f"{'' if vehicle.reverse else 'and no reverse '}can drive, and the search came nearest",
+            found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, REMEDY,
+        )  # fmt: skip
+    return found.samples
+
+
+def checked_route(
+    searcher: Searcher, samples: Float64, lane: npt.NDArray[np.str_], datum: Datum
+) -> Route:
+    """The route of a way, when it passes the check that shares nothing with its making; `lane` [n]
+    is the lane that is worked from each pose on. Raises NoRouteError when it fails."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    path = Path.of_samples(samples, ground.west_m, ground.south_m)
+    fault = find_fault(path, ground, vehicle)
+    if fault is not None:
+        raise NoRouteError(
+            f"The way that was found fails its check, for {fault.reason}",
+            fault.east_m, fault.north_m, "report this with the map",
+        )  # fmt: skip
+    clearance = searcher.gaps_m(samples[:, :3], NEAR_M)
+    return Route(datum, vehicle, *path, clearance, lane)
+
+
+def check_place(name: str, place: tuple[float, ...]) -> None:
+    """Raise ConfigError for numbers that are no place; `name` says what it is for."""
+    if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
+        raise ConfigError(
+            f"A {name} of {place!r} is no place; give metres east and north, and a heading in "
+            "degrees where it matters."
+        )
+
+
+def free_poses(searcher: Searcher, place: tuple[float, ...], name: str, seen: Bounds) -> list[Pose]:
+    """The poses at a place in which the vehicle may stand: one, or those of all headings. Raises
+    NoRouteError where there is none."""
     ground, vehicle = searcher.ground, searcher.vehicle
     headings = place[2:] or tuple(np.arange(_HEADINGS) * 360.0 / _HEADINGS)
     yaws = yaw_from_heading_rad(np.array(headings))

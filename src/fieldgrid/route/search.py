@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ MAX_STATES = 300_000
 _MAX_SAMPLES = 50_000
 _COARSE_M = 0.5
 _COARSE_CELLS = 1_200_000
+_EIGHT_WAYS = 2.0 * math.sqrt(2.0 - math.sqrt(2.0)) / math.sqrt(2.0)
 _WORTH_M = 0.05
 """A shorter saving is no reason to change a way."""
 
@@ -59,12 +61,13 @@ class Pose(NamedTuple):
 class Found(NamedTuple):
     """What a search found: rows of x, y, yaw, gear, curvature, none where there is no way.
 
-    `nearest` is the pose that came nearest to the goal, and `exhausted` says that every pose of the
-    lattice was tried."""
+    `nearest` is the pose that came nearest to the goal, `exhausted` says that every pose of the
+    lattice was tried, and `tried_m` where they are [n, 2], of a search that found nothing."""
 
     samples: Float64
     nearest: Pose
     exhausted: bool
+    tried_m: Float64
 
 
 class Searcher:
@@ -125,8 +128,8 @@ class Searcher:
         yaw only; `left_m` is `distance_left` of the goal."""
         direct = self._best_curve(starts, goals)
         bound_m = float(left_m[self.coarse_place(starts[0])])
-        if len(direct) and _cost(direct) <= 1.05 * bound_m:
-            return Found(direct, goals[0], False)
+        if len(direct) and driven_cost(direct) <= 1.05 * bound_m:
+            return Found(direct, goals[0], False, direct[:0, :2])
         states, links = np.zeros((max_states, 5)), np.empty((max_states, 2), dtype=np.int64)
         heap, places = np.zeros(max_states), np.empty(max_states, dtype=np.int64)
         table = np.full((TABLE, 2), -1, dtype=np.int64)
@@ -154,8 +157,10 @@ class Searcher:
             way = joined([*self._moves(states, links, here), found])
             ways.append(self._shortened(way, starts, goals))
         if ways:
-            return Found(min(ways, key=_cost), goals[0], False)
-        return Found(direct, Pose(*states[counters[NEAREST], :3].tolist()), here == -1)
+            best = min(ways, key=driven_cost)
+            return Found(best, goals[0], False, best[:0, :2])
+        nearest, tried = states[counters[NEAREST], :3], states[: counters[COUNT], :2].copy()
+        return Found(direct, Pose(*nearest.tolist()), here == -1, tried)
 
     def _moves(self, states: Float64, links: Int64, here: int) -> list[Float64]:
         """The moves from a start to a state, as rows of x, y, yaw, gear, curvature."""
@@ -187,13 +192,13 @@ class Searcher:
             for goal in goals:
                 curve = self.curve(start, goal, longest_m)
                 if len(curve):
-                    best, longest_m = curve, _cost(curve)
+                    best, longest_m = curve, driven_cost(curve)
         return best
 
     def _shortened(self, samples: Float64, starts: list[Pose], goals: list[Pose]) -> Float64:
         """A way with curves in the place of its stretches where that is cheaper."""
         for _ in range(3):
-            before, start = _cost(samples), 0
+            before, start = driven_cost(samples), 0
             while start < len(samples) - 2:
                 start += _is_doubled(samples, start)
                 stop = len(samples) - 1
@@ -209,7 +214,7 @@ class Searcher:
                         break
                     stop = start + (stop - start) // 2
                 start += max(10, (len(samples) - start) // 6)
-            if _cost(samples) > before - _WORTH_M:
+            if driven_cost(samples) > before - _WORTH_M:
                 break
         return samples
 
@@ -218,7 +223,7 @@ class Searcher:
     ) -> Float64 | None:
         """The way with a curve between two of its poses, or others where its ends are free to
         choose; None where that saves nothing."""
-        had_m = _cost(samples[start : stop + 1])
+        had_m = driven_cost(samples[start : stop + 1])
         if had_m < math.dist(samples[start, :2], samples[stop, :2]) + _WORTH_M:
             return None
         longest_m = had_m + 2.0 * CUSP_M
@@ -228,8 +233,8 @@ class Searcher:
         before = samples[: start + (not _is_doubled(samples, start - 1))].copy()
         if len(before) > 1:
             before[-1, 3:] = before[-2, 3:]
-        if _cost(joined([before[-2:], curve, samples[stop : stop + 2]])) > (
-            _cost(samples[max(start - 1, 0) : stop + 2]) - _WORTH_M
+        if driven_cost(joined([before[-2:], curve, samples[stop : stop + 2]])) > (
+            driven_cost(samples[max(start - 1, 0) : stop + 2]) - _WORTH_M
         ):
             return None
         return joined([before, curve, samples[stop:]])
@@ -237,13 +242,18 @@ class Searcher:
     def distance_left(self, goal: Pose, through: float = math.inf) -> Float32:
         """How far it is from each coarse cell to the goal for a disc that fits into the vehicle,
         inf where there is no way; a metre through what is blocked counts `through`."""
-        passable = self.passable()
-        size = self._coarse_m
+        passable, size = self.passable, self._coarse_m
         left = np.full(passable.shape, np.inf, dtype=np.float32)
         j, i = int(goal.y / size), int(goal.x / size)
         spread(passable, np.int64(j), np.int64(i), size, through, left)
         return left
 
+    def least_m(self, left_m: float) -> float:
+        """No way is shorter of which `distance_left` says so many metres: eight neighbours make a
+        straight line up to 8.2 % longer, and a coarse cell stands for all of its points."""
+        return max(left_m / _EIGHT_WAYS - 4.0 * self._coarse_m, 0.0)
+
+    @cached_property
     def passable(self) -> UInt8:
         """1 for the coarse cells where the disc about the reference point fits somewhere."""
         ground, scale = self.ground, self._coarse_cells()
@@ -269,7 +279,7 @@ class Searcher:
     def bottleneck(self, start: Pose, goal: Pose) -> tuple[float, float]:
         """Metres from the corner: where the way that goes through least of what is blocked first
         does so, from a start that is cut off."""
-        passable, left = self.passable(), self.distance_left(goal, _BLOCKED_COST)
+        passable, left = self.passable, self.distance_left(goal, _BLOCKED_COST)
         height, width = passable.shape
         j, i = self.coarse_place(start)
         crossed: list[tuple[int, int]] = []
@@ -315,7 +325,7 @@ def _is_doubled(samples: Float64, k: int) -> bool:
     return bool(0 <= k < len(samples) - 1 and (samples[k, :2] == samples[k + 1, :2]).all())
 
 
-def _cost(samples: Float64) -> float:
+def driven_cost(samples: Float64) -> float:
     """Metres of a way, those in reverse and changes of gear counted for more."""
     step = np.hypot(np.diff(samples[:, 0]), np.diff(samples[:, 1]))
     gear = samples[:, 3]

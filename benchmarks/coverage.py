@@ -1,0 +1,322 @@
+"""Coverage of random fields: what is covered, how short the way is, and whether all holds.
+
+`python -m benchmarks.coverage [FIELDS]` makes so many fields (default 200): one or two blocks of
+rows, straight or bent, with stepped ends, gaps, things in lanes and on headlands, and parts that
+were not seen; vehicles of all kinds, with reverse or without. It plans a coverage of each and
+prints
+
+* faults: by the check that every route passes, and by looking up points of the footprint in the
+  view, pose by pose;
+* the share of the lanes covered that can be by construction: a third of the fields have nothing but
+  rows in them, lanes that are wide enough, and headlands in which the vehicle can turn about;
+* for fields of up to `EXACT` lanes the cost and the length beside those of the best order, found by
+  planning the way between every two lanes;
+* on the same ways, what the local search for more than ten lanes makes of them;
+* processor time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import time
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import shapely
+
+from benchmarks.planting import DATUM
+from fieldgrid.array_types import Float64
+from fieldgrid.coverage import Coverage, coverage_in_view
+from fieldgrid.coverage.network import Network
+from fieldgrid.coverage.order import best_order
+from fieldgrid.coverage.passes import Pass, drive_lane
+from fieldgrid.errors import NoRouteError
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import MapView
+from fieldgrid.polyline import extended, part, resampled
+from fieldgrid.route import Vehicle
+from fieldgrid.route.plan import searcher_of
+from fieldgrid.rows import Lane, Planting
+
+EXACT = 6
+"""Lanes up to which every way between two of them is planned."""
+
+_CELL_M = 0.2
+
+
+class Task(NamedTuple):
+    """A field with its lanes, and a vehicle; whether all lanes can be covered by construction."""
+
+    view: MapView
+    planting: Planting
+    vehicle: Vehicle
+    is_open: bool
+
+
+def random_field(seed: int) -> Task:
+    """A field of up to 14 lanes a block."""
+    rng = np.random.default_rng(seed)
+    is_open = seed % 3 == 0
+    vehicle = _vehicle(rng)
+    spacing = float(rng.uniform(2.4, 4.0))
+    half = float(rng.uniform(0.15, 0.4))
+    need = vehicle.work_width_m + 2.0 * (vehicle.clearance_m + half + 2.0 * _CELL_M)
+    # Room for an omega turn: two radii and three quarters, and the vehicle beyond them.
+    room = 2.8 * vehicle.turning_radius_m + vehicle.reach_m + vehicle.clearance_m + 1.0
+    headland = float(rng.uniform(2.0, 10.0))
+    if is_open:
+        spacing, headland = max(spacing, need), room
+    rows: list[list[Float64]] = []
+    at = 0.0
+    for _ in range(rng.integers(1, 3)):
+        count = int(rng.integers(2, 8 if rng.random() < 0.8 else 16))
+        rows.append(_block(rng, count, spacing, at))
+        at += count * spacing + headland
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    spin = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    corner = rng.uniform(-2000.0, 2000.0, 2)
+    rows = [[row @ spin + corner for row in block] for block in rows]
+    every = np.concatenate([row for block in rows for row in block])
+    margin = headland + 1.0
+    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
+    i0, j0 = (math.floor(v / _CELL_M) for v in low)
+    width, height = (math.ceil((b - a) / _CELL_M) for a, b in zip(low, high, strict=True))
+    origin = np.array([i0, j0]) * _CELL_M
+    density, observed = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
+
+    def cells(points: Float64) -> Float64:
+        return np.round((points - origin) / _CELL_M - 0.5).astype(np.int32)
+
+    hull = shapely.MultiPoint(every).convex_hull.buffer(headland)
+    cv2.fillPoly(observed, [cells(np.array(hull.exterior.coords))], 1)
+    for row in (row for block in rows for row in block):
+        for stretch in _stretches(rng, row):
+            cv2.polylines(density, [cells(stretch)], False, 180, max(1, round(2 * half / _CELL_M)))
+    if not is_open:
+        _spoil(rng, density, observed, rows, cells)
+    view = MapView(
+        Lattice(_CELL_M), Window(i0, j0, width, height), density, observed > 0, DATUM, is_base=True
+    )
+    lanes = [
+        lane for name, block in enumerate(rows, 1) for lane in _lanes(f"B{name}", block, spacing)
+    ]
+    planting = Planting(DATUM, view.bounds, _CELL_M, (), tuple(lanes), (), (), (), ())
+    return Task(view, planting, vehicle, is_open)
+
+
+def _vehicle(rng: np.random.Generator) -> Vehicle:
+    wide = float(rng.uniform(0.5, 1.3))
+    return Vehicle(
+        front_m=float(rng.uniform(0.3, 2.2)),
+        rear_m=float(rng.uniform(0.2, 1.2)),
+        width_m=wide,
+        implement_width_m=float(rng.choice([0.0, wide * 1.2])),
+        turning_radius_m=float(rng.uniform(0.6, 3.5)),
+        reverse=bool(rng.random() < 0.5),
+        clearance_m=float(rng.choice([0.0, 0.1, 0.2])),
+    )
+
+
+def _block(rng: np.random.Generator, count: int, spacing: float, at: float) -> list[Float64]:
+    """Rows to the north, from left to right; bent ones are arcs about one centre."""
+    length, slope = rng.uniform(12.0, 35.0), rng.uniform(-0.4, 0.4)
+    bend = rng.choice([0.0, 0.0, 1.0]) * rng.uniform(-1.0, 1.0) / (80.0 + count * spacing)
+    steps = rng.uniform(0.0, rng.choice([0.3, 3.0]), (count, 2))
+    rows = []
+    for k in range(count):
+        s = np.arange(slope * k * spacing + steps[k, 0], length + slope * k * spacing - steps[k, 1])
+        x = np.full(len(s), k * spacing)
+        if bend:
+            radius = 1.0 / bend - k * spacing
+            x, s = 1.0 / bend - radius * np.cos(s * bend), radius * np.sin(s * bend)
+        rows.append(np.column_stack([x + at, s]))
+    return rows
+
+
+def _stretches(rng: np.random.Generator, row: Float64) -> list[Float64]:
+    """What of a row stands: all of it, or two parts with a gap between them."""
+    length = len(row) - 1.0
+    if rng.random() < 0.7:
+        return [row]
+    start = rng.uniform(0.1, 0.7) * length
+    return [part(row, 0.0, start), part(row, start + rng.uniform(0.1, 0.3) * length, length)]
+
+
+def _spoil(rng, density, observed, rows, cells) -> None:  # type: ignore[no-untyped-def]
+    """Things in lanes and on headlands, and parts that were not seen."""
+    height, width = density.shape
+    for _ in range(rng.integers(0, 5)):
+        middle = rng.integers(0, (width, height)).tolist()
+        cv2.circle(density, middle, int(rng.integers(0, 4)), 220, -1)
+    for _ in range(rng.integers(0, 3)):
+        middle = rng.integers(0, (width, height)).tolist()
+        axes = rng.integers(1, 20, 2).tolist()
+        cv2.ellipse(observed, middle, axes, rng.uniform(0.0, 180.0), 0, 360, 0, -1)
+    for block in rows:
+        if rng.random() < 0.5:
+            row = block[rng.integers(len(block))]
+            place = cells(row[rng.integers(len(row))] + rng.uniform(-1.5, 1.5, 2))
+            cv2.circle(density, place.tolist(), int(rng.integers(0, 3)), 220, -1)
+    specks = rng.random(density.shape) < rng.choice([0.0, 0.0, 0.0003])
+    density[specks] = 150
+
+
+def _lanes(block: str, rows: list[Float64], spacing: float) -> list[Lane]:
+    found = []
+    for k, (left, right) in enumerate(itertools.pairwise(rows), 1):
+        # From where both rows have begun to where one ends.
+        count = min(len(left), len(right))
+        middle = resampled(0.5 * (left[:count] + right[:count]), 1.0)
+        line = part(extended(middle, 0.0, 0.0), 0.25 * spacing, count - 1.0 - 0.25 * spacing)
+        area = shapely.Polygon(np.concatenate([left[:count], right[:count][::-1]]))
+        shape = shapely.LineString(line)
+        found.append(
+            Lane(f"{block}-L{k}", block, (f"{block}-R{k}", f"{block}-R{k + 1}"), shape, area,
+                 float(shape.length), math.nan, np.zeros(0), 1.0, False)
+        )  # fmt: skip
+    return found
+
+
+def points_on_barred(coverage: Coverage, view: MapView) -> int:
+    """Poses in which a point of the footprint lies on an obstacle, on a cell that was not seen, or
+    off the map."""
+    route, cell_m = coverage.route, view.lattice.cell_m
+    outline = shapely.Polygon(route.vehicle.footprint()).buffer(-1e-6)
+    west, south, east, north = outline.bounds
+    x, y = (
+        v.ravel() for v in np.meshgrid(np.arange(west, east, 0.1), np.arange(south, north, 0.1))
+    )
+    inside = shapely.contains_xy(outline, x, y)
+    ahead, left = (
+        np.concatenate([v[inside], shapely.get_coordinates(outline)[:, k]])
+        for k, v in enumerate((x, y))
+    )
+    phi = np.radians(route.heading_deg)[:, None]
+    i = (route.east_m[:, None] + ahead * np.sin(phi) - left * np.cos(phi)) / cell_m
+    j = (route.north_m[:, None] + ahead * np.cos(phi) + left * np.sin(phi)) / cell_m
+    i, j = np.floor(i).astype(int) - view.window.i0, np.floor(j).astype(int) - view.window.j0
+    height, width = view.density.shape
+    off = (i < 0) | (j < 0) | (i >= width) | (j >= height)
+    barred = (view.density > 100) | ~view.observed
+    bad = off | barred[np.clip(j, 0, height - 1), np.clip(i, 0, width - 1)]
+    return int(bad.any(axis=1).sum())
+
+
+class Best(NamedTuple):
+    """Of a field all of whose ways were planned: the least cost and the least length of an order
+    that covers as much as any, and the cost of what the local search finds."""
+
+    cost_m: float
+    length_m: float
+    searched_m: float
+
+
+def best_of(task: Task) -> Best:
+    """The best order by trying all, on ways that are planned between every two lanes."""
+    searcher = searcher_of(task.view, task.vehicle, allow_unknown=False, curve=None)
+    passes: list[Pass | None] = []
+    sizes = []
+    for lane in task.planting.lanes:
+        both = []
+        for backwards in (False, True):
+            try:
+                both.append(drive_lane(searcher, lane, backwards=backwards))
+            except NoRouteError:
+                both.append(None)
+        if both != [None, None]:
+            passes += both
+            sizes.append(lane.length_m)
+    network = Network(searcher, passes, [], [], lambda done, total: None)
+    costs, known = network.bounds()
+    pairs = [(int(a), int(b)) for a, b in np.argwhere(~known)]
+    lengths = costs.copy()
+    for pair, cost in zip(pairs, network.costs(pairs, 60_000), strict=True):
+        costs[pair] = lengths[pair] = cost
+        way, after = network.ways[pair], passes[pair[1]]
+        if len(way) and after is not None:
+            lengths[pair] = sum(
+                float(np.hypot(*np.diff(rows[:, :2], axis=0).T).sum())
+                for rows in (way, after.samples)
+            )
+    worth = 1000.0 * np.array(sizes)
+    order = best_order(costs, np.ones(costs.shape, np.bool_), worth, lambda _: [], exact_up_to=0)
+    lost = worth.sum() - sum(worth[node // 2] for node in order.nodes)
+    return Best(least(costs, worth), least(lengths, worth), order.cost - lost)
+
+
+def least(costs: Float64, worth: Float64) -> float:
+    """The least cost of an order that visits the most worth, by recursion over what is left."""
+    table, end = costs.tolist(), len(costs) - 1
+
+    @cache
+    def rest(left: frozenset[int], node: int) -> tuple[float, float]:
+        """The worth that is left out from here on, and the cost."""
+        found = [(float(sum(worth[k] for k in left)), 0.0)]
+        for k in left:
+            for after in (2 * k, 2 * k + 1):
+                if table[node][after] < math.inf:
+                    lost, cost = rest(left - {k}, after)
+                    found.append((lost, cost + table[node][after]))
+        return min(found)
+
+    return rest(frozenset(range(len(worth))), end)[1]
+
+
+def main(fields: int) -> None:
+    """Print what came of some fields."""
+    faults: list[str] = []
+    covered = asked = open_covered = open_asked = none = 0
+    took, cost_ratios, length_ratios, searched, reasons = [], [], [], [], []
+    for seed in range(fields):
+        task = random_field(seed)
+        lanes = len(task.planting.lanes)
+        asked += lanes
+        open_asked += lanes * task.is_open
+        began = time.process_time()
+        try:
+            coverage = coverage_in_view(task.view, task.planting, task.vehicle)
+        except NoRouteError as no:
+            none += 1
+            if "fails its check" in no.reason:
+                faults.append(f"{seed}: {no.reason}")
+            if task.is_open:
+                reasons.append(f"{seed}: {no.reason}")
+            continue
+        finally:
+            took.append((time.process_time() - began) / lanes)
+        covered += len(coverage.lanes)
+        open_covered += len(coverage.lanes) * task.is_open
+        if task.is_open:
+            reasons += [f"{seed} {out.lane}: {out.reason}" for out in coverage.left_out]
+        if bad := points_on_barred(coverage, task.view):
+            faults.append(f"{seed}: {bad} poses on what is barred")
+        if lanes <= EXACT and len(coverage.lanes) > 1:
+            best = best_of(task)
+            cost_ratios.append(coverage.cost_m / best.cost_m)
+            length_ratios.append(coverage.route.length_m / best.length_m)
+            searched.append(best.searched_m / best.cost_m)
+    print(f"{fields} fields, {asked} lanes: {covered} covered, {none} fields without a route")
+    print(f"  routes with a fault                              {len(faults)} {faults or ''}")
+    share = open_covered / max(open_asked, 1)
+    print(f"  covered of {open_asked} lanes that can be by construction  {share:.2%}")
+    for reason in reasons:
+        print(f"    {reason}")
+    print(f"  cost to that of the best order                   {_spread(cost_ratios)}")
+    print(f"  length to that of the shortest order             {_spread(length_ratios)}")
+    print(f"  cost of the local search to that of the best one {_spread(searched)}")
+    print(f"  processor time a lane, s                         {_spread(took)}")
+
+
+def _spread(values: list[float]) -> str:
+    if not values:
+        return "     -"
+    middle, late, worst = np.percentile(values, [50, 95, 100])
+    return f"{middle:6.3f} median {late:6.3f} p95 {worst:6.3f} worst ({len(values)})"
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)

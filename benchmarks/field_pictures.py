@@ -1,0 +1,133 @@
+"""docs/rows.png, docs/routes.png and docs/coverage.png: rows, routes and coverage of the example.
+
+python -m benchmarks.field_pictures vineyard.gpkg docs
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.coverage import random_field
+from fieldgrid.array_types import UInt8
+from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
+from fieldgrid.coverage import coverage_in_view, plan_coverage
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
+from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
+from fieldgrid.palette import SESSIONS
+from fieldgrid.route import Route, Vehicle, plan_route
+from fieldgrid.route.verify import swept_hulls
+from fieldgrid.rows import find_rows
+
+CURVE = CostCurve(obstacle_above=130)
+ROUTES = (
+    ("#c0392b", (-14.0, 49.7, 37.0), (6.0, 76.0), False),
+    ("#2b5fd6", (-8.0, 57.7, 37.0), (-1.7, 61.2, -143.0), True),
+)
+SEED = 44
+"""The field that stands for others in the picture of coverage."""
+
+
+def draw_rows(universal: MapFile, out: Path) -> None:
+    """Draw the rows of a map over its obstacles."""
+    view, found = universal.read(), find_rows(universal)
+    cells = Evidence.of(view).cells
+    figure = _figure(1)
+    axes = _over(figure, 111, view, cells == OBSTACLE, cells == UNSEEN)
+    for headland in found.headlands:
+        axes.fill(*headland.area.exterior.xy, color="#e8a33d", alpha=0.25, lw=0)
+    for lane in found.lanes:
+        axes.fill(*lane.area.exterior.xy, color="#3a9d5d", alpha=0.25 * lane.known + 0.05, lw=0)
+        axes.plot(*lane.line.xy, color="#1d7a3f", lw=1.2, ls="-" if lane.driven else ":")
+        place = lane.line.interpolate(0.4, normalized=True).coords[0]
+        is_known = np.isfinite(lane.free_width_m)
+        name = f"{lane.id} {lane.free_width_m:.2f} m" if is_known else f"{lane.id} unknown"
+        axes.annotate(name, place, fontsize=7, ha="center", color="#0b4a22")
+    for row in found.rows:
+        axes.plot(*row.line.xy, color="#c0392b", lw=1.4)
+        axes.annotate(row.id, row.line.coords[0], fontsize=7, color="#7d1d12")
+    for gap in found.gaps:
+        axes.plot(*gap.line.xy, color="#2b7bd6", lw=4.0)
+    for thing in found.obstacles:
+        axes.plot(*thing.area.exterior.xy, color="#a01fa0", lw=1.4)
+    figure.savefig(out)
+
+
+def draw_routes(universal: MapFile, out: Path) -> None:
+    """Draw what routes sweep over what they keep away from."""
+    figure = _figure(1)
+    axes = _over_costs(figure, 111, universal.read(cell_m=0.2, layers=DECISION_LAYERS), CURVE)
+    for colour, start, goal, any_ in ROUTES:
+        route = plan_route(universal, start, goal, Vehicle(), allow_unknown=any_, curve=CURVE)
+        print(route.length_m, route.turning_share, route.cusps, route.least_clearance_m)
+        _draw_route(axes, route, slice(None), colour)
+        axes.plot(route.east_m[0], route.north_m[0], "o", color=colour, ms=5)
+        axes.plot(route.east_m[-1], route.north_m[-1], "s", color=colour, ms=5)
+    figure.savefig(out)
+
+
+def draw_coverage(universal: MapFile, out: Path) -> None:
+    """Draw the coverage of the map's driven lanes, and that of a field of the benchmark."""
+    task = random_field(SEED)
+    view = universal.read(cell_m=0.2, layers=DECISION_LAYERS)
+    driven = [lane.id for lane in find_rows(universal).lanes if lane.driven]
+    ours = plan_coverage(universal, Vehicle(), lanes=driven, allow_unknown=True, curve=CURVE)
+    other = coverage_in_view(task.view, task.planting, task.vehicle)
+    figure = _figure(2)
+    for place, shown, curve, coverage in (
+        (121, view, CURVE, ours), (122, task.view, CostCurve(), other),
+    ):  # fmt: skip
+        axes, route = _over_costs(figure, place, shown, curve), coverage.route
+        print(route.length_m, coverage.turning_share, route.cusps, route.least_clearance_m)
+        print(task.vehicle, [entry.lane for entry in coverage.left_out])
+        _draw_route(axes, route, slice(None), "#2b5fd6")
+        for number, lane in enumerate(coverage.lanes):
+            mine = np.flatnonzero(route.lane == lane.lane)
+            colour = SESSIONS[number % len(SESSIONS)]
+            _draw_route(axes, route, slice(mine[0], mine[-1] + 2), colour)
+            middle = mine[len(mine) // 2]
+            axes.annotate(str(number + 1), (route.east_m[middle], route.north_m[middle]))
+    figure.savefig(out)
+
+
+def _draw_route(axes: Axes, route: Route, poses: slice, colour: str) -> None:
+    hulls = swept_hulls(route.path, route.vehicle)[0]
+    for hull in hulls[poses][::3]:
+        axes.fill(*hull.exterior.xy, color=colour, alpha=0.06, lw=0)
+    axes.plot(route.east_m[poses], route.north_m[poses], color=colour, lw=1.4)
+
+
+def _figure(columns: int) -> Figure:
+    figure = Figure(figsize=(7.0 * columns, 8.0), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _over_costs(figure: Figure, place: int, view: MapView, curve: CostCurve) -> Axes:
+    cost: UInt8 = curve.cost(view.peak, view.seen_share)
+    return _over(figure, place, view, cost == LETHAL, cost == UNKNOWN_COST)
+
+
+def _over(figure, place, view, blocked, unseen) -> Axes:  # type: ignore[no-untyped-def]
+    """Axes in metres east and north over what is blocked (dark) and not seen (grey)."""
+    picture = np.full((*blocked.shape, 3), 255, dtype=np.uint8)
+    picture[unseen], picture[blocked] = (222, 226, 232), (90, 90, 90)
+    bounds = view.bounds
+    extent = (bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m)
+    axes = figure.add_subplot(place)
+    axes.imshow(picture, origin="lower", extent=extent, interpolation="nearest")
+    axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="east, m", ylabel="north, m", aspect="equal")
+    return axes
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[2])
+    with open_map(sys.argv[1]) as opened:
+        draw_rows(opened, folder / "rows.png")
+        draw_routes(opened, folder / "routes.png")
+        draw_coverage(opened, folder / "coverage.png")

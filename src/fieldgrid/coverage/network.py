@@ -1,0 +1,166 @@
+"""The ways between passes: planned when the order needs them, bounded from below before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float32, Float64
+from fieldgrid.coverage.order import Order, best_order
+from fieldgrid.coverage.passes import Pass
+from fieldgrid.route.astar import CUSP_M
+from fieldgrid.route.curves import Word, words
+from fieldgrid.route.path import joined
+from fieldgrid.route.search import Pose, Searcher, driven_cost
+
+_MAX_POSES = 12_000
+"""Of the search for one way: turns take some hundreds to thousands."""
+
+_MORE_POSES = 60_000
+_RETRIES = 40
+
+_DISTANCE_BYTES = 200_000_000
+_CURVES_WITHIN = 12.0
+"""Turning radii within which a curve says more of a way than its distance does."""
+
+
+class Network:
+    """Passes along lanes, each in both directions, and what it costs to drive from one to another:
+    metres, those in reverse and changes of gear counted for more, as in any route.
+
+    Node 2k is lane k along its line, 2k + 1 against it; node 2n is the start or the end, at
+    `starts` and `goals`, which are poses of one place, or anywhere where there are none.
+    """
+
+    def __init__(
+        self,
+        searcher: Searcher,
+        passes: Sequence[Pass | None],
+        starts: list[Pose],
+        goals: list[Pose],
+        progress: Callable[[int, int], None],
+    ) -> None:
+        self.searcher, self.passes = searcher, passes
+        self.starts, self.goals, self._progress = starts, goals, progress
+        self.ways: dict[tuple[int, int], Float64] = {}
+        self._doubtful: dict[tuple[int, int], None] = {}
+        self._cut_off: dict[int, Float64] = {}
+        self._left: dict[int, Float32] = {}
+
+    def bounds(self) -> tuple[Float64, Bool]:
+        """Lower bounds of the costs from node to node, the second pass included, and which of them
+        are the costs themselves."""
+        count = len(self.passes)
+        costs = np.full((count + 1, count + 1), np.inf)
+        known = np.zeros(costs.shape, dtype=np.bool_)
+        for b in range(count + 1):
+            goals = self._goals(b)
+            if b < count and not goals:
+                continue
+            after = self.passes[b] if b < count else None
+            size = 0.0 if after is None else driven_cost(after.samples)
+            left = self._distance(b) if goals else None
+            for a in range(count + 1):
+                starts = self._starts(a)
+                is_same_lane = max(a, b) < count and a // 2 == b // 2
+                if a == b or is_same_lane or (a < count and not starts):
+                    continue
+                if left is None or not starts:
+                    costs[a, b], known[a, b] = size, True
+                    continue
+                changes = (a < count) + (b < count)
+                costs[a, b] = size + self._bound(starts, goals, left, changes)
+        known |= ~np.isfinite(costs)
+        return costs, known
+
+    def costs(self, pairs: list[tuple[int, int]], max_poses: int = _MAX_POSES) -> list[float]:
+        """The costs from node to node by ways that are planned; inf where none is found."""
+        found = []
+        for k, (a, b) in enumerate(pairs):
+            self._progress(len(self.ways), len(self.ways) + len(pairs) - k)
+            found.append(self._cost(a, b, max_poses))
+        return found
+
+    def order(self, worth: Float64) -> Order:
+        """The best order of the lanes, which are worth so much each. Where lanes are left out, the
+        nearest ways from and to them of which the search was cut short are searched for longer."""
+        costs, known = self.bounds()
+        bounds = costs.copy()
+        order = best_order(costs, known, worth, self.costs)
+        missed = order.left_out(len(worth))
+        pairs = [pair for pair in self._doubtful if missed & {node // 2 for node in pair}]
+        pairs = sorted(pairs, key=lambda pair: float(bounds[pair]))[:_RETRIES]
+        for pair, cost in zip(pairs, self.costs(pairs, _MORE_POSES), strict=True):
+            costs[pair] = cost
+        return best_order(costs, known, worth, self.costs) if pairs else order
+
+    def _cost(self, a: int, b: int, max_poses: int) -> float:
+        starts, goals = self._starts(a), self._goals(b)
+        tried = self._cut_off.get(a)
+        radius = self.searcher.vehicle.turning_radius_m
+        if tried is not None and np.hypot(*(tried - goals[0][:2]).T).min() > 2.0 * radius:
+            return math.inf
+        found = self.searcher.search(starts, goals, self._distance(b), max_poses)
+        samples = self.ways[a, b] = found.samples
+        if not len(samples):
+            if found.exhausted:
+                self._cut_off[a] = found.tried_m
+            else:
+                self._doubtful[a, b] = None
+            return math.inf
+        before, after = (self.passes[k] if k < len(self.passes) else None for k in (a, b))
+        # The last step of the pass before tells whether the gear changes after it.
+        parts = [] if before is None else [before.samples[-2:]]
+        ways = [*parts, samples, *([] if after is None else [after.samples])]
+        return driven_cost(joined(ways)) - sum(driven_cost(part) for part in parts)
+
+    def _starts(self, node: int) -> list[Pose]:
+        """The poses from which a way leaves a node."""
+        if node == len(self.passes):
+            return self.starts
+        passed = self.passes[node]
+        return [] if passed is None else [passed.stop]
+
+    def _goals(self, node: int) -> list[Pose]:
+        """The poses in which a way reaches a node."""
+        if node == len(self.passes):
+            return self.goals
+        passed = self.passes[node]
+        return [] if passed is None else [passed.start]
+
+    def _distance(self, node: int) -> Float32:
+        """`distance_left` of the place of a node; of the latest ones it is kept."""
+        left = self._left.get(node)
+        if left is None:
+            left = self.searcher.distance_left(self._goals(node)[0])
+            while self._left and (len(self._left) + 1) * left.nbytes > _DISTANCE_BYTES:
+                del self._left[next(iter(self._left))]
+            self._left[node] = left
+        return left
+
+    def _bound(self, starts: list[Pose], goals: list[Pose], left_m: Float32, changes: int) -> float:
+        """No way between poses costs less; inf where there is none. One that reverses has at least
+        so many changes of gear."""
+        around = float(left_m[self.searcher.coarse_place(starts[0])])
+        if not math.isfinite(around):
+            return math.inf
+        bound = self.searcher.least_m(around)
+        radius = self.searcher.vehicle.turning_radius_m
+        apart = math.dist(starts[0][:2], goals[0][:2])
+        if len(starts) > 1 or len(goals) > 1 or apart > _CURVES_WITHIN * radius:
+            return max(bound, apart)
+        start, goal = starts[0], goals[0]
+        cos, sin = math.cos(start.yaw), math.sin(start.yaw)
+        dx, dy = (goal.x - start.x) / radius, (goal.y - start.y) / radius
+        pose = dx * cos + dy * sin, dy * cos - dx * sin, goal.yaw - start.yaw
+        shortest = radius * min(_length(word) for word in words(*pose, reverse=False))
+        if self.searcher.vehicle.reverse:
+            anyhow = radius * min(_length(word) for word in words(*pose, reverse=True))
+            shortest = min(shortest, anyhow + changes * CUSP_M)
+        return max(bound, shortest)
+
+
+def _length(word: Word) -> float:
+    return sum(abs(length) for _, length in word)
