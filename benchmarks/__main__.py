@@ -180,7 +180,7 @@ def _fused_kernel(gridder: LocalGridder, values: np.ndarray, row_start: int) -> 
     spec, rig = gridder.spec, gridder.rig
     depth_m = depth.depth_table(rig, gridder.region.num_disparities, 16)
     coded = depth.CodedDepth(values, row_start, depth_m)
-    plane, patches = estimate_ground(coded, rig, spec.width_m / 2, spec.length_m)
+    plane, patches, _ = estimate_ground(coded, rig, spec.width_m / 2, spec.length_m)
     within = np.ones(spec.shape, dtype=np.bool_)
     above = local_ground(patches, spec, within), spec.cell_m, np.float32(0.2), np.float32(2.2)
     geometry = depth.rays(rig, plane.A_grid_sensor, plane.height_m)

@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,15 +21,19 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from benchmarks import EXAMPLE
+from benchmarks.timing import paired_ms
 from fieldgrid.attitude import Attitude, Track, estimate_attitude
 from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.evaluation import evaluate, read_truth
+from fieldgrid.layers import GROUPS
+from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.recording import DriveOptions, Recording, open_recording
 from fieldgrid.rotations import roll_pitch_deg
 from fieldgrid.settings import BuildSettings
+from fieldgrid.transfer import Transfer
 from tests.hilly import (
     Ground,
     Hike,
@@ -88,14 +93,39 @@ def pooled(found: Attitude, roll_deg: np.ndarray, pitch_deg: np.ndarray) -> Spre
 def main() -> None:
     """Print every figure beside what is asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=("simulated", "drives"))
+    parser.add_argument("--only", choices=("simulated", "drives", "folds"))
     only = parser.parse_args().only
-    if only != "drives":
+    if only in (None, "folds"):
+        print("\n".join(folds()))
+    if only in (None, "simulated"):
         print("\n".join(simulated()))
-    if only != "simulated":
+    if only in (None, "drives"):
         for folder in (EXAMPLE, SLOPE):
             if folder.is_dir():
                 print("\n".join(measured(folder)))
+
+
+def folds() -> Iterator[str]:
+    """What each channel group costs to fold, beside the density, over the example drive."""
+    yield "folds, of the density's; asked: <= 1.5"
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place) / "map.gpkg"
+        build_map([EXAMPLE], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
+        with open_map(out) as universal:
+            frames = [(frame.cells(), frame.pose) for frame in universal.frames(with_grid=True)]
+            view = universal.read()
+
+    def fold(*names: str) -> None:
+        into = WindowFold(
+            view.lattice, view.window, Transfer.CENTRE, [GROUPS[name] for name in names]
+        )
+        for cells, pose in frames:
+            into.add(cells, pose)
+
+    for name, group in GROUPS.items():
+        if name != "density" and group.fold is not None:
+            alone, both = paired_ms(lambda: fold("density"), partial(fold, "density", name), 9)
+            yield f"  {name:<12}{(both - alone) / alone:5.2f}"
 
 
 def simulated() -> Iterator[str]:
@@ -218,9 +248,9 @@ def _bytes(path: Path) -> str:
     sizes = [
         database.execute(f"SELECT sum(length(data)) FROM {table} WHERE {where}").fetchone()[0] or 0
         for table, where in (
-            ("fieldgrid_grid", "channel = 'ground_cm'"),
-            ("fieldgrid_session_tile", "channels = 'ground'"),
-            ("fieldgrid_tile", "channels = 'ground'"),
+            ("fieldgrid_grid", "channel IN ('ground_cm', 'step_cm')"),
+            ("fieldgrid_session_tile", "channels IN ('ground', 'relief')"),
+            ("fieldgrid_tile", "channels IN ('ground', 'relief')"),
         )
     ]
     database.close()

@@ -36,13 +36,16 @@ def paper_rig(
 
 
 class Ground(NamedTuple):
-    """A strip of ground, z = height + slope_x·x + slope_y·y, from one x to another (metres)."""
+    """A strip of ground, z = height + slope_x·x + slope_y·y, from one x to another, and from one
+    y to another (metres). Between strips of different heights there is no face."""
 
     height_m: float = 0.0
     slope_x: float = 0.0
     slope_y: float = 0.0
     x_from_m: float = -math.inf
     x_to_m: float = math.inf
+    y_from_m: float = -math.inf
+    y_to_m: float = math.inf
 
 
 class Box(NamedTuple):
@@ -148,8 +151,10 @@ def _hit(left: _Float64, ray: _Float64, thing: Ground | Box) -> _Float64:
         slopes = (thing.slope_x, thing.slope_y)
         above = left[2] - thing.height_m - slopes[0] * left[0] - slopes[1] * left[1]
         depth = above / (slopes[0] * ray[0] + slopes[1] * ray[1] - ray[2])
-        x = left[0] + depth * ray[0]
-        return np.where((depth > 0.0) & (x >= thing.x_from_m) & (x < thing.x_to_m), depth, np.inf)
+        x, y = left[0] + depth * ray[0], left[1] + depth * ray[1]
+        inside = (x >= thing.x_from_m) & (x < thing.x_to_m)
+        inside &= (y >= thing.y_from_m) & (y < thing.y_to_m)
+        return np.where((depth > 0.0) & inside, depth, np.inf)
     enter, leave = np.full(ray.shape[1:], 0.0), np.full(ray.shape[1:], np.inf)
     for axis, (low, high) in enumerate((thing.x_m, thing.y_m, thing.z_m)):
         a, b = (low - left[axis]) / ray[axis], (high - left[axis]) / ray[axis]

@@ -39,7 +39,7 @@ def estimate(
         noisy = np.clip(np.rint(disparity + noise), 1, 16 * DISPARITIES)
         disparity = np.where(disparity > 0, noisy, disparity).astype(np.int16)
     table = depth_table(rig, DISPARITIES, 16)
-    return estimate_ground(CodedDepth(disparity, 0, table), rig, HALF_WIDTH_M, LENGTH_M)
+    return estimate_ground(CodedDepth(disparity, 0, table), rig, HALF_WIDTH_M, LENGTH_M)[:2]
 
 
 def up_error_deg(plane: GroundPlane, mount: Mount) -> float:
@@ -159,7 +159,7 @@ def test_grass_does_not_lift_the_ground() -> None:
         blades = render(RIG, [Ground(height_m)], DISPARITIES)
         image = np.where(rng.random(image.shape) < 0.16, blades, image)
     table = depth_table(RIG, DISPARITIES, 16)
-    plane, patches = estimate_ground(CodedDepth(image, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    plane, patches, _ = estimate_ground(CodedDepth(image, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert up_error_deg(plane, RIG.mount) < 0.15
     x, y, z = true_heights(plane, patches, RIG.mount)
     assert np.abs(z[seen(x, y)]).max() < 0.04
@@ -194,7 +194,7 @@ def test_ground_that_bends_away_is_followed(slope: float) -> None:
     nearer_or_farther = np.maximum if slope > 0 else np.minimum
     image = nearer_or_farther(*(render(RIG, [thing], DISPARITIES) for thing in things))
     table = depth_table(RIG, DISPARITIES, 16)
-    plane, patches = estimate_ground(CodedDepth(image, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    plane, patches, _ = estimate_ground(CodedDepth(image, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     x, y, z = true_heights(plane, patches, mount)
     expected = np.where(y > 9.0, slope * (y - 9.0), 0.0)
     inside = seen(x, y, 13.0)
@@ -222,6 +222,21 @@ def test_a_step_is_ground_up_to_a_limit() -> None:
     assert follow_ground(low)[:, 7:] == pytest.approx(-0.25, abs=0.04)
 
 
+def test_ground_goes_on_behind_a_ditch() -> None:
+    low = np.zeros((20, 9))
+    low[6:9] = -0.3
+    assert np.abs(follow_ground(low)[10:]).max() < 0.03
+    across = np.zeros((20, 21))
+    across[:, 14:16] = -0.3
+    assert np.abs(follow_ground(across)[:, 17:]).max() < 0.03
+    # What is higher than the level before the drop is not: a canopy on the far side.
+    low[9:] = 0.2
+    assert follow_ground(low)[11:].max() < 0.0
+    # Nor is what begins farther behind it than ditches are wide.
+    low[6:12], low[12:] = -0.3, 0.0
+    assert follow_ground(low)[12].max() < -0.2
+
+
 def test_an_unseen_patch_takes_the_height_of_its_neighbours() -> None:
     low = np.full((8, 9), 0.1)
     low[3:5, 2:6] = np.nan
@@ -242,7 +257,7 @@ def test_heights_do_not_depend_on_left_and_right() -> None:
 def test_without_data_the_mount_is_kept() -> None:
     empty = np.full((480, 640), -16, dtype=np.int16)
     table = depth_table(RIG, DISPARITIES, 16)
-    plane, patches = estimate_ground(CodedDepth(empty, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    plane, patches, _ = estimate_ground(CodedDepth(empty, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert not plane.refined
     assert np.array_equal(plane.A_grid_sensor, RIG.mount.rotation())
     assert plane.height_m == 2.8
@@ -256,7 +271,7 @@ def test_a_scrap_of_ground_does_not_overrule_the_mount() -> None:
     scrap = np.full_like(disparity, -16)
     scrap[300:330, 300:340] = disparity[300:330, 300:340]
     table = depth_table(RIG, DISPARITIES, 16)
-    plane, _ = estimate_ground(CodedDepth(scrap, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    plane, *_ = estimate_ground(CodedDepth(scrap, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert not plane.refined
     assert plane.height_m == 2.8
 
@@ -265,10 +280,10 @@ def test_the_first_row_is_minded() -> None:
     whole = render(RIG, LEVEL, DISPARITIES, mount=Mount(2.83, 15.8))
     table = depth_table(RIG, DISPARITIES, 16)
     start = 90  # a multiple of the sampling step, so that the same rows are read
-    a, _ = estimate_ground(CodedDepth(whole, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    a, *_ = estimate_ground(CodedDepth(whole, 0, table), RIG, HALF_WIDTH_M, LENGTH_M)
     cut = render(RIG, LEVEL, DISPARITIES, row_start=start, mount=Mount(2.83, 15.8))
     assert np.array_equal(cut, whole[start:])
-    b, _ = estimate_ground(CodedDepth(cut, start, table), RIG, HALF_WIDTH_M, LENGTH_M)
+    b, *_ = estimate_ground(CodedDepth(cut, start, table), RIG, HALF_WIDTH_M, LENGTH_M)
     assert b.height_m == pytest.approx(a.height_m, abs=0.01)
     assert b.pitch_deg == pytest.approx(a.pitch_deg, abs=0.05)
 
@@ -286,7 +301,7 @@ def test_with_the_tilt_known_the_plane_keeps_its_slope(roll_deg: float, pitch_de
     disparity = render(RIG, scene, DISPARITIES, mount=leaning)
     coded = CodedDepth(disparity, 0, depth_table(RIG, DISPARITIES, 16))
     tilt = Tilt(roll_deg, pitch_deg)
-    plane, patches = estimate_ground(coded, RIG, HALF_WIDTH_M, LENGTH_M, tilt)
+    plane, patches, _ = estimate_ground(coded, RIG, HALF_WIDTH_M, LENGTH_M, tilt)
     assert plane.refined
     assert plane.tilt == tilt
     np.testing.assert_allclose(plane.rise, rise, atol=0.005)

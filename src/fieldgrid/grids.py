@@ -28,6 +28,10 @@ GROUND_CHANNEL, NO_GROUND_CM = "ground_cm", -32768
 """The channel of a frame that says how high the ground of its cells lies, int16 [n_y, n_x],
 centimetres above the ground on which its vehicle stands; and what stands where none was seen."""
 
+STEP_CHANNEL, NO_STEP_KNOWN = "step_cm", 255
+"""The channel of a frame that says how high the highest step in the ground at its cells is, uint8
+[n_y, n_x], centimetres, up to 254; and what stands where that is not known."""
+
 
 @dataclass(frozen=True, slots=True)
 class GridSpec:

@@ -45,6 +45,19 @@ STEP_UP_M, STEP_DOWN_M = 0.20, 0.35
 """Ground may rise or fall this much from one patch to the next: kerbs and banks pass, rocks,
 canopies and cars do not."""
 
+DROP_M, WIDEST_DITCH = 0.15, 4
+"""Ground that falls more than this from one patch to the next may rise again as much behind a ditch
+of at most so many patches: a slope of 15° falls 0.13 m."""
+
+WIDEST_GAP, GAP_RISE_M = 8, 0.1
+"""A step is looked for between patches that are at most so many apart, as a drop of 1 m hides 4 m
+of ground. It is at least as steep as the line of sight past its edge, which is 1:5 at 10 m."""
+
+STANDING_M, STANDING_SHARE, NEAR = 0.10, 0.05, 2
+"""A patch with more than this share of its points so far above all ground of the patches up to the
+second beside it has something standing on it, and its low height may not be ground: no step is told
+from it."""
+
 
 class GroundPlane(NamedTuple):
     """The ground plane of one frame, and the axes of its grid.
@@ -74,15 +87,16 @@ def estimate_ground(
     half_width_m: float,
     length_m: float,
     tilt: Tilt | None = None,
-) -> tuple[GroundPlane, Float64]:
-    """The plane of a frame, and the ground's height above it on patches [ny, nx], metres.
+) -> tuple[GroundPlane, Float64, Float64]:
+    """The plane of a frame, the ground's height above it on patches [ny, nx], metres, and the steps
+    in it.
 
     Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
     points in the sensor's frame. `tilt` is the vehicle's against gravity, where it is known.
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
-    def low_above(A_grid_sensor: Float64, height_m: float) -> Float64:
+    def heights_above(A_grid_sensor: Float64, height_m: float) -> Int32:
         counts: Int32
         if isinstance(seen, CodedDepth):
             geometry = rays(rig, A_grid_sensor, height_m)
@@ -90,14 +104,17 @@ def estimate_ground(
         else:
             A_grid = A_grid_sensor.astype(np.float32)
             counts = collect_point_heights(seen, A_grid, height_m, half_width_m, nx, ny)
-        return low_heights(counts)
+        return counts
 
     plane = _of_mount(rig.mount, tilt)
-    low = low_above(plane.A_grid_sensor, plane.height_m)
+    low = low_heights(heights_above(plane.A_grid_sensor, plane.height_m))
     c, patches = _plane_of_patches(low, half_width_m)
     if patches >= MIN_PATCHES:
         plane = _along_columns(plane, c) if tilt is not None else _levelled(rig.mount, c)
-    return plane, follow_ground(low_above(plane.A_grid_sensor, plane.height_m))
+    counts = heights_above(plane.A_grid_sensor, plane.height_m)
+    low = low_heights(counts)
+    ground = follow_ground(low)
+    return plane, ground, ground_steps(low, ground, counts)
 
 
 def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
@@ -221,11 +238,13 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
     """Local height of the ground on patches [ny, nx], metres above the plane.
 
     From the vehicle outward, row by row and from the middle to the sides, each patch's low
-    height is taken as ground if it is within a step of what its inner neighbours predict;
-    otherwise (canopy, car, nothing seen) the prediction stands. Then one light smoothing.
+    height is taken as ground if it is within a step of what its inner neighbours predict, or,
+    behind a drop, if it is back on the level before it: the far side of a ditch. Otherwise (canopy,
+    car, nothing seen) the prediction stands. Then one light smoothing.
     """
     ny, nx = low.shape
     ground, trust = np.zeros((ny, nx)), np.zeros((ny, nx))
+    rim, age = np.full((ny, nx), np.nan), np.zeros((ny, nx))
     for j in range(ny):
         for k in range(nx):
             # Middle, then alternately one further left and right.
@@ -239,9 +258,19 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
                     total += trust[jj, ii]
                     predicted += trust[jj, ii] * ground[jj, ii]
             predicted /= total
+            # The level before a drop, of the nearest inner neighbour that knows of one.
+            inward = i - 1 if i > nx // 2 else i + 1
+            for jj, ii in ((j, inward), (j - 1, i)):
+                inside = jj >= 0 and ii >= 0 and ii < nx
+                if inside and age[jj, ii] < WIDEST_DITCH and not np.isnan(rim[jj, ii]):
+                    rim[j, i], age[j, i] = rim[jj, ii], age[jj, ii] + 1
             step = low[j, i] - predicted
             if step < STEP_UP_M and step > -STEP_DOWN_M:  # never, when it is NaN
                 ground[j, i], trust[j, i] = low[j, i], 1.0
+                if step < -DROP_M and np.isnan(rim[j, i]):
+                    rim[j, i] = predicted
+            elif abs(low[j, i] - rim[j, i]) < DROP_M:
+                ground[j, i], trust[j, i], rim[j, i] = low[j, i], 1.0, np.nan
             else:
                 ground[j, i], trust[j, i] = predicted, 0.3 * min(total / 3.0, 1.0)
     smooth = np.zeros((ny, nx))
@@ -255,3 +284,60 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
                     value += w * ground[jj, ii]
             smooth[j, i] = value / total
     return smooth
+
+
+def ground_steps(low: Float64, ground: Float64, counts: Int32) -> Float64:
+    """The highest step that each patch [ny, nx] is a side of, metres; NaN where that is not known.
+
+    The step between two neighbours in a row or a column, of heights b and c, is what the slopes on
+    either side do not explain: |(c - b) - (s + t) / 2|, where s and t are the rises from patch to
+    patch before b and behind c, over two patches if they are known; but no more than |c - b|, for
+    there may be a step before b. So neither a slope nor its foot (15°: 7 cm) is a step. A drop that
+    hides the ground behind it is one as far as the gap reaches.
+    `low` heights well above the followed `ground`, and patches on which something stands by their
+    `counts` of heights, are no ground. Those below it are: the floor of a ditch.
+    """
+    found = low - ground < STEP_UP_M
+    level = np.pad(np.where(found, np.maximum(low, ground), ground), NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(level, (2 * NEAR + 1, 2 * NEAR + 1))
+    top = near.max(axis=(2, 3))[..., None] + STANDING_M
+    above = (np.arange(BINS) - BINS / 2) * BIN_M > top
+    standing = (counts * above).sum(axis=2) > STANDING_SHARE * counts.sum(axis=2)
+    height = np.where(found & ~standing, low, np.nan)
+    steps = np.full(low.shape, np.nan)
+    raise_to_steps(height, steps)
+    raise_to_steps(height.T, steps.T)
+    return steps
+
+
+@kernel
+def raise_to_steps(height, steps):  # type: ignore[no-untyped-def]
+    """Raise `steps` to those between neighbours in the rows of `height`, both [n, m], NaN where
+    unknown; the slopes on both sides are needed, or one of them on either side of a gap."""
+    n, m = height.shape
+    for j in range(n):
+        last = -1
+        for i in range(m):
+            if np.isnan(height[j, i]):
+                continue
+            apart, sides, slopes = i - last, 0, 0.0
+            if last >= 0 and apart <= WIDEST_GAP:
+                for start, way in ((last, -1), (i, 1)):
+                    end = start
+                    for _ in range(2):
+                        if 0 <= end + way < m and not np.isnan(height[j, end + way]):
+                            end += way
+                    if end != start:
+                        slopes += (height[j, end] - height[j, start]) / (end - start)
+                        sides += 1
+                if sides == 2 or (sides == 1 and apart > 1):
+                    rise = height[j, i] - height[j, last]
+                    step = min(abs(rise - apart * slopes / sides), abs(rise))
+                    # Of a drop that hides ground the edge is the higher side.
+                    first, stop = last, i + 1
+                    if apart > 1:
+                        first, stop = (last, i) if rise < 0.0 else (last + 1, i + 1)
+                    for k in range(first, stop):
+                        if (apart == 1 or step > GAP_RISE_M * apart) and not steps[j, k] >= step:
+                            steps[j, k] = step
+            last = i

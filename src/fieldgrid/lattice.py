@@ -84,6 +84,12 @@ class Window(NamedTuple):
         height = min(self.j0 + self.height, other.j0 + other.height) - j0
         return Window(i0, j0, width, height) if width > 0 and height > 0 else None
 
+    def grown(self, cells: int) -> Window:
+        """The window with so many cells more on each side."""
+        return Window(
+            self.i0 - cells, self.j0 - cells, self.width + 2 * cells, self.height + 2 * cells
+        )
+
     def slices_of(self, part: Window) -> tuple[slice, slice]:
         """Slices [rows, columns] of `part`, which lies inside, in an array over this window."""
         j, i = part.j0 - self.j0, part.i0 - self.i0

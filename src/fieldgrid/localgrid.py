@@ -25,7 +25,14 @@ from fieldgrid.depth import (
     rays,
 )
 from fieldgrid.errors import CalibrationError
-from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
+from fieldgrid.grids import (
+    GROUND_CHANNEL,
+    NO_GROUND_CM,
+    NO_STEP_KNOWN,
+    STEP_CHANNEL,
+    GridSpec,
+    LocalGrid,
+)
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.rotations import Tilt
@@ -50,8 +57,8 @@ _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 class FrameGround(NamedTuple):
     """What was found of the ground in one frame: for tables, for doubt, and for the terrain.
 
-    `heights_cm` [n_y, n_x] is the channel `GROUND_CHANNEL`; None where the vehicle's tilt is not
-    known.
+    `heights_cm` [n_y, n_x] is the channel `GROUND_CHANNEL`, None where the vehicle's tilt is not
+    known; `steps_cm` is `STEP_CHANNEL`, None where no ground was found.
     """
 
     camera_height_m: float
@@ -59,10 +66,12 @@ class FrameGround(NamedTuple):
     roll_deg: float
     refined: bool
     heights_cm: Int16 | None = None
+    steps_cm: UInt8 | None = None
 
     def channels(self) -> dict[str, AnyArray]:
         """What a frame keeps of it beside its grid."""
-        return {} if self.heights_cm is None else {GROUND_CHANNEL: self.heights_cm}
+        kept = {GROUND_CHANNEL: self.heights_cm, STEP_CHANNEL: self.steps_cm}
+        return {name: array for name, array in kept.items() if array is not None}
 
 
 MOST_ABOVE_M = 100.0
@@ -76,6 +85,10 @@ ahead they would be off by more than 13 cm."""
 TERRAIN_M = 0.2
 """Heights of the ground, which is followed in patches of half a metre, are kept for blocks of this
 size: a fifth of the bytes, and 1 cm on a slope of 10°."""
+
+STEP_SIGMA_M = 0.045
+"""Steps are looked for where the height of a matched point is surer than this: 10 m with the
+paper's rig. Beyond, noise makes steps of 15 cm."""
 
 
 class LocalGridder:
@@ -110,6 +123,7 @@ class LocalGridder:
             nearest_m = self.settings.min_range_m
         range_m = _ranges_m(self.spec)
         self._within = (range_m >= nearest_m) & (range_m <= self.max_range_m)
+        self._step_range_m = step_range_m(rig, self.max_range_m, self.stereo)
         self._gain = density_gain(rig, self.spec, self.settings)
         self._needed = points_needed(rig, self.spec, self.settings)
 
@@ -179,7 +193,9 @@ class LocalGridder:
         self, seen: CodedDepth | Cloud, tilt: Tilt | None
     ) -> tuple[LocalGrid, FrameGround]:
         spec = self.spec
-        plane, patches = estimate_ground(seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt)
+        plane, patches, steps = estimate_ground(
+            seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt
+        )
         if not plane.refined:
             # Heights above a ground that was not found are not known, so nothing is claimed.
             unseen = np.zeros(spec.shape, dtype=np.uint8)
@@ -187,7 +203,7 @@ class LocalGridder:
         ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
-        ground = _summary(plane)
+        ground = _summary(plane)._replace(steps_cm=self._steps_cm(steps))
         if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
             heights_cm = self._heights_cm(plane, ground_m, counts[0] >= self._needed[0])
             ground = ground._replace(heights_cm=heights_cm)
@@ -209,6 +225,18 @@ class LocalGridder:
         heights_cm = np.full(self.spec.shape, NO_GROUND_CM, dtype=np.int16)
         heights_cm[within] = np.rint(100.0 * above_m[within])
         return heights_cm
+
+    def _steps_cm(self, steps_m: Float64) -> UInt8:
+        """The steps at cells, from those at patches [ny, nx], metres."""
+        found = np.nan_to_num(np.rint(100.0 * steps_m), nan=NO_STEP_KNOWN)
+        highest = np.where(np.isnan(steps_m), NO_STEP_KNOWN, NO_STEP_KNOWN - 1)
+        cm = np.minimum(found, highest).astype(np.uint8)
+        j, i = (
+            ((np.arange(n) + 0.5) * self.spec.cell_m / PATCH_M).astype(int) for n in self.spec.shape
+        )
+        steps_cm = cm[j][:, i]
+        steps_cm[_ranges_m(self.spec) > self._step_range_m] = NO_STEP_KNOWN
+        return steps_cm
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""
@@ -250,6 +278,19 @@ def reliable_range_m(
         return within_m
     by_sigma_m = math.sqrt(settings.max_range_sigma_m * product_px_m / stereo.disparity_sigma_px)
     return min(within_m, by_sigma_m)
+
+
+def step_range_m(rig: Rig, max_range_m: float, stereo: StereoSettings) -> float:
+    """The range up to which steps of the ground are looked for.
+
+    The height of a point on the ground is off by sigma_R·h/R; that reaches `STEP_SIGMA_M` at
+    R = STEP_SIGMA_M·f·b/(sigma_d·h).
+    """
+    product_px_m = _focal_baseline_px_m(rig)
+    if product_px_m is None:
+        return max_range_m
+    by_sigma_m = STEP_SIGMA_M * product_px_m / (stereo.disparity_sigma_px * rig.mount.height_m)
+    return min(max_range_m, by_sigma_m)
 
 
 def _focal_baseline_px_m(rig: Rig) -> float | None:

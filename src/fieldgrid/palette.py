@@ -92,6 +92,9 @@ UNSURE = ("#ffffff", "#b2182b")
 STEEP = ("#ffffcc", "#fd8d3c", "#800026")
 """Slopes, from level to steep."""
 
+GOODNESS = ("#7f0000", "#f2c14e", "#fdf8e7")
+"""How well a vehicle can drive: dark, as obstacles are, where it cannot."""
+
 CHANGES = {
     "unknown": UNSEEN,
     "free": "#ffffff",

@@ -43,8 +43,8 @@ def test_a_cell_says_how_often_how_much_and_how_high() -> None:
         "obstacle_sessions": 0,
         "height_mm": 700 - 1250,
         "height_frames": 2,
-        # No frame has a height of the ground itself.
-        **dict.fromkeys((channel.name for channel in GROUPS["ground"].channels), 0),
+        # No frame says anything of the ground itself.
+        **{c.name: 0 for group in ("ground", "relief") for c in GROUPS[group].channels},
     }
 
 

@@ -18,6 +18,7 @@ from fieldgrid.layers.declaration import (
     Fold,
     Layer,
     OverviewChannel,
+    Surroundings,
 )
 from fieldgrid.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.layers.registry import (
@@ -30,6 +31,7 @@ from fieldgrid.layers.registry import (
     register_layer,
     unregister,
 )
+from fieldgrid.layers.traversability import Mobility, traversability
 
 __all__ = [
     "GROUPS",
@@ -43,11 +45,14 @@ __all__ = [
     "FrameCells",
     "FrameInPlace",
     "Layer",
+    "Mobility",
     "OverviewChannel",
+    "Surroundings",
     "channel_names",
     "check_layers",
     "groups_of",
     "register_group",
     "register_layer",
+    "traversability",
     "unregister",
 ]

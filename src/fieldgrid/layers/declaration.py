@@ -141,12 +141,26 @@ class Colours:
 
 
 @dataclass(frozen=True, slots=True)
+class Surroundings:
+    """How the cells about a cell enter into what a layer says of it.
+
+    `of(values, reach_cells)` is given the values of a window [rows, columns], NaN where there is
+    none, and the reach in cells of that window. What it says of a cell depends on the cells whose
+    centres are no farther than that; so it may be wrong by the edges of the window, which are cut
+    off. In cells that are larger than `reach_m` a cell stands for itself.
+    """
+
+    reach_m: float
+    of: Callable[[AnyArray, float], AnyArray]
+
+
+@dataclass(frozen=True, slots=True)
 class Layer:
     """Something that can be read of every cell.
 
     `values` makes it from the channels of `groups`, of cells of any size. An unobserved cell gets
     `nodata`; without one it gets 0, which the mask tells from a value. `above_datum` marks heights
-    above the datum's plane.
+    above the datum's plane. With `around` the values of neighbouring cells enter, too.
     """
 
     name: str
@@ -158,3 +172,4 @@ class Layer:
     nodata: float | None
     colours: Colours
     above_datum: bool = False
+    around: Surroundings | None = None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 from fieldgrid.array_types import AnyArray, Int32
@@ -20,16 +21,17 @@ class FrameCells(NamedTuple):
     channels: Mapping[str, AnyArray]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FrameInPlace:
-    """One frame at its pose in the map.
-
-    `landing` says where each local cell lands, `touched` (int32, flat indices) has each cell of the
-    window that any landed in once.
-    """
+    """One frame at its pose in the map; `landing` says where each local cell lands."""
 
     cells: FrameCells
     pose: Pose
     lattice: Lattice
     landing: Landing
-    touched: Int32
+    touch: Callable[[Landing], Int32] = field(repr=False)
+
+    @cached_property
+    def touched(self) -> Int32:
+        """The cells of the window that any local cell landed in, each once, flat indices."""
+        return self.touch(self.landing)

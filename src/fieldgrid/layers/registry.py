@@ -6,7 +6,17 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.layers import count, density, ground, height, highest, sessions, variance
+from fieldgrid.layers import (
+    count,
+    density,
+    ground,
+    height,
+    highest,
+    relief,
+    sessions,
+    traversability,
+    variance,
+)
 from fieldgrid.layers.declaration import ChannelGroup, Layer
 
 _GROUPS: dict[str, ChannelGroup] = {}
@@ -84,6 +94,7 @@ for _group in (
     sessions.GROUP,
     height.GROUP,
     ground.GROUP,
+    relief.GROUP,
 ):
     register_group(_group)
 
@@ -98,6 +109,9 @@ for _layer in (
     ground.GROUND,
     ground.SIGMA,
     ground.SLOPE,
+    relief.ROUGHNESS,
+    relief.STEP,
+    traversability.TRAVERSABILITY,
     density.PEAK,
     density.SEEN_SHARE,
 ):

@@ -12,7 +12,7 @@ from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Combine, OverviewChannel
 from fieldgrid.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer, land
+from fieldgrid.transfer import Landing, Transfer, land
 
 
 class WindowFold:
@@ -34,8 +34,7 @@ class WindowFold:
         self._folds = {
             group.name: group.fold(size, lattice) for group in groups if group.fold is not None
         }
-        # Only the density does without the cells that a frame touched.
-        self._stamps: Int32 | None = np.zeros(size, np.int32) if len(self._folds) > 1 else None
+        self._stamps: Int32 | None = None  # some groups do without the cells that a frame touched
         self._done: dict[str, UInt64] = {}
         self._frames = 0
 
@@ -43,13 +42,16 @@ class WindowFold:
         """Carry one frame into the window; what falls outside is left out."""
         self._frames += 1
         landing = land(cells.grid, pose, self._lattice, self._window, self._transfer)
-        touched = np.empty(0, dtype=np.int32)
-        if self._stamps is not None:
-            touched = np.empty(min(landing.cell.size, self._stamps.size), dtype=np.int32)
-            touched = touched[: touch(landing.cell, self._frames, self._stamps, touched)]
-        frame = FrameInPlace(cells, pose, self._lattice, landing, touched)
+        frame = FrameInPlace(cells, pose, self._lattice, landing, self._touched)
         for fold in self._folds.values():
             fold.add(frame)
+
+    def _touched(self, landing: Landing) -> Int32:
+        """The cells that the latest frame landed in, each once."""
+        if self._stamps is None:
+            self._stamps = np.zeros(self._window.width * self._window.height, np.int32)
+        touched = np.empty(min(landing.cell.size, self._stamps.size), dtype=np.int32)
+        return touched[: touch(landing.cell, self._frames, self._stamps, touched)]
 
     def cells(self, part: Window | None = None) -> Cells:
         """The channels of the window, or of a part of it; no frame follows."""

@@ -6,6 +6,7 @@ They follow from the channels by the rule of all larger cells, not from the valu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -17,7 +18,13 @@ from fieldgrid.layers import GROUPS, LAYERS, Cells, groups_of
 from fieldgrid.layers.window import coarser
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.reading import Request, cell_source, chunks, layer_values
+from fieldgrid.mapfile.reading import (
+    Request,
+    cell_source,
+    chunks,
+    layer_values,
+    reach_cells,
+)
 from fieldgrid.mapfile.sources import assembled
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
@@ -53,22 +60,31 @@ def read_overviews(
     source, factor = cell_source(evidence, header, request)
     whole, side = request.window, 1 << MAX_LEVELS
     top = whole.j0 + whole.height
+    # Cells beyond a block that its layers look at: a power of 2, so that they can be halved.
+    reach = reach_cells(request)
+    margin = 1 << math.ceil(math.log2(reach)) if reach >= 1.0 else 0
 
     def halved(place: tuple[int, int]) -> list[OverviewBlock]:
         row, column = place
-        square = Window(whole.i0 + column, top - row - side, side, side)
+        square = Window(whole.i0 + column, top - row - side, side, side).grown(margin)
         part = whole.intersect(square)
         assert part is not None
         parts = ((chunk, source.merged(chunk)) for chunk in chunks(part, factor))
         found = assembled(part, ((chunk, cells) for chunk, cells in parts if cells is not None))
         if found is None:
             return []
-        cells = _northward(found, 1 << levels)
-        blocks = []
+        cells, edge, blocks = _northward(found, square, part, 1 << levels), margin, []
+        own_height, own_width = min(side, whole.height - row), min(side, whole.width - column)
         for level in range(1, levels + 1):
-            cells = coarser(groups, cells, 2)
-            height, width = -(-part.height >> level), -(-part.width >> level)
-            blocks.append(_block(level, row, column, cells, request.layers, (height, width)))
+            if edge % 2:  # larger cells than the reach need no neighbours
+                cells, edge = _without_edge(cells, edge), 0
+            cells, edge = coarser(groups, cells, 2), edge // 2
+            inside = (
+                slice(edge, edge - (-own_height >> level)),
+                slice(edge, edge - (-own_width >> level)),
+            )
+            cell_m = request.lattice.cell_m * (1 << level)
+            blocks.append(_block(level, row, column, cells, request.layers, inside, cell_m))
         return blocks
 
     places = [
@@ -80,11 +96,21 @@ def read_overviews(
         yield from blocks
 
 
-def _northward(cells: Cells, multiple: int) -> Cells:
-    """Cells with row 0 in the north, filled up to a multiple of rows and columns."""
-    beyond = tuple((0, -side % multiple) for side in cells["weight"].shape)
+def _northward(cells: Cells, square: Window, part: Window, multiple: int) -> Cells:
+    """The cells of a part of a square with row 0 in the north, where the square begins, filled up
+    to a multiple of rows and columns."""
+    before = square.j0 + square.height - part.j0 - part.height, part.i0 - square.i0
+    beyond = tuple(
+        (first, -(first + size) % multiple) for first, size in zip(before, part.shape, strict=True)
+    )
     turned = {name: np.pad(values[::-1], beyond) for name, values in cells.items()}
     return Cells(turned, cells.base_cells)
+
+
+def _without_edge(cells: Cells, edge: int) -> Cells:
+    """The cells without their first rows and columns, filled up again at the other end."""
+    kept = {name: np.pad(values[edge:, edge:], (0, edge)) for name, values in cells.items()}
+    return Cells(kept, cells.base_cells)
 
 
 def _block(
@@ -93,14 +119,13 @@ def _block(
     column: int,
     cells: Cells,
     layers: tuple[str, ...],
-    shape: tuple[int, int],
+    inside: tuple[slice, slice],
+    cell_m: float,
 ) -> OverviewBlock:
-    density, observed = mean_density(cells["weight"], cells["sum"])
-    inside = slice(shape[0]), slice(shape[1])
+    density, observed = mean_density(cells["weight"][inside], cells["sum"][inside])
     values = {
-        name: layer_values(LAYERS[name], cells)[inside].astype(LAYERS[name].dtype)
+        name: layer_values(LAYERS[name], cells, cell_m)[inside].astype(LAYERS[name].dtype)
         for name in layers
         if name != "density"
     }
-    place = row >> level, column >> level
-    return OverviewBlock(level, *place, density[inside], observed[inside], values)
+    return OverviewBlock(level, row >> level, column >> level, density, observed, values)

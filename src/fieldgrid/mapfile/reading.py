@@ -6,6 +6,7 @@ but for what only the map's own cells can tell: the highest in them, and how muc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -81,12 +82,15 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     if level is not None:
         _draw_pictures(view, evidence, header, level)
         return view
-    source, factor = cell_source(evidence, header, request)
+    reach = math.floor(reach_cells(request))
+    wide = request._replace(window=request.window.grown(reach))
+    source, factor = cell_source(evidence, header, wide)
 
     def fill(chunk: Window) -> None:
-        cells = source.merged(chunk)
+        looked = chunk.grown(reach)
+        cells = source.merged(looked)
         if cells is not None:
-            _write(view, chunk, cells)
+            _write(view, chunk, looked, cells)
 
     for _ in in_order(fill, chunks(request.window, factor)):
         pass
@@ -198,17 +202,32 @@ def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) 
     return by_own_rule and {group.name for group in groups} <= set(header.groups)
 
 
-def _write(view: MapView, chunk: Window, cells: Cells) -> None:
-    """Fill a part of a view, and of its layers, from the channels of its cells."""
-    place = view.window.slices_of(chunk)
-    view.density[place], view.observed[place] = mean_density(cells["weight"], cells["sum"])
+def reach_cells(request: Request) -> float:
+    """How many cells about a cell enter into what the layers say of it."""
+    around = (LAYERS[name].around for name in request.layers)
+    return max((one.reach_m for one in around if one is not None), default=0.0) / (
+        request.lattice.cell_m
+    )
+
+
+def _write(view: MapView, chunk: Window, looked: Window, cells: Cells) -> None:
+    """Fill a part of a view, and of its layers, from the channels of the cells of a window about
+    it."""
+    place, inside = view.window.slices_of(chunk), looked.slices_of(chunk)
+    view.density[place], view.observed[place] = mean_density(
+        cells["weight"][inside], cells["sum"][inside]
+    )
     for name, array in view.layers.items():
-        array[place] = layer_values(LAYERS[name], cells)
+        array[place] = layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
 
 
-def layer_values(layer: Layer, cells: Cells) -> AnyArray:
-    """What a layer says of cells, and what stands for those of which nothing was observed."""
-    return np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
+def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
+    """What a layer says of cells of a window, and what stands for those of which nothing was
+    observed."""
+    values = np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
+    if layer.around is None:
+        return values
+    return layer.around.of(values, layer.around.reach_m / cell_m)
 
 
 def chunks(window: Window, factor: float) -> Iterator[Window]:

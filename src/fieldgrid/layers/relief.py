@@ -1,0 +1,211 @@
+"""The relief of the ground about a cell, as frames saw it: how rough it is, and its steps.
+
+Both are differences of heights within one frame, so that what frames have in common, and what the
+heights of their poses are off, plays no part. Roughness is the residual of the plane through nine
+heights half a metre apart; steps come with the frames (:func:`fieldgrid.ground.ground_steps`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid import palette
+from fieldgrid.array_types import AnyArray, Int64, UInt64
+from fieldgrid.grids import (
+    GROUND_CHANNEL,
+    NO_GROUND_CM,
+    NO_STEP_KNOWN,
+    STEP_CHANNEL,
+    GridSpec,
+)
+from fieldgrid.kernel import kernel
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+)
+from fieldgrid.layers.frame import FrameInPlace
+
+REACH_M = 0.5
+"""The plane of a place goes through the heights so far beside, before and behind it."""
+
+BLOCK_M = 0.2
+"""Roughness is found once for each block of this size, as which frames keep heights."""
+
+LEAST_STEP_CM = 10
+"""Lower steps are noise."""
+
+STEP_VOTES = 2
+"""There is a step where one in so many frames that could tell saw one."""
+
+_PER_M = 500
+"""Roughness is summed in steps of 2 mm."""
+
+_UNKNOWN = -1
+
+
+class _Relief:
+    """Five sums over the parts of local cells that land in a cell: how many have a roughness, and
+    theirs; how many tell of steps, in how many there is one, and the steps' centimetres."""
+
+    def __init__(self, cells: int, _: Lattice) -> None:
+        self._sums = np.zeros((cells, 5), dtype=np.int64)
+
+    def add(self, frame: FrameInPlace) -> None:
+        heights_cm, steps_cm = (
+            frame.cells.channels.get(name) for name in (GROUND_CHANNEL, STEP_CHANNEL)
+        )
+        if heights_cm is None and steps_cm is None:
+            return
+        spec, landing = frame.cells.grid.spec, frame.landing
+        block = max(round(BLOCK_M / spec.cell_m), 1)
+        if steps_cm is None:
+            steps_cm = np.full(spec.shape, NO_STEP_KNOWN, np.uint8)
+        add_relief(
+            roughness(heights_cm, spec, block),
+            block,
+            np.ascontiguousarray(steps_cm, dtype=np.uint8),
+            landing.cell,
+            landing.shift,
+            landing.unit,
+            self._sums,
+        )
+
+    def channels(self) -> UInt64:
+        return np.ascontiguousarray(self._sums.T).view(np.uint64)
+
+
+def roughness(heights_cm: AnyArray | None, spec: GridSpec, block: int) -> Int64:
+    """The roughness of each block of `block` x `block` cells of a local grid, in units of the
+    channel, -1 where one of its nine heights is not known."""
+    rough = np.full(tuple(-(-n // block) for n in spec.shape), _UNKNOWN, dtype=np.int64)
+    if heights_cm is not None:
+        reach = max(round(REACH_M / spec.cell_m), 1)
+        fill_roughness(np.ascontiguousarray(heights_cm, dtype=np.int16), block, reach, rough)
+    return rough
+
+
+@kernel
+def fill_roughness(heights_cm, block, reach, rough):  # type: ignore[no-untyped-def]
+    """Fill `rough` where all nine heights at distances of `reach` cells are known.
+
+    The least-squares plane through heights h at x, y in {-1, 0, 1} leaves the squares
+    Σh² - (Σh)²/9 - (Σxh)²/6 - (Σyh)²/6, of six degrees of freedom.
+    """
+    n_y, n_x = heights_cm.shape
+    for row in range(rough.shape[0]):
+        j = row * block + block // 2
+        if j < reach or j >= n_y - reach:
+            continue
+        for column in range(rough.shape[1]):
+            i = column * block + block // 2
+            if i < reach or i >= n_x - reach:
+                continue
+            total = squares = right = ahead = 0
+            known = True
+            for y in range(-1, 2):
+                for x in range(-1, 2):
+                    h = np.int64(heights_cm[j + y * reach, i + x * reach])
+                    known = known and h != NO_GROUND_CM
+                    total, squares = total + h, squares + h * h
+                    right, ahead = right + x * h, ahead + y * h
+            if known:
+                left = squares - total * total / 9.0 - (right * right + ahead * ahead) / 6.0
+                metres = np.sqrt(max(left, 0.0) / 6.0) / 100.0
+                rough[row, column] = np.int64(np.floor(metres * _PER_M + 0.5))
+
+
+@kernel
+def add_relief(rough, block, steps_cm, cell, shift, unit, sums):  # type: ignore[no-untyped-def]
+    """Add what a frame says to `sums` [cells, 5], where its parts land."""
+    block_of = np.empty(cell.shape[1], dtype=np.int64)
+    for c in range(cell.shape[1]):
+        block_of[c] = (c >> shift) // block
+    for r in range(cell.shape[0]):
+        j = r >> shift
+        row = j // block
+        for c in range(cell.shape[1]):
+            if cell[r, c] < 0:
+                continue
+            k = np.uint32(cell[r, c])
+            residual, step = rough[row, np.uint32(block_of[c])], steps_cm[j, c >> shift]
+            if residual >= 0:
+                sums[k, 0] += unit
+                sums[k, 1] += unit * residual
+            if step != NO_STEP_KNOWN:
+                sums[k, 2] += unit
+                if step >= LEAST_STEP_CM:
+                    sums[k, 3] += unit
+                    sums[k, 4] += unit * np.int64(step)
+
+
+def _roughness(cells: Cells) -> AnyArray:
+    parts, total = cells["rough_parts"], cells["rough_sum"]
+    return np.where(parts > 0, total / np.maximum(parts, np.uint64(1)) / _PER_M, np.nan)
+
+
+def _steps_cm(cells: Cells) -> AnyArray:
+    """The step of base cells in whole centimetres, one more, 0 where none could be told."""
+    known, seen, total = (cells[name] for name in ("step_known", "step_parts", "step_cm_sum"))
+    one = np.uint64(1)
+    voted = (known > 0) & (seen * np.uint64(STEP_VOTES) >= known)
+    half = seen // np.uint64(2)
+    height = np.where(voted, (total + half) // np.maximum(seen, one), np.uint64(0))
+    return np.where(known > 0, height + one, np.uint64(0)).astype(np.uint64)
+
+
+def _step(cells: Cells) -> AnyArray:
+    highest = cells["step_highest"]
+    return np.where(highest > 0, (highest.astype(np.float64) - 1.0) / 100.0, np.nan)
+
+
+def _expected(weight: UInt64, _: UInt64) -> UInt64:
+    """Mostly a place is seen well enough wherever anything is, and there is no step."""
+    nothing = np.zeros_like(weight)
+    return np.stack([weight, nothing, weight, nothing, nothing])
+
+
+GROUP = ChannelGroup(
+    "relief",
+    (
+        Channel("rough_parts", signed=True),
+        Channel("rough_sum"),
+        Channel("step_known", signed=True),
+        Channel("step_parts"),
+        Channel("step_cm_sum"),
+    ),
+    fold=_Relief,
+    overview=(OverviewChannel("step_highest", Combine.MAX, _steps_cm),),
+    expected=_expected,
+    frame=(GROUND_CHANNEL, STEP_CHANNEL),
+)
+
+_NAN = float("nan")
+
+ROUGHNESS = Layer(
+    "roughness",
+    "float32",
+    "m",
+    "how far the ground is off a plane of a metre, RMS, as a frame sees it",
+    ("density", "relief"),
+    _roughness,
+    _NAN,
+    Colours(palette.STEEP, 0.0, 0.1),
+)
+
+STEP = Layer(
+    "step",
+    "float32",
+    "m",
+    "highest step up or down in the ground, edge of a ditch or terrace, of which the cell is a "
+    "side; 0 for none of 10 cm; of a larger cell, the highest of its base cells",
+    ("density", "relief"),
+    _step,
+    _NAN,
+    Colours(palette.STEEP, 0.0, 0.4),
+)
