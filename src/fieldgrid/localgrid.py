@@ -234,7 +234,7 @@ class LocalGridder:
         j, i = (
             ((np.arange(n) + 0.5) * self.spec.cell_m / PATCH_M).astype(int) for n in self.spec.shape
         )
-        steps_cm = cm[j][:, i]
+        steps_cm: UInt8 = cm[j][:, i]
         steps_cm[_ranges_m(self.spec) > self._step_range_m] = NO_STEP_KNOWN
         return steps_cm
 

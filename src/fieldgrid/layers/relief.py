@@ -106,7 +106,7 @@ def fill_roughness(heights_cm, block, reach, rough):  # type: ignore[no-untyped-
             i = column * block + block // 2
             if i < reach or i >= n_x - reach:
                 continue
-            total = squares = right = ahead = 0
+            total = squares = right = ahead = np.int64(0)
             known = True
             for y in range(-1, 2):
                 for x in range(-1, 2):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from fieldgrid import palette
@@ -71,6 +70,8 @@ def worst_under(goodness: AnyArray, reach_cells: float) -> AnyArray:
 
     NaN where its own is not known, and where too little of the disc is, unless that is 0 already.
     """
+    import cv2  # reading a map takes no time for it
+
     known = np.isfinite(goodness)
     side = np.arange(-math.floor(reach_cells), math.floor(reach_cells) + 1)
     disc = (np.hypot(side, side[:, None]) <= reach_cells).astype(np.uint8)
