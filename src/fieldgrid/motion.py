@@ -1,4 +1,4 @@
-"""How the vehicle moved, by what it carries: gyro, wheels, camera. No positions."""
+"""How the vehicle moved, by what it carries: gyro, wheels, camera. No positions on the globe."""
 
 from __future__ import annotations
 
@@ -73,6 +73,24 @@ class Steps(NamedTuple):
     tilt_sigma_deg: Float64
 
 
+class GivenPoses(NamedTuple):
+    """Poses that another program estimated, length n, in order of time, in a frame of its own
+    whose z axis is up.
+
+    `x_m`, `y_m`, `z_m` are those of the sensor; of a drive without a rig, of the antenna.
+    `heading_deg` is where the vehicle's nose points, clockwise from the y axis. Pitch is positive
+    with the nose up, roll with the right side down; both are 0 where the poses are level ones.
+    """
+
+    time_ns: Int64
+    x_m: Float64
+    y_m: Float64
+    z_m: Float64
+    heading_deg: Float64
+    roll_deg: Float64
+    pitch_deg: Float64
+
+
 class Motion(NamedTuple):
     """Everything a drive knows of its own motion; None for what it does not carry."""
 
@@ -81,3 +99,4 @@ class Motion(NamedTuple):
     steps: Steps | None = None
     inertial: Inertial | None = None
     tilt: RecordedTilt | None = None
+    poses: GivenPoses | None = None

@@ -25,7 +25,7 @@ KEYS = {
     *("rejected", "reasons", "duration_s", "distance_m", "forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
     *("clock_offset", "gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
-    "attitude",
+    *("attitude", "georeference"),
 }
 
 
@@ -317,3 +317,53 @@ def test_values_that_cannot_be(
 )
 def test_wrong_use(arguments: tuple[object, ...], message: str, fieldgrid: Run) -> None:
     assert message in " ".join(fieldgrid("track", *arguments).usage().split())
+
+
+# --- poses of another program
+
+
+def test_given_poses(fieldgrid: Run, out: Path) -> None:
+    """A track that was written, read back by its fixes and where it is declared."""
+    tum, rtk = out.with_suffix(".tum"), ("--gnss", "gnss_rtk.nmea")
+    fieldgrid("track", TWO_LANES, "-o", tum, *rtk).output()
+    text = fieldgrid("track", TWO_LANES, "-o", out, *rtk, "--poses", tum).output()
+    assert re.search(r"^frame of the poses heads \(fixes\) +\d\d\.\d\d ± 0\.\d\d °$", text, re.M)
+    assert re.search(r"^poses off 437 fixes, median / 95 % / most +0\.0\d\d / ", text, re.M)
+    assert "note: The poses are 437 of track.tum, body axes flu, frame z up." in text
+    again = out.with_name("again.tum")
+    frame = ("--frame-origin", "41.65,-4.72,787.4", "--frame-heading", "90")
+    told = fieldgrid("track", TWO_LANES, "-o", again, *rtk, "--poses", tum, *frame, "--json")
+    found = json.loads(told.output())
+    assert (found["heading_source"], found["georeference"]["by"]) == ("given poses", "declared")
+    one, two = (
+        [line.split() for line in path.read_text().splitlines()[1:]] for path in (tum, again)
+    )
+    assert [row[0] for row in one] == [row[0] for row in two]
+    off = [abs(float(a) - float(b)) for p, q in zip(one, two, strict=True) for a, b in zip(p, q)]
+    assert max(off) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--poses", "nowhere.tum"), "nowhere.tum cannot be read: No such file"),
+        (("--poses-axes", "rdf"), "give --poses FILE"),
+        (("--frame-heading", "90"), "give --poses FILE with the heading smooth"),
+        (("--poses", RTK), "a line; give a trajectory of TUM"),
+    ],
+)
+def test_poses_that_cannot_be(
+    options: tuple[object, ...], sentence: str, fieldgrid: Run, out: Path
+) -> None:
+    rtk = ("--gnss", "gnss_rtk.nmea")
+    assert sentence in fieldgrid("track", TWO_LANES, "-o", out, *rtk, *options).sentence()
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("flag", "value"),
+    [("--poses-point", "1,2"), ("--poses-offset", "nan"), ("--poses-offset", "soon")],
+)
+def test_flags_of_poses(flag: str, value: str, fieldgrid: Run, out: Path) -> None:
+    told = fieldgrid("track", TWO_LANES, "-o", out, "--poses", "a.tum", flag, value).usage()
+    assert flag in told

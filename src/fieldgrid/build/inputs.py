@@ -14,14 +14,14 @@ import numpy.typing as npt
 from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix, FixColumns, known_codes
-from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps, WheelSpeed
+from fieldgrid.motion import GivenPoses, Gyro, Inertial, Motion, RecordedTilt, Steps, WheelSpeed
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 _LATER = frozenset({"steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"})
 """Columns that sessions of earlier versions do not have: they are NaN."""
 
-_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt)
+_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt, GivenPoses)
 
 
 class Inputs(NamedTuple):
@@ -62,6 +62,7 @@ def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Inputs:
             _part(Steps, "steps", arrays),
             _part(Inertial, "inertial", arrays),
             _part(RecordedTilt, "tilt", arrays),
+            _part(GivenPoses, "poses", arrays),
         )
         frame_ns = np.asarray(arrays["frame_ns"], dtype=np.int64)
         ground = np.asarray(arrays["ground_found"]).astype(np.bool_)

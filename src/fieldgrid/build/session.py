@@ -40,7 +40,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
 from fieldgrid.motion import Steps
-from fieldgrid.pose import tells_attitude
+from fieldgrid.pose import GIVEN, tells_attitude
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.rig import Rig, StereoCamera
@@ -85,6 +85,7 @@ def add_recording(
     report.notes += settle(doubted_rows(recording, every), settings)
     with StageFile.temporary(universal.path) as staged:
         look = trajectory is None and follows_camera(recording.rig, settings)
+        look = look and not recording.pose_name
         attitude = None
         if trajectory is None and tells_attitude(recording.motion()):
             attitude = estimate_drive(recording, settings, universal.datum).report.attitude
@@ -103,7 +104,12 @@ def add_recording(
             report.session,
             trajectory=trajectory,
             config=session_config(
-                settings, recording.rig, gridder, every, level_grids=attitude is not None
+                settings,
+                recording.rig,
+                gridder,
+                every,
+                level_grids=attitude is not None,
+                poses=recording.pose_name if trajectory.heading_source == GIVEN else "",
             ),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
@@ -246,9 +252,10 @@ def session_config(
     every: int,
     *,
     level_grids: bool = False,
+    poses: str = "",
 ) -> dict[str, Any]:
     """The resolved settings and the rig, as they are kept with the session; `level_grids` says
-    whether the columns of its local grids are vertical."""
+    whether the columns of its local grids are vertical, `poses` what given poses are from."""
     searched = isinstance(rig.sensor, StereoCamera)
     return {
         "settings": settings.model_dump(mode="json"),
@@ -257,6 +264,7 @@ def session_config(
         **({"search": gridder.region._asdict()} if searched else {}),
         "every": every,
         "level_grids": level_grids,
+        **({"poses": poses} if poses else {}),
     }
 
 
@@ -362,7 +370,7 @@ def _checked(
         trajectory = estimate_trajectory(recording, settings, datum)
         datum = datum or trajectory.datum
         check_images(recording, trajectory)
-        if not follows_camera(recording.rig, settings):
+        if recording.pose_name or not follows_camera(recording.rig, settings):
             check_poses(recording, trajectory)
     assert datum is not None  # there is at least one recording
     return datum

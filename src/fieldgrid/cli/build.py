@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,7 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
@@ -68,6 +69,7 @@ def command(
         ),
     ] = None,
     drive: Drive,
+    poses: Poses,
     settings: Annotated[Overrides, SettingsFlags()],
     every: Annotated[
         int,
@@ -89,6 +91,8 @@ def command(
 
         fieldgrid build 2011_09_30_drive_0020_sync -o road.gpkg --grid 20x15
 
+        fieldgrid build orchard -o orchard.gpkg --poses slam.tum --poses-axes rdf
+
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
     if repose is not None:
@@ -103,6 +107,9 @@ def command(
         raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
+    source = poses.source()
+    if source is not None and len(recordings) > 1:
+        raise typer.BadParameter("poses are those of a single recording", param_hint="--poses")
     from fieldgrid.build import build_map
     from fieldgrid.settings import resolve
 
@@ -112,7 +119,7 @@ def command(
                 recordings,
                 out,
                 resolve(config, settings),
-                drive.options(),
+                replace(drive.options(), poses=source),
                 datum=_datum(datum, datum_from),
                 append=append,
                 overwrite=overwrite,

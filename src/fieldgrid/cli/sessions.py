@@ -97,7 +97,13 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
         str(info.accepted),
         str(info.frames - info.accepted),
         ", ".join(
-            note for note in ("" if info.active else "removed", _shifted(info.transform)) if note
+            note
+            for note in (
+                "" if info.active else "removed",
+                _shifted(info.transform),
+                f"poses of {info.config['poses']}" if "poses" in info.config else "",
+            )
+            if note
         ),
     )
 
@@ -137,6 +143,7 @@ def _as_dict(path: Path, universal: MapFile, infos: list[SessionInfo]) -> dict[s
                 "first_time_ns": info.first_time_ns,
                 "last_time_ns": info.last_time_ns,
                 "heading_source": info.heading_source,
+                "poses": info.config.get("poses"),
                 "software_version": info.software_version,
                 "frames_used": info.accepted,
                 "frames_rejected": info.frames - info.accepted,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from fieldgrid.cli import options, output
 from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
@@ -20,7 +22,10 @@ if TYPE_CHECKING:
 
 _LOG = "A GNSS log alone"
 _MOST_REASONS = 6
-_SETTINGS = ("pose.heading", "pose.accuracy_m", "pose.quality", "pose.starts")
+_SETTINGS = (
+    *("pose.heading", "pose.accuracy_m", "pose.quality", "pose.starts"),
+    *("pose.frame_origin", "pose.frame_heading_deg"),
+)
 
 
 def command(
@@ -39,6 +44,7 @@ def command(
         ),
     ],
     drive: Drive,
+    poses: Poses,
     settings: Annotated[Overrides, SettingsFlags(*_SETTINGS)],
     gear: Annotated[
         Path | None,
@@ -86,6 +92,8 @@ def command(
         fieldgrid track tractor.csv -o track.gpx --columns lat=Breite,lon=Laenge
 
         fieldgrid track mower.nmea -o track.gpx --quality rtk-fixed
+
+        fieldgrid track june-03 -o track.csv --poses slam.tum --poses-axes rdf
     """
     options.check_figure(figure)
     from fieldgrid.build.tracking import track_drive
@@ -95,7 +103,8 @@ def command(
     from fieldgrid.settings import resolve
     from fieldgrid.track import check_target, summarise_track, write_track
 
-    origin, opening = options.datum(datum), drive.options(columns)
+    origin = options.datum(datum)
+    opening = replace(drive.options(columns), poses=poses.source())
     if gear is not None:
         known = {**settings.get("pose", {}), "gear_spans": read_gear_spans(gear)}
         settings = {**settings, "pose": known}
@@ -193,6 +202,14 @@ def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
         lasting_m, sigmas = report.offset.lasting_m, report.offset.lasting_sigmas
         told = f"{lasting_m:.3f} m, {sigmas:.2f} of what is stated"
         yield "poses off their fixes, over 20 s", told
+    frame = report.georeference
+    if frame is not None:
+        unsure = "" if frame.by == "declared" else f" ± {frame.frame_heading_sigma_deg:.2f}"
+        yield f"frame of the poses heads ({frame.by})", f"{frame.frame_heading_deg:.2f}{unsure} °"
+    if frame is not None and frame.fixes:
+        off_m = (frame.residual_median_m, frame.residual_p95_m, frame.residual_most_m)
+        words = " / ".join(f"{one:.3f}" for one in off_m)
+        yield f"poses off {frame.fixes} fixes, median / 95 % / most", f"{words} m"
     if report.gyro_bias_dps == report.gyro_bias_dps:  # not NaN: there is a gyro
         yield "gyro bias", f"{report.gyro_bias_dps:.3f} °/s"
     if report.recorded is not None:

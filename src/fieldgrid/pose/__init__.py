@@ -4,6 +4,8 @@ from fieldgrid.pose.accepted import datum_of, no_fix_sentence
 from fieldgrid.pose.clock import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, carry_lever, conditioned, estimate_poses
+from fieldgrid.pose.georeference import Georeference
+from fieldgrid.pose.given import GIVEN
 from fieldgrid.pose.levelled import tells_attitude
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.report import FixOffset, PoseReport
@@ -11,12 +13,14 @@ from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.verdict import Budget
 
 __all__ = [
+    "GIVEN",
     "Budget",
     "ClockOffset",
     "ClockSearch",
     "Comparison",
     "Estimate",
     "FixOffset",
+    "Georeference",
     "HeadingSource",
     "PoseReport",
     "carry_lever",

@@ -40,6 +40,14 @@ class AcceptedFixes(NamedTuple):
         """East and north [n, 2]."""
         return np.stack([self.east_m, self.north_m], axis=1)
 
+    def part(self, rows: Int64) -> AcceptedFixes:
+        """Some of the fixes."""
+        noise = self.noise._replace(
+            across_m=self.noise.across_m[rows], second_m=self.noise.second_m[rows]
+        )
+        columns = {name: getattr(self, name)[rows] for name in self._fields if name != "noise"}
+        return AcceptedFixes(noise=noise, **columns)
+
 
 def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> AcceptedFixes:
     """The accepted ones of fixes in order of time."""
@@ -60,6 +68,23 @@ def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Accep
         np.asarray(wrap_deg(used.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
     )
+
+
+OFFSET_S = 20.0
+"""Over so long, pose and fixes lie beside each other by what the receiver states at most."""
+
+
+def fix_offsets(time_ns: Int64, fixes: AcceptedFixes, offset_m: Float64) -> tuple[Float64, Float64]:
+    """How far the antenna lies from its fixes, on average over :data:`OFFSET_S` around some
+    instants, and the error that these fixes state along one axis, metres; `offset_m` [fixes, 2] is
+    how far it lies from each."""
+    half_ns = round(OFFSET_S / 2.0 * 1e9)
+    first = np.searchsorted(fixes.time_ns, time_ns - half_ns)
+    last = np.searchsorted(fixes.time_ns, time_ns + half_ns, side="right")
+    count = np.maximum(last - first, 1)
+    sums = [np.concatenate([[0.0], np.cumsum(column)]) for column in (*offset_m.T, fixes.sigma_m)]
+    east, north, stated = ((one[last] - one[first]) / count for one in sums)
+    return np.hypot(east, north), np.where(last > first, stated, np.inf)
 
 
 def datum_of(fixes: FixColumns, verdicts: Verdicts) -> Datum:

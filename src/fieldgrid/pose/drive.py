@@ -217,24 +217,6 @@ def lasting(against: Bool, time_s: Float64) -> Bool:
     return found
 
 
-OFFSET_S = 20.0
-"""Over so long, pose and fixes lie beside each other by what the receiver states at most."""
-
-
-def fix_offsets(drive: Drive, fixes: AcceptedFixes) -> tuple[Float64, Float64]:
-    """How far the antenna lies from its fixes, on average over :data:`OFFSET_S` around each node,
-    and the error that these fixes state along one axis, metres."""
-    time_ns, half_ns = fixes.time_ns, round(OFFSET_S / 2.0 * 1e9)
-    first = np.searchsorted(time_ns, drive.time_ns - half_ns)
-    last = np.searchsorted(time_ns, drive.time_ns + half_ns, side="right")
-    count = np.maximum(last - first, 1)
-    sums = [
-        np.concatenate([[0.0], np.cumsum(column)]) for column in (*drive.offset_m.T, fixes.sigma_m)
-    ]
-    east, north, stated = ((one[last] - one[first]) / count for one in sums)
-    return np.hypot(east, north), np.where(last > first, stated, np.inf)
-
-
 def _near_recorded(measured: Measurements) -> Bool:
     """Nodes whose heading is as good as recorded, so that it does not hang on the gear."""
     recorded = np.flatnonzero(np.isfinite(measured.heading_rad))

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import GnssError
+from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition, summarise
@@ -19,6 +19,7 @@ from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
+from fieldgrid.pose.given import place_poses
 from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.levelled import (
     find_lean,
@@ -32,14 +33,15 @@ from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.table import Conditioned, PoseTable, pose_table
-from fieldgrid.pose.verdict import Budget, refusals
+from fieldgrid.pose.verdict import Budget, judged
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
 from fieldgrid.settings import PoseSettings
-from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.trajectory import Trajectory
 
 
 class Estimate(NamedTuple):
-    """A trajectory, the row of each input fix in it (in order of time), and the report."""
+    """A trajectory, the row of each input fix in it (in order of time), and the report. Of given
+    poses without fixes, `fix_row` has all rows."""
 
     trajectory: Trajectory
     fix_row: Int64
@@ -67,6 +69,13 @@ def estimate_poses(
     """
     settings, motion = settings or PoseSettings(), motion or Motion()
     source = heading_source(settings.heading)
+    if motion.poses is not None and source.kind == "smooth":
+        return _of_given(fixes, rig, datum, settings, motion, budget, level_grids=level_grids)
+    if settings.frame_origin is not None or settings.frame_heading_deg is not None:
+        raise ConfigError(
+            "--frame-origin and --frame-heading say where given poses lie, and none are used; give "
+            "--poses FILE with the heading smooth, or leave them out."
+        )
     # Which fixes a vehicle can have driven through.
     log = conditioned(fixes, settings, datum)
     # Forward or reverse, and one batch estimate of everything that was measured.
@@ -91,6 +100,8 @@ def estimate_poses(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A recorded heading joins once the drive has shown what it means.
     recorded_deg, comparison, notes = _recorded(log, drive, rig, source, settings)
+    if motion.poses is not None:
+        notes.append(f"The given poses were not used, since headings shall be {source}.")
     if source.kind == "smooth" and np.isfinite(recorded_deg).any():
         recorded = RecordedHeadings(recorded_deg)
         if comparison is not None:
@@ -100,7 +111,8 @@ def estimate_poses(
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
-    trajectory = _judged(table, log.datum, rig, settings, budget, source)
+    table = _carried(table, rig, source)
+    trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
     clock = clock_offset(drive, log.accepted, motion, axle, hints)
@@ -110,7 +122,7 @@ def estimate_poses(
         recorded=comparison,
         clock=clock,
         gyro_bias_dps=drive.gyro_bias_dps,
-        offset=fix_offset(drive, log.accepted),
+        offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
@@ -120,6 +132,59 @@ def estimate_poses(
         ),
     )
     return Estimate(trajectory, fix_row, report)
+
+
+def _of_given(
+    fixes: FixColumns,
+    rig: Vehicle | None,
+    datum: Datum | None,
+    settings: PoseSettings,
+    motion: Motion,
+    budget: Budget | None,
+    *,
+    level_grids: bool,
+) -> Estimate:
+    """The estimate of a drive whose poses another program made."""
+    assert motion.poses is not None
+    log, notes = None, []
+    origin = settings.frame_origin
+    try:
+        log = conditioned(fixes, settings, datum)
+        datum = log.datum
+    except GnssError as problem:
+        if origin is not None and len(fixes):
+            notes.append(str(problem))
+        elif origin is None and len(fixes):
+            raise
+    if datum is None and origin is not None:
+        datum = Datum(origin.lat_deg, origin.lon_deg, origin.height_m)
+    if datum is None:
+        raise GnssError(
+            "No fix tells where the poses lie; give a log with --gnss, or declare the frame with "
+            "--frame-origin LAT,LON,HEIGHT and --frame-heading DEG."
+        )
+    placed = place_poses(
+        *(motion.poses, motion.tilt, log, rig, datum, settings, budget), level_grids=level_grids
+    )
+    found, pairs = placed.georeference, placed.pairs
+    offset = None
+    if pairs is not None:
+        offset_m = found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()
+        offset = fix_offset(pairs.fixes, offset_m)
+    judged_fixes = (fixes, condition(fixes)) if log is None else (log.fixes, log.verdicts)
+    report = PoseReport(
+        conditioning=summarise(*judged_fixes),
+        attitude=placed.attitude,
+        recorded=None,
+        clock=None,
+        gyro_bias_dps=float("nan"),
+        offset=offset,
+        camera_scale=None,
+        wheel_scale=None,
+        notes=(*notes, *placed.notes),
+        georeference=found,
+    )
+    return Estimate(placed.trajectory, placed.fix_row, report)
 
 
 def conditioned(
@@ -189,45 +254,15 @@ def _recorded(
     return np.asarray(wrap_deg(recorded - found.offset_deg)), found, [note]
 
 
-def _judged(
-    table: PoseTable,
-    datum: Datum,
-    rig: Vehicle | None,
-    settings: PoseSettings,
-    budget: Budget | None,
-    source: HeadingSource,
-) -> Trajectory:
-    """Rows carried to the grid origin, each with its verdict."""
-    refused = refusals(table, settings, budget)
-    good = np.where(table.resting, Status.HELD, Status.OK).tolist()
-    east_m, north_m, up_m = table.east_m, table.north_m, table.up_m
-    if rig is not None:
-        point = rig.antenna
-        if source.kind == "smooth":
-            point = LeverArm(0.0, axle_forward_m(rig), 0.0)
-        east_m, north_m = carry_lever(east_m, north_m, table.heading_deg, point)
-        up_m = up_m - rig.antenna.up_m
-    verdicts = zip(refused, good, table.remark, strict=True)
-    status, reason = zip(
-        *((Status.REJECTED, why) if why else (Status(ok), said) for why, ok, said in verdicts),
-        strict=True,
-    )
-    return Trajectory(
-        datum=datum,
-        time_ns=table.time_ns,
-        east_m=east_m,
-        north_m=north_m,
-        up_m=up_m,
-        heading_deg=table.heading_deg,
-        position_sigma_m=np.hypot(table.position_sigma_m, table.offset_m / np.sqrt(2.0)),
-        heading_sigma_deg=table.heading_sigma_deg,
-        speed_mps=table.speed_mps,
-        gear=table.gear,
-        quality=table.quality,
-        status=status,
-        reason=reason,
-        heading_source=str(source),
-    )
+def _carried(table: PoseTable, rig: Vehicle | None, source: HeadingSource) -> PoseTable:
+    """Rows carried to the grid origin."""
+    if rig is None:
+        return table
+    point = rig.antenna
+    if source.kind == "smooth":
+        point = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
+    return table._replace(east_m=east_m, north_m=north_m, up_m=table.up_m - rig.antenna.up_m)
 
 
 def carry_lever(

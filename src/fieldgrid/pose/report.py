@@ -9,13 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
 from fieldgrid.attitude import Attitude
 from fieldgrid.gnss import ConditioningSummary
-from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.convention import Comparison
-from fieldgrid.pose.drive import Drive, fix_offsets
+from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, Vehicle
@@ -68,6 +70,7 @@ class PoseReport:
     camera_scale: Constant | None
     wheel_scale: Constant | None
     notes: tuple[str, ...]
+    georeference: Georeference | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -78,30 +81,38 @@ class PoseReport:
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
             "wheel_scale": self.wheel_scale,
+            "georeference": self.georeference,
         }
         return {
             "conditioning": self.conditioning.as_dict(),
             "attitude": None if self.attitude is None else self.attitude.as_dict(),
-            **{name: None if part is None else part._asdict() for name, part in parts.items()},
+            **{
+                name: None if part is None else _plain(part._asdict())
+                for name, part in parts.items()
+            },
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "notes": list(self.notes),
         }
 
 
-def fix_offset(drive: Drive, fixes: AcceptedFixes) -> FixOffset:
-    """How far the antenna is estimated from the accepted fixes."""
-    away_m = np.hypot(*drive.offset_m.T)
-    east_m, north_m = drive.offset_m.mean(axis=0).tolist()
-    lasting_m, stated_m = fix_offsets(drive, fixes)
-    at = drive.fix >= 0
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """The same with None for NaN."""
+    return {name: None if value != value else value for name, value in values.items()}
+
+
+def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
+    """How far the antenna is estimated from the accepted fixes: `offset_m` [fixes, 2]."""
+    away_m = np.hypot(*offset_m.T)
+    east_m, north_m = offset_m.mean(axis=0).tolist()
+    lasting_m, stated_m = fix_offsets(fixes.time_ns, fixes, offset_m)
     return FixOffset(
         east_m,
         north_m,
         float(np.median(away_m)),
         float(away_m.max()),
         float(np.median(away_m / fixes.sigma_m)),
-        float(np.median(lasting_m[at])),
-        float(np.median(lasting_m[at] / stated_m[at])),
+        float(np.median(lasting_m)),
+        float(np.median(lasting_m / stated_m)),
     )
 
 

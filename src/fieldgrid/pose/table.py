@@ -11,8 +11,8 @@ from fieldgrid.course import Course
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Verdicts
-from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive, fix_offsets
+from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
+from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.verdict import jumps
@@ -46,6 +46,13 @@ class PoseTable(NamedTuple):
     resting: Bool
     rejection: list[str]
     remark: list[str]
+
+    def rows(self, at: Int64) -> PoseTable:
+        """Some of the rows, copied."""
+        chosen = at.tolist()
+        return PoseTable._make(
+            c[at] if isinstance(c, np.ndarray) else [c[k] for k in chosen] for c in self
+        )
 
 
 class Conditioned(NamedTuple):
@@ -105,7 +112,7 @@ def _smooth_table(log: Conditioned, drive: Drive) -> tuple[PoseTable, Int64]:
         np.interp(time_ns, used.time_ns, used.up_m),
     )
     east[outside], north[outside], up[outside] = _positions(log, fix[outside])
-    offset_m, stated_m = fix_offsets(drive, used)
+    offset_m, stated_m = fix_offsets(drive.time_ns, used, drive.offset_m)
     return PoseTable(
         time_ns,
         east,

@@ -9,7 +9,9 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64
+from fieldgrid.geodesy import Datum
 from fieldgrid.settings import PoseSettings
+from fieldgrid.trajectory import Status, Trajectory
 
 if TYPE_CHECKING:
     from fieldgrid.pose.table import PoseTable
@@ -79,6 +81,39 @@ def refusals(table: PoseTable, settings: PoseSettings, budget: Budget | None) ->
             ),
         )
     return reasons
+
+
+def judged(
+    table: PoseTable,
+    datum: Datum,
+    settings: PoseSettings,
+    budget: Budget | None,
+    heading_source: str,
+) -> Trajectory:
+    """Rows of the grid origin, each with its verdict."""
+    refused = refusals(table, settings, budget)
+    good = np.where(table.resting, Status.HELD, Status.OK).tolist()
+    verdicts = zip(refused, good, table.remark, strict=True)
+    status, reason = zip(
+        *((Status.REJECTED, why) if why else (Status(ok), said) for why, ok, said in verdicts),
+        strict=True,
+    )
+    return Trajectory(
+        datum=datum,
+        time_ns=table.time_ns,
+        east_m=table.east_m,
+        north_m=table.north_m,
+        up_m=table.up_m,
+        heading_deg=table.heading_deg,
+        position_sigma_m=np.hypot(table.position_sigma_m, table.offset_m / np.sqrt(2.0)),
+        heading_sigma_deg=table.heading_sigma_deg,
+        speed_mps=table.speed_mps,
+        gear=table.gear,
+        quality=table.quality,
+        status=status,
+        reason=reason,
+        heading_source=heading_source,
+    )
 
 
 def jumps(

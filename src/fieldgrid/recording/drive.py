@@ -16,6 +16,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.frames import Frame, FrameSource
+from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.rig import Rig
 
 
@@ -45,7 +46,8 @@ class Drive(Closing):
     empty when there is none. `rig` is None where nothing says what carried the antenna.
     `datum_hint` is the datum that the drive itself asks for. `notes` are remarks, a sentence each,
     and `losses` what is lost since a file is truncated or damaged. `refusal` is why there are no
-    frames, or none that can be used.
+    frames, or none that can be used. `pose_source` is where the drive says that poses of another
+    program are, `pose_name` what those are from that it was opened with.
     """
 
     path: Path
@@ -61,6 +63,8 @@ class Drive(Closing):
     losses: tuple[str, ...] = ()
     topics: tuple[Stream, ...] = ()
     refusal: RecordingError | None = None
+    pose_source: PoseSource | None = None
+    pose_name: str = ""
     stack: ExitStack = field(default_factory=ExitStack, repr=False)
 
     def fixes(self) -> FixColumns:

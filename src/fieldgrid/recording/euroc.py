@@ -54,7 +54,12 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
     settings = read_settings(_beside(folder, mav, SETTINGS))
     log_path = _log_path(folder, mav, options)
     drive = with_log(
-        Drive(path=path, name=settings.name or folder.resolve().name, datum_hint=settings.datum),
+        Drive(
+            path=path,
+            name=settings.name or folder.resolve().name,
+            datum_hint=settings.datum,
+            pose_source=settings.poses,
+        ),
         folder,
         log_path,
         options.columns or settings.columns,

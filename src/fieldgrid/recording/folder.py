@@ -39,6 +39,7 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
             path=path,
             name=settings.name or path.resolve().name,
             datum_hint=settings.datum or read_session_datum(path / _SESSION),
+            pose_source=settings.poses,
         ),
         path,
         log_path,

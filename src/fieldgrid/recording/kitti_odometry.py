@@ -54,7 +54,12 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         )
     times_ns = _times_ns(path / _TIMES, settings.start)
     log_path = find_log(path, options.gnss)
-    drive = Drive(path=path, name=settings.name or path.resolve().name, datum_hint=settings.datum)
+    drive = Drive(
+        path=path,
+        name=settings.name or path.resolve().name,
+        datum_hint=settings.datum,
+        pose_source=settings.poses,
+    )
     left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
     offset_ns = options.offset_or(settings.image_time_offset_ns)
     if log_path is not None:

@@ -12,6 +12,7 @@ from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording
 from fieldgrid.recording.format import find_format, formats, register_format
 from fieldgrid.recording.frame_table import TABLE
+from fieldgrid.recording.given_poses import with_given_poses
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.options import DriveOptions
 
@@ -43,7 +44,16 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
             raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
         found = find_format(path)
         if found is not None:
-            return replace(found.open(path, options or DriveOptions()), kind=found.name)
+            options = options or DriveOptions()
+            drive = replace(found.open(path, options), kind=found.name)
+            given = drive.pose_source
+            if options.poses is not None:
+                given = options.poses.over(given)
+            try:
+                return with_given_poses(drive, given)
+            except BaseException:
+                drive.close()
+                raise
     except OSError as problem:
         raise RecordingError(
             f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."

@@ -9,6 +9,7 @@ from pathlib import Path
 from fieldgrid.errors import CalibrationError, ConfigError, quoted
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.mounting import Mounting, missing_mounting, read_mounting
+from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.rig import LeverArm, Mount
 
 ROLES = (
@@ -40,8 +41,9 @@ class DriveOptions:
     `gnss` picks one of several GNSS logs by file name, or gives the path of another; `columns`
     says what the columns of a table of fixes are; `topics` names topics by their role (`ROLES`);
     `mounting` is another `mounting.json`, or what stands for it; `image_time_offset_ns` is added
-    to image times to give GNSS time and outranks the recording's own. With `unmounted`, a sensor
-    of which nothing tells how it sits gets `NO_MOUNTING`.
+    to image times to give GNSS time and outranks the recording's own; `poses` are those that
+    another program estimated, and outrank what the recording says of them. With `unmounted`, a
+    sensor of which nothing tells how it sits gets `NO_MOUNTING`.
     """
 
     gnss: str | Path | None = None
@@ -49,6 +51,7 @@ class DriveOptions:
     topics: Mapping[str, str] = field(default_factory=dict)
     mounting: str | Path | Mounting | None = None
     image_time_offset_ns: int | None = None
+    poses: PoseSource | None = None
     unmounted: bool = False
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 
 from fieldgrid.documents import MAX_BYTES, parse_json, parse_toml
 from fieldgrid.errors import ConfigError, DatumError, RecordingError
@@ -26,6 +26,7 @@ from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS, is_inside, read_
 from fieldgrid.recording.motion_files import check_axes
 from fieldgrid.recording.options import MAX_OFFSET_S
 from fieldgrid.recording.pixels import BAYER_PATTERNS, BITS
+from fieldgrid.recording.pose_source import PoseSource
 
 SETTINGS = "recording.toml"
 
@@ -51,7 +52,7 @@ class Settings:
     `sensor` is which frames to take where there are several kinds. Of depths and disparities,
     `scale` is what one unit of their files is, metres or px, and `baseline_m` that of the pair
     they come from. Of clouds, `axes` are where x, y and z point, and `points_per_sr` how dense
-    they are.
+    they are. `poses` says where poses of another program are.
     """
 
     name: str = ""
@@ -69,6 +70,7 @@ class Settings:
     baseline_m: float | None = None
     axes: str | None = None
     points_per_sr: float | None = None
+    poses: PoseSource | None = None
 
 
 def _inside(name: str) -> str:
@@ -154,6 +156,33 @@ class _Cloud(Table):
     points_per_sr: Positive | None = entry(_ABOVE, None)
 
 
+class _Poses(Table):
+    file: _Path | None = entry(_INSIDE, None)
+    topic: str | None = entry(_TEXT, None)
+    axes: str | None = entry("give where x, y and z of the body point, like flu or rdf", None)
+    point_flu_m: Annotated[list[Number] | None, Field(min_length=3, max_length=3)] = entry(
+        "give where the body's origin is: [forward, left, up] of the sensor in metres", None
+    )
+    times: _Path | None = entry(_INSIDE, None)
+    time_offset_s: Exact | None = entry(
+        "give the seconds to add to the times of the poses",
+        None,
+        ge=-MAX_TIME_NS / 10**9,
+        le=MAX_TIME_NS / 10**9,
+    )
+
+    def source(self, folder: Path) -> PoseSource:
+        point, offset_s = self.point_flu_m, self.time_offset_s
+        return PoseSource(
+            None if self.file is None else folder / self.file,
+            self.topic,
+            self.axes,
+            None if point is None else (point[0], point[1], point[2]),
+            None if self.times is None else folder / self.times,
+            None if offset_s is None else round(offset_s * 1_000_000_000),
+        )
+
+
 class _File(Table):
     name: str = entry(_TEXT, "")
     image_time_offset_s: Exact = entry(
@@ -174,6 +203,7 @@ class _File(Table):
     depth: _Depth | None = entry("give a table [depth]", None)
     disparity: _Disparity | None = entry("give a table [disparity]", None)
     cloud: _Cloud = entry("give a table [cloud]", _Cloud())
+    poses: _Poses | None = entry("give a table [poses]", None)
 
 
 def read_settings(path: Path) -> Settings:
@@ -217,6 +247,7 @@ def read_settings(path: Path) -> Settings:
         baseline_m=depth.baseline_m or disparity.baseline_m,
         axes=said.cloud.axes,
         points_per_sr=said.cloud.points_per_sr,
+        poses=None if said.poses is None else said.poses.source(path.parent),
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from fieldgrid.choices import Doubt, GearName, MatcherKind, Transfer
 from fieldgrid.errors import ConfigError
@@ -208,6 +208,14 @@ class GearSpan(Settings):
     gear: GearName
 
 
+class FrameOrigin(Settings):
+    """Where the frame of given poses has its origin: degrees, and metres above the ellipsoid."""
+
+    lat_deg: float = Field(ge=-90.0, le=90.0)
+    lon_deg: float = Field(ge=-180.0, le=180.0)
+    height_m: float = Field(ge=-1000.0, le=10_000.0)
+
+
 class PoseSettings(Settings):
     """How poses are estimated and judged."""
 
@@ -239,6 +247,20 @@ class PoseSettings(Settings):
     )
     gear_spans: tuple[GearSpan, ...] = setting(
         (), "gears that are known: start_ns, stop_ns, gear (forward or reverse)", usual="none"
+    )
+    frame_origin: FrameOrigin | None = setting(
+        None,
+        "where the frame of --poses has its origin: latitude, longitude, height",
+        usual="by the fixes",
+        flag=Flag("--frame-origin", "LAT,LON,HEIGHT"),
+    )
+    frame_heading_deg: float | None = setting(
+        None,
+        "heading of the forward axis of that frame (x, of camera axes z): 90 where x is east",
+        usual="by the fixes",
+        flag=Flag("--frame-heading", "DEG"),
+        ge=-360.0,
+        le=360.0,
     )
     visual_odometry: bool = setting(
         True,
@@ -279,6 +301,16 @@ class PoseSettings(Settings):
         le=50.0,
     )
     gnss: GateLimits = GateLimits()
+
+    @field_validator("frame_origin", mode="before")
+    @classmethod
+    def _by_numbers(cls, given: object) -> object:
+        if not isinstance(given, str):
+            return given
+        parts = given.split(",")
+        if len(parts) != len(FrameOrigin.model_fields):
+            raise ValueError("give LAT,LON,HEIGHT, as in 41.65,-4.72,787.4")
+        return dict(zip(FrameOrigin.model_fields, parts, strict=True))
 
     @field_validator("quality", mode="before")
     @classmethod

@@ -296,5 +296,6 @@ def as_drive(content: Content) -> Drive:
         gnss_path=fixes.path,
         gnss_hash=fixes.sha256,
         datum_hint=settings.datum or content.readings.datum(),
+        pose_source=settings.poses,
         notes=content.notes(),
     )

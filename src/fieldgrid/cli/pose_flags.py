@@ -1,0 +1,108 @@
+"""The options of the commands that take poses of another program."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from fieldgrid.cli.groups import FieldsOf
+from fieldgrid.cli.options import numbers
+
+if TYPE_CHECKING:
+    from fieldgrid.recording.pose_source import PoseSource
+
+_PANEL = "Poses of another program"
+
+
+class PoseFlags(NamedTuple):
+    """Where such poses are, and what their body is."""
+
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            "--poses",
+            metavar="FILE",
+            help="Poses made elsewhere (SLAM, motion capture), used as they are: TUM, KITTI, or a "
+            "bag with Odometry, PoseStamped or Path.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    poses_topic: Annotated[
+        str | None,
+        typer.Option(
+            "--poses-topic",
+            metavar="TOPIC",
+            help="Which topic of that bag; without --poses, of the recording itself.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    poses_axes: Annotated[
+        str | None,
+        typer.Option(
+            "--poses-axes",
+            metavar="flu|rdf|...",
+            help="Where x, y and z of their body point: forward, left, up as in ROS, or right, "
+            "down, forward as a camera's [default: flu].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    poses_point: Annotated[
+        str | None,
+        typer.Option(
+            "--poses-point",
+            metavar="FORWARD,LEFT,UP",
+            help="Where their body is, metres from the sensor [default: the ground below it; with "
+            "rdf, the left camera].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    poses_times: Annotated[
+        Path | None,
+        typer.Option(
+            "--poses-times",
+            metavar="FILE",
+            help="The times of a KITTI file, one a line [default: those of the frames].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    poses_offset: Annotated[
+        float | None,
+        typer.Option(
+            "--poses-offset",
+            metavar="S",
+            help="Seconds to add to their times to give GNSS time [default: 0; with rdf, that of "
+            "the images].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
+    def source(self) -> PoseSource | None:
+        """The same as `open_drive` takes it; None where nothing is said."""
+        if all(value is None for value in self):
+            return None
+        from fieldgrid.recording.pose_source import PoseSource
+
+        point = None
+        if self.poses_point is not None:
+            form, example = "FORWARD,LEFT,UP", "0.3,-0.1,0"
+            forward, left, up = numbers("--poses-point", self.poses_point, ",", form, example)
+            point = (forward, left, up)
+        offset_s = self.poses_offset
+        if offset_s is not None and not math.isfinite(offset_s * 1e9):
+            raise typer.BadParameter(
+                f"{offset_s} is no number of seconds", param_hint="--poses-offset"
+            )
+        return PoseSource(
+            self.poses,
+            self.poses_topic,
+            self.poses_axes,
+            point,
+            self.poses_times,
+            None if offset_s is None else round(offset_s * 1e9),
+        )
+
+
+Poses = Annotated[PoseFlags, FieldsOf(PoseFlags)]
