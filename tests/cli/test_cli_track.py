@@ -339,7 +339,11 @@ def test_given_poses(fieldgrid: Run, out: Path) -> None:
         [line.split() for line in path.read_text().splitlines()[1:]] for path in (tum, again)
     )
     assert [row[0] for row in one] == [row[0] for row in two]
-    off = [abs(float(a) - float(b)) for p, q in zip(one, two, strict=True) for a, b in zip(p, q)]
+    off = [
+        abs(float(a) - float(b))
+        for p, q in zip(one, two, strict=True)
+        for a, b in zip(p, q, strict=True)
+    ]
     assert max(off) < 1e-3
 
 
