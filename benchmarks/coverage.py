@@ -266,49 +266,81 @@ def least(costs: Float64, worth: Float64) -> float:
     return rest(frozenset(range(len(worth))), end)[1]
 
 
-def main(fields: int) -> None:
+class Outcome(NamedTuple):
+    """What came of a field: lanes, those covered, what is wrong with the route, why lanes were left
+    out, ratios to the best order, and seconds of processor time."""
+
+    is_open: bool
+    lanes: int
+    covered: int
+    faults: list[str]
+    left_out: list[str]
+    ratios: tuple[float, float, float] | None
+    took_s: float
+
+
+def outcome(seed: int) -> Outcome:
+    """Plan on one field and check what comes of it."""
+    task = random_field(seed)
+    lanes = len(task.planting.lanes)
+    began = time.process_time()
+    try:
+        coverage = coverage_in_view(task.view, task.planting, task.vehicle)
+    except NoRouteError as none:
+        took, said = time.process_time() - began, [f"{seed}: {none.reason}"]
+        wrong = said if "fails its check" in none.reason else []
+        return Outcome(task.is_open, lanes, 0, wrong, said, None, took)
+    took = time.process_time() - began
+    bad, ratios = points_on_barred(coverage, task.view), None
+    if lanes <= EXACT and len(coverage.lanes) > 1:
+        best = best_of(task)
+        ratios = (
+            coverage.cost_m / best.cost_m,
+            coverage.route.length_m / best.length_m,
+            best.searched_m / best.cost_m,
+        )
+    return Outcome(
+        task.is_open, lanes, len(coverage.lanes), [f"{seed}: {bad} poses"] if bad else [],
+        [f"{seed} {out.lane}: {out.reason}" for out in coverage.left_out], ratios, took,
+    )  # fmt: skip
+
+
+def report(found: list[Outcome]) -> None:
     """Print what came of some fields."""
-    faults: list[str] = []
-    covered = asked = open_covered = open_asked = none = 0
-    took, cost_ratios, length_ratios, searched, reasons = [], [], [], [], []
-    for seed in range(fields):
-        task = random_field(seed)
-        lanes = len(task.planting.lanes)
-        asked += lanes
-        open_asked += lanes * task.is_open
-        began = time.process_time()
-        try:
-            coverage = coverage_in_view(task.view, task.planting, task.vehicle)
-        except NoRouteError as no:
-            none += 1
-            if "fails its check" in no.reason:
-                faults.append(f"{seed}: {no.reason}")
-            if task.is_open:
-                reasons.append(f"{seed}: {no.reason}")
-            continue
-        finally:
-            took.append((time.process_time() - began) / lanes)
-        covered += len(coverage.lanes)
-        open_covered += len(coverage.lanes) * task.is_open
-        if task.is_open:
-            reasons += [f"{seed} {out.lane}: {out.reason}" for out in coverage.left_out]
-        if bad := points_on_barred(coverage, task.view):
-            faults.append(f"{seed}: {bad} poses on what is barred")
-        if lanes <= EXACT and len(coverage.lanes) > 1:
-            best = best_of(task)
-            cost_ratios.append(coverage.cost_m / best.cost_m)
-            length_ratios.append(coverage.route.length_m / best.length_m)
-            searched.append(best.searched_m / best.cost_m)
-    print(f"{fields} fields, {asked} lanes: {covered} covered, {none} fields without a route")
+    asked, covered = sum(one.lanes for one in found), sum(one.covered for one in found)
+    faults = [fault for one in found for fault in one.faults]
+    none = sum(one.covered == 0 for one in found)
+    print(f"{len(found)} fields, {asked} lanes: {covered} covered, {none} fields without a route")
     print(f"  routes with a fault                              {len(faults)} {faults or ''}")
-    share = open_covered / max(open_asked, 1)
-    print(f"  covered of {open_asked} lanes that can be by construction  {share:.2%}")
-    for reason in reasons:
+    wide = [one for one in found if one.is_open]
+    share = sum(one.covered for one in wide) / sum(one.lanes for one in wide)
+    count = sum(one.lanes for one in wide)
+    print(f"  covered of {count} lanes that can be by construction  {share:.2%}")
+    for reason in (reason for one in wide for reason in one.left_out):
         print(f"    {reason}")
-    print(f"  cost to that of the best order                   {_spread(cost_ratios)}")
-    print(f"  length to that of the shortest order             {_spread(length_ratios)}")
-    print(f"  cost of the local search to that of the best one {_spread(searched)}")
-    print(f"  processor time a lane, s                         {_spread(took)}")
+    compared = [one.ratios for one in found if one.ratios is not None]
+    for k, what in enumerate(
+        (
+            "cost to that of the best order                  ",
+            "length to that of the shortest order            ",
+            "cost of the local search to that of the best one",
+        )
+    ):
+        print(f"  {what} {_spread([ratios[k] for ratios in compared])}")
+    print(
+        f"  processor time a lane, s                         "
+        f"{_spread([one.took_s / one.lanes for one in found])}",
+        flush=True,
+    )
+
+
+def main(fields: int) -> None:
+    """Print what came of so many fields, each time fifty more are done."""
+    found = []
+    for seed in range(fields):
+        found.append(outcome(seed))
+        if len(found) % 50 == 0 or len(found) == fields:
+            report(found)
 
 
 def _spread(values: list[float]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 import xml.etree.ElementTree as ElementTree
@@ -11,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.planting import DATUM
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.figures import read_route
 from fieldgrid.lattice import Lattice, Window
@@ -113,7 +116,97 @@ def test_the_path_has_the_nose_of_the_vehicle(route: Route, tmp_path: Path) -> N
     assert found["/datum"].latitude == DATUM.lat_deg
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".mcap", ".kml"])
+def assert_along(places: Float64, route: Route) -> None:
+    """Points of the route itself, in the order of driving, and straight lines between them."""
+    line = np.column_stack([route.east_m, route.north_m])
+    at = [int(np.hypot(*(line - place).T).argmin()) for place in places]
+    apart = np.hypot(*(line[at] - places).T)
+    assert apart.max() < 0.01
+    assert at == sorted(at)
+    drawn = shapely.LineString(places)
+    assert shapely.distance(drawn, shapely.points(line)).max() < 0.025
+    assert math.dist(places[0], line[0]) < 0.01
+    assert math.dist(places[-1], line[-1]) < 0.01
+
+
+def test_a_plan_of_waypoints_and_gears(route: Route, tmp_path: Path) -> None:
+    """Read as the plan format of QGroundControl is documented: x and y are latitude and longitude,
+    and command 194 says whether what follows is driven backwards."""
+    write_route(route, tmp_path / "route.plan")
+    plan = json.loads((tmp_path / "route.plan").read_text())
+    assert (plan["fileType"], plan["version"]) == ("Plan", 1)
+    assert isinstance(plan["groundStation"], str)
+    mission = plan["mission"]
+    assert (mission["version"], mission["firmwareType"], mission["vehicleType"]) == (2, 3, 10)
+    items = mission["items"]
+    assert [item["doJumpId"] for item in items] == list(range(1, len(items) + 1))
+    assert {(item["command"], item["frame"]) for item in items} == {(16, 3), (194, 2)}
+    assert all(len(item["params"]) == 7 and item["type"] == "SimpleItem" for item in items)
+    assert items[0]["command"] == 16
+    assert mission["plannedHomePosition"][:2] == items[0]["params"][4:6]
+    gear, gears, degrees = 1, [], []
+    for item in items:
+        if item["command"] == 194:
+            gear = -1 if item["params"][0] else 1
+        else:
+            gears.append(gear)
+            degrees.append(item["params"][4:6])
+    lat, lon = np.array(degrees).T
+    east, north, _ = DATUM.to_enu(lat, lon, DATUM.height_m)
+    places = np.column_stack([east, north])
+    assert_along(places, route)
+    # Every waypoint is driven to in the gear that leads there.
+    line = np.column_stack([route.east_m, route.north_m])
+    for place, driven in list(zip(places, gears, strict=True))[1:]:
+        assert route.gear[int(np.hypot(*(line - place).T).argmin()) - 1] == driven
+    assert np.count_nonzero(np.diff(gears)) == route.cusps
+
+
+def test_a_route_graph_is_driven_one_way(route: Route, tmp_path: Path) -> None:
+    """Read as the loader of Nav2's route server reads it: points are nodes, lines are edges from
+    `startid` to `endid`, coordinates are metres of the frame."""
+    names = np.full(len(route.lane), "", dtype="U5")
+    names[10:30] = "B1-L2"
+    write_route(replace(route, lane=names), tmp_path / "route.graph.geojson")
+    graph = json.loads((tmp_path / "route.graph.geojson").read_text())
+    kinds = [feature["geometry"]["type"] for feature in graph["features"]]
+    points = {
+        f["properties"]["id"]: f["geometry"]["coordinates"]
+        for f, kind in zip(graph["features"], kinds, strict=True)
+        if kind == "Point" and f["properties"]["frame"] == "map"
+    }
+    edges = [
+        feature["properties"]
+        for feature, kind in zip(graph["features"], kinds, strict=True)
+        if kind == "LineString"
+    ]
+    ids = [*points, *(edge["id"] for edge in edges)]
+    assert len(set(ids)) == len(ids) == len(kinds)
+    assert all(isinstance(number, int) and number >= 0 for number in ids)
+    following = {edge["startid"]: edge for edge in edges}
+    assert len(following) == len(edges)
+    (node,) = set(following) - {edge["endid"] for edge in edges}
+    walked, gears, lanes = [points[node]], [], []
+    while node in following:
+        edge = following[node]
+        assert edge["cost"] == pytest.approx(
+            math.dist(points[node], points[edge["endid"]]), abs=1e-3
+        )
+        # The loader takes numbers, strings and truth values only.
+        assert all(isinstance(value, int | float | str) for value in edge["metadata"].values())
+        gears.append(edge["metadata"]["gear"])
+        lanes.append(edge["metadata"].get("lane", ""))
+        node = edge["endid"]
+        walked.append(points[node])
+    assert len(walked) == len(points)
+    assert_along(np.array(walked), route)
+    assert np.count_nonzero(np.diff(gears)) == route.cusps
+    assert [lane for lane, _ in itertools.groupby(lanes)][:3] == ["", "B1-L2", ""]
+
+
+@pytest.mark.parametrize(
+    "suffix", [".csv", ".geojson", ".gpx", ".mcap", ".kml", ".plan", ".graph.geojson"]
+)
 def test_only_routes_are_overwritten(route: Route, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"route{suffix}"
     write_route(route, path)

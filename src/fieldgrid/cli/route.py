@@ -48,7 +48,8 @@ def command(
     crop: options.CropName = "vineyard",
     spacing: options.Spacing = None,
     out: Annotated[
-        Path | None, options.out_file(".geojson, .csv, .gpx, .mcap, .gpkg, .kml or .dxf")
+        Path | None,
+        options.out_file(".geojson, .csv, .gpx, .mcap, .plan, .graph.geojson, .gpkg, .kml or .dxf"),
     ] = None,
     vehicle: Annotated[
         Path | None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import itertools
+import json
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from fieldgrid.publish import mentions, replacing
 from fieldgrid.ros import McapWriter
 from fieldgrid.ros.gnss import datum_message
 from fieldgrid.ros.messages import MAP, path_message
+from fieldgrid.route.missions import mission, route_graph, stretches
 from fieldgrid.route.plan import Route
 from fieldgrid.track_formats import gpx_track
 from fieldgrid.vectors import Feature, write_features
@@ -25,10 +26,19 @@ from fieldgrid.vectors import Feature, write_features
 COLUMNS = ("east_m", "north_m", "heading_deg", "gear", "curvature_1pm", "clearance_m", "lane")
 """Of route.csv. `lane` is empty where no lane is worked."""
 
-SUFFIXES = (".geojson", ".csv", ".gpx", ".mcap", ".gpkg", ".kml", ".dxf")
+GRAPH = ".graph.geojson"
+SUFFIXES = (".geojson", GRAPH, ".csv", ".gpx", ".mcap", ".plan", ".gpkg", ".kml", ".dxf")
 """What the name of a route may end in."""
 
 _GPX_NAME = "fieldgrid route"
+_MARKS = {
+    ".csv": ",".join(COLUMNS),
+    ".gpx": _GPX_NAME,
+    ".plan": '"groundStation": "fieldgrid"',
+    GRAPH: '"name": "fieldgrid route graph"',
+}
+"""What a file that fieldgrid has written begins with, more or less."""
+
 _FEATURES = (".geojson", ".gpkg", ".kml", ".dxf")
 
 
@@ -43,15 +53,17 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
 
     `.csv` has a row a pose; `.geojson`, `.gpkg`, `.kml` and `.dxf` a line for each stretch in one
     gear and one lane; `.gpx` a segment for each stretch in one gear; `.mcap` one nav_msgs/Path on
-    `/route`, whose poses are those of the vehicle, in reverse too, and the datum. Raises
+    `/route`, whose poses are those of the vehicle, in reverse too, and the datum. `.plan` is for
+    QGroundControl and `.graph.geojson` for Nav2, as `missions` has them. Raises
     ConfigError for another ending, MapExistsError for a file that may not be overwritten,
     MapWriteError where it cannot be written.
     """
     check_target(path)
-    suffix = path.suffix.lower()
+    suffix = GRAPH if path.name.lower().endswith(GRAPH) else path.suffix.lower()
     if suffix in _FEATURES:
         write_features(path, route_features(route), route.datum, overwrite=overwrite)
-    elif suffix == ".mcap":
+        return
+    if suffix == ".mcap":
         places = np.stack([route.east_m, route.north_m, np.zeros(len(route.east_m))], axis=1)
         yaw_rad = yaw_from_heading_rad(route.heading_deg)
         # A route has no time: 0 stands for whenever it is driven.
@@ -59,49 +71,41 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
         with McapWriter(path, overwrite=overwrite) as writer:
             writer.write("/datum", datum_message(route.datum, 0), 0, latched=True)
             writer.write("/route", message, 0, latched=True)
-    else:
-        mark = _GPX_NAME if suffix == ".gpx" else ",".join(COLUMNS)
-        ours = partial(mentions, mark=mark.encode())
-        what = f"a route in a {suffix}"
-        with (
-            replacing(path, overwrite=overwrite, ours=ours, what=what) as draft,
-            draft.open("w", encoding="utf-8", newline="") as file,
-        ):
-            if suffix == ".gpx":
-                file.writelines(f"{line}\n" for line in _gpx_lines(route))
-            else:
-                writer_ = csv.writer(file, lineterminator="\n")
-                writer_.writerow(COLUMNS)
-                writer_.writerows(_rows(route))
+        return
+    ours = partial(mentions, mark=_MARKS[suffix].encode())
+    what = f"a route in a {suffix}"
+    with (
+        replacing(path, overwrite=overwrite, ours=ours, what=what) as draft,
+        draft.open("w", encoding="utf-8", newline="") as file,
+    ):
+        if suffix == ".gpx":
+            file.writelines(f"{line}\n" for line in _gpx_lines(route))
+        elif suffix == ".csv":
+            writer_ = csv.writer(file, lineterminator="\n")
+            writer_.writerow(COLUMNS)
+            writer_.writerows(_rows(route))
+        else:
+            json.dump(mission(route) if suffix == ".plan" else route_graph(route), file, indent=1)
 
 
 def route_features(route: Route) -> list[Feature]:
     """A line for each stretch in one gear and one lane, in the order of driving."""
     found = []
-    for number, rows in enumerate(_stretches(route), 1):
+    for number, (rows, gear, lane) in enumerate(stretches(route), 1):
         line = shapely.LineString(np.column_stack([route.east_m[rows], route.north_m[rows]]))
         found.append(
             Feature(
                 "route",
                 line,
                 {
-                    "id": str(number), "gear": int(route.gear[rows.start]),
+                    "id": str(number), "gear": gear,
                     "length_m": float(line.length),
                     "clearance_m": float(route.clearance_m[rows].min()),
-                    "lane": str(route.lane[rows.start]) or None,
+                    "lane": lane or None,
                 },
             )
         )  # fmt: skip
     return found
-
-
-def _stretches(route: Route) -> list[slice]:
-    """The poses of each stretch in one gear and one lane, to the first pose of the next where the
-    gear stays."""
-    turns = np.diff(route.gear) != 0
-    ends = [0, *(np.flatnonzero(turns | (route.lane[:-1] != route.lane[1:])) + 1).tolist()]
-    stretches = [slice(a, b + (not turns[b - 1])) for a, b in itertools.pairwise(ends)]
-    return [*stretches, slice(ends[-1], len(route.gear))]
 
 
 def _rows(route: Route) -> Iterator[tuple[str, ...]]:
