@@ -52,6 +52,14 @@ def test_json_and_the_file_say_the_same(fieldgrid: Run, field: Path, tmp_path: P
     assert out.read_text().count("NaN") == 0
 
 
+def test_a_field_of_agopengps(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "north"
+    assert str(folder) in fieldgrid("rows", field, "--agopengps", folder).output()
+    tracks = (folder / "TrackLines.txt").read_text().splitlines()
+    assert [name for name in tracks if name.startswith("B1-")] == ["B1-L1", "B1-L2", "B1-L3"]
+    assert "exists already" in fieldgrid("rows", field, "--agopengps", folder).sentence()
+
+
 @pytest.mark.parametrize("suffix", ["gpkg", "csv", "kml", "dxf"])
 def test_the_ending_picks_the_format(
     fieldgrid: Run, field: Path, tmp_path: Path, suffix: str

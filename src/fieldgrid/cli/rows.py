@@ -45,6 +45,14 @@ def command(
             metavar="FILE", help="Surveyed points, .csv or .geojson, to compare the rows with."
         ),
     ] = None,
+    agopengps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Write a field of AgOpenGPS: boundaries, and a track a lane.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -62,6 +70,7 @@ def command(
     from fieldgrid.mapfile import open_map
     from fieldgrid.publish import refuse_input
     from fieldgrid.rows import crop_named, find_rows
+    from fieldgrid.rows.agopengps import write_agopengps
     from fieldgrid.rows.output import write_planting
     from fieldgrid.rows.report import against_survey, read_survey
 
@@ -88,6 +97,8 @@ def command(
             at=at,
         )
     compared = against_survey(planting, survey) if survey is not None else None
+    if agopengps is not None:
+        write_agopengps(planting, agopengps, overwrite=overwrite)
     if out is not None:
         write_planting(planting, out, overwrite=overwrite)
     if as_json:
@@ -107,8 +118,9 @@ def command(
                 ("within 3 sigma", output.percent(compared.within_3_sigma)),
             ),
         )
-    if out is not None:
-        output.print_line(f"{out}")
+    for written in (out, agopengps):
+        if written is not None:
+            output.print_line(f"{written}")
 
 
 def _print(planting: Planting) -> None:
