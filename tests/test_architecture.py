@@ -44,7 +44,7 @@ LAYERS = (
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile", "track_formats"),
     ("evidence",),
-    ("rows", "route"),
+    ("rows", "route", "changes"),
     ("coverage",),
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         local_grid,
         visual_odometry,
     )
+    from fieldgrid.changes import find_changes
     from fieldgrid.convert import convert_recording
     from fieldgrid.cost import CostCurve
     from fieldgrid.costmap import Costmap
@@ -67,6 +68,7 @@ _HOMES = {
     "export_geotiff": "export",
     "export_map": "export",
     "figures": "",
+    "find_changes": "changes",
     "find_rows": "rows",
     "inspect_recording": "inspection",
     "local_grid": "build",
@@ -110,6 +112,7 @@ __all__ = [
     "export_geotiff",
     "export_map",
     "figures",
+    "find_changes",
     "find_rows",
     "inspect_recording",
     "local_grid",

@@ -71,6 +71,15 @@ SHARE, BAND = "#a9c4e6", "#d5d5d5"
 
 ROUTE = "#00857c"
 
+CHANGED = {
+    "appeared": "#c1121f",
+    "vanished": "#1d6fd1",
+    "moved": "#7a5195",
+    "grown": "#006b2f",
+    "cut_back": "#8d5a34",
+}
+"""What became of an object between two moments."""
+
 FEATURES = {
     "row": "#006b2f",
     "lane": "#ffc800",
@@ -80,6 +89,7 @@ FEATURES = {
     "obstacle": "#d02020",
     "trajectory": "#ffa500",
     "route": ROUTE,
+    **CHANGED,
 }
 """By kinds of features, on pictures from above."""
 

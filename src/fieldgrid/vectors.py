@@ -79,7 +79,7 @@ def geojson(features: Sequence[Feature], datum: Datum) -> dict[str, Any]:
 
 def plain_properties(feature: Feature) -> dict[str, Any]:
     """The properties as JSON has them: null for what is not known, lists for tuples."""
-    return {key: _plain(value) for key, value in feature.properties.items()}
+    return {key: _plain(value, key) for key, value in feature.properties.items()}
 
 
 def in_degrees(geometry: Any, datum: Datum) -> Any:
@@ -94,11 +94,12 @@ def in_degrees(geometry: Any, datum: Datum) -> Any:
     return shapely.transform(shapely.force_2d(geometry), turned)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, key: str = "") -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
-        return round(value, 4) if math.isfinite(value) else None
+        digits = _DECIMALS if key in ("lat_deg", "lon_deg") else 4
+        return round(value, digits) if math.isfinite(value) else None
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -123,7 +124,7 @@ def _write_csv(path: Path, features: Sequence[Feature], datum: Datum, overwrite:
         writer = csv.DictWriter(table, columns, restval="")
         writer.writeheader()
         for feature in features:
-            row = {k: _text(v) for k, v in feature.properties.items()}
+            row = {k: _text(v, k) for k, v in feature.properties.items()}
             wkt = shapely.to_wkt(feature.geometry, rounding_precision=3)
             writer.writerow({"kind": feature.kind, **row, "wkt_m": wkt})
 
@@ -132,8 +133,8 @@ def _columns(features: Sequence[Feature]) -> list[str]:
     return list(dict.fromkeys(key for f in features for key in f.properties))
 
 
-def _text(value: Any) -> Any:
-    plain = _plain(value)
+def _text(value: Any, key: str = "") -> Any:
+    plain = _plain(value, key)
     if isinstance(plain, list):
         return " ".join(str(one) for one in plain)
     return "" if plain is None else plain
@@ -170,7 +171,7 @@ def _placemark(folder: ElementTree.Element, feature: Feature, datum: Datum) -> N
     extended = ElementTree.SubElement(mark, "ExtendedData")
     for key, value in feature.properties.items():
         data = ElementTree.SubElement(extended, "Data", name=key)
-        ElementTree.SubElement(data, "value").text = str(_text(value))
+        ElementTree.SubElement(data, "value").text = str(_text(value, key))
     shape = in_degrees(feature.geometry, datum)
     parts = list(getattr(shape, "geoms", [shape]))
     holder = mark if len(parts) == 1 else ElementTree.SubElement(mark, "MultiGeometry")
@@ -242,7 +243,7 @@ def _by_gdal(
         kinds.pop() if len(kinds) == 1 else "Unknown",
         np.array([f.geometry for f in features], dtype=object),
         {
-            name: _column([_plain(f.properties.get(name)) for f in features])
+            name: _column([_plain(f.properties.get(name), name) for f in features])
             for name in _columns(features)
         },
     )

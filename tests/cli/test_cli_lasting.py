@@ -15,8 +15,11 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+import shapely
 
 from fieldgrid.mapfile import Change, open_map
+from fieldgrid.palette import CHANGED, rgb
+from tests.changes.worlds import Box, Drive, lane, world_map
 from tests.cli.conftest import Run
 from tests.mapfile.content import content
 from tests.mapfile.maps import one_cell, write_map
@@ -260,6 +263,37 @@ def test_diff(fieldgrid: Run, seasons: Path, tmp_path: Path) -> None:
         "neither a session of"
         in fieldgrid("diff", seasons, "--from", "june", "--to", "1").sentence()
     )
+
+
+def test_diff_of_objects(fieldgrid: Run, tmp_path: Path) -> None:
+    crate = Box(-1.5, 4.0, -0.7, 4.6)
+    drives: dict[str, Drive] = {"june": ([], lane(0.0)), "july": ([crate], lane(0.04, 100))}
+    path = world_map(tmp_path / "map.gpkg", drives)
+    asked = ["diff", path, "--from", "june", "--to", "july"]
+    text = fieldgrid(*asked).output()
+    assert re.search(r"^c1 +appeared +0\.\d\d +-1\.\d\d m +4\.\d\d m .* july, june$", text, re.M)
+    assert "no object changed" in fieldgrid(*asked, "--min-area", "2").output()
+    (told,) = json.loads(fieldgrid(*asked, "--json").output())["objects"]
+    assert (told["kind"], told["stood"], told["freed"]) == ("appeared", ["july"], ["june"])
+    assert 0.9 < told["confidence"] <= 1.0
+    assert told["from_east_m"] is None
+    out, picture = tmp_path / "x.geojson", tmp_path / "x.png"
+    assert fieldgrid(*asked, "-o", out).output().splitlines()[-1] == f"objects {out}"
+    (feature,) = json.loads(out.read_text())["features"]
+    assert feature["properties"] == told
+    inside = shapely.box(*shapely.geometry.shape(feature["geometry"]).bounds)
+    assert inside.contains(shapely.Point(told["lon_deg"], told["lat_deg"]))
+    assert "exists already" in fieldgrid(*asked, "-o", out).sentence()
+    fieldgrid(*asked, "-o", out, "--overwrite").output()
+    fieldgrid(*asked, "-o", picture).output()
+    plain = tmp_path / "plain.png"
+    fieldgrid(*asked, "-o", plain, "--min-area", "2").output()
+    red = [
+        (cv2.imread(str(p))[..., ::-1] == rgb(CHANGED["appeared"])).all(2) for p in (picture, plain)
+    ]
+    assert red[0].sum() > red[1].sum() + 100  # its box and its text
+    sentence = fieldgrid(*asked, "--sigmas", "-1").sentence()
+    assert "A number of sigmas of -1.0 is outside 0..100" in sentence
 
 
 # --- as of a date

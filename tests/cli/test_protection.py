@@ -42,7 +42,7 @@ def tree(folder: Path) -> dict[Path, bytes]:
         ("export MAP MAP --overwrite", "which no export replaces"),
         ("merge MAP -o MAP --overwrite", "is read here and never replaced"),
         ("merge MAP -o IMAGE --overwrite", "is not a map that fieldgrid has written"),
-        ("diff MAP --from 2000-01-01 --to june -o MAP", "end it in .png, .pdf or .svg"),
+        ("diff MAP --from 2000-01-01 --to june -o MAP", "is read here and never replaced"),
     ],
 )
 def test_no_input_is_replaced(

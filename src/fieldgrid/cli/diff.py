@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fieldgrid.cli import options, output
+
+if TYPE_CHECKING:
+    from fieldgrid.changes import Changes
+
+_OBJECTS = "Objects"
+_LAYER, _TABLES = (".tif", ".tiff"), (".geojson", ".json", ".gpkg", ".csv", ".kml", ".dxf")
 
 
 def command(
@@ -20,51 +26,123 @@ def command(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="A picture (.png) or a layer (.tif)."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A picture (.png), a layer of cells (.tif), or the objects (.geojson, .gpkg, "
+            ".csv, .kml, .dxf).",
+        ),
+    ] = None,
+    min_area: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M2", help="Smallest object [default: 0.05].", rich_help_panel=_OBJECTS
+        ),
+    ] = None,
+    min_confidence: Annotated[
+        float | None,
+        typer.Option(
+            metavar="P", help="Least confidence, 0 to 1 [default: 0.5].", rich_help_panel=_OBJECTS
+        ),
+    ] = None,
+    sigmas: Annotated[
+        float | None,
+        typer.Option(
+            metavar="K",
+            help="What is nearer than so many sigma of both positions to what the other side saw "
+            "is no change [default: 3].",
+            rich_help_panel=_OBJECTS,
+        ),
+    ] = None,
+    growth: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="What reaches no further from what stood before is growth [default: 0.4].",
+            rich_help_panel=_OBJECTS,
+        ),
+    ] = None,
+    moved: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="How far an object may have moved [default: 3].",
+            rich_help_panel=_OBJECTS,
+        ),
+    ] = None,
+    position_sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="1-sigma error of the drives' places against each other, in place of what the "
+            "frames say.",
+            rich_help_panel=_OBJECTS,
+        ),
     ] = None,
     cell: options.Cell = None,
     bounds: options.BoundsValues = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare what drives up to one date knew with what later ones found, cell by cell.
+    """Compare what drives up to one date knew with what later ones found.
 
-    In each cell the latest drive that observed it counts, on either side.
+    Prints the ground that changed, cell by cell, and the objects that appeared, vanished, moved,
+    grew or were cut back. In each cell the latest drive that observed it counts, on either side.
 
     Examples:
 
         fieldgrid diff vineyard.gpkg --from june-03 --to june-17 -o change.png
 
-        fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30
+        fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30 -o change.geojson
     """
-    is_layer = out is not None and out.suffix.lower() in {".tif", ".tiff"}
-    if overwrite and not is_layer:
-        raise typer.BadParameter("it is for a layer, --out FILE.tif", param_hint="--overwrite")
+    ending = "" if out is None else out.suffix.lower()
+    if overwrite and ending not in (*_LAYER, *_TABLES):
+        raise typer.BadParameter(
+            "it is for a layer or objects, --out FILE.tif or FILE.geojson",
+            param_hint="--overwrite",
+        )
+    from fieldgrid.changes import find_changes
     from fieldgrid.lattice import check_inside
     from fieldgrid.mapfile import MEANING, open_map
 
+    given = {
+        "min_area_m2": min_area,
+        "min_confidence": min_confidence,
+        "sigmas": sigmas,
+        "growth_m": growth,
+        "moved_m": moved,
+        "position_sigma_m": position_sigma,
+    }
     crop = options.bounds(bounds)
     with open_map(map_) as universal:
         if crop is not None:
             check_inside(crop, universal.bounds)
-        view = universal.diff(from_, to, crop, cell)
+        changes = find_changes(
+            universal,
+            from_,
+            to,
+            bounds=crop,
+            cell_m=cell,
+            **{name: value for name, value in given.items() if value is not None},
+        )
+    view = changes.view
     if out is not None:
-        if is_layer:
-            from fieldgrid.export import export_change
-
-            export_change(view, out, overwrite=overwrite)
-        else:
-            from fieldgrid.figures import change, save
-
-            save(change(view), out)
+        _write(changes, out, map_, overwrite=overwrite)
     areas = {kind: view.area_m2(kind) for kind in MEANING}
     if as_json:
+        from fieldgrid.changes.output import change_features
+        from fieldgrid.vectors import plain_properties
+
         output.print_json(
             {
                 "map": str(map_),
                 "before": list(view.before),
                 "after": list(view.after),
                 "area_m2": {kind.name.lower(): area for kind, area in areas.items()},
+                "objects": [
+                    {"kind": one.kind, **plain_properties(one)} for one in change_features(changes)
+                ],
             }
         )
         return
@@ -77,5 +155,47 @@ def command(
         ],
         title=f"{', '.join(view.after)} against {', '.join(view.before)}",
     )
+    _print_objects(changes)
     if out is not None:
-        output.print_line(f"{'layer' if is_layer else 'figure'} {out}")
+        kind = "layer" if ending in _LAYER else "objects" if ending in _TABLES else "figure"
+        output.print_line(f"{kind} {out}")
+
+
+def _write(changes: Changes, out: Path, map_: Path, *, overwrite: bool) -> None:
+    ending = out.suffix.lower()
+    if ending in _LAYER:
+        from fieldgrid.export import export_change
+
+        export_change(changes.view, out, overwrite=overwrite)
+    elif ending in _TABLES:
+        from fieldgrid.changes.output import write_changes
+        from fieldgrid.publish import refuse_input
+
+        refuse_input(out, [map_])
+        write_changes(changes, out, overwrite=overwrite)
+    else:
+        from fieldgrid.figures import change, save
+
+        save(change(changes.view, changes), out)
+
+
+def _print_objects(changes: Changes) -> None:
+    if not changes:
+        output.print_line("no object changed, as far as these drives can tell")
+        return
+    output.print_table(
+        ("object", "change", "m²", "east", "north", "size", "sure", "seen by"),
+        [
+            (
+                o.id,
+                o.kind.value.replace("_", " "),
+                f"{o.area_m2:.2f}",
+                output.number(o.east_m, 2, "m"),
+                output.number(o.north_m, 2, "m"),
+                f"{o.length_m:.1f} x {o.width_m:.1f} m",
+                output.percent(o.confidence, 0),
+                ", ".join(dict.fromkeys((*o.stood, *o.freed))),
+            )
+            for o in changes
+        ],
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,12 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
 from fieldgrid import palette
 from fieldgrid.array_types import Float64
+from fieldgrid.changes import ChangedObject
 from fieldgrid.figures.drives import Drive
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
+from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
 from fieldgrid.palette import ROUTE, UNSEEN
@@ -129,11 +132,15 @@ def _mark_frames(axes: Axes, drives: Sequence[Drive], view: MapView) -> None:
             )
 
 
-def change(view: ChangeView, *, title: str = "") -> Figure:
-    """What changed between two moments: a colour for what became of each cell."""
+def change(view: ChangeView, objects: Sequence[ChangedObject] = (), *, title: str = "") -> Figure:
+    """What changed between two moments: a colour for what became of each cell.
+
+    With `objects` each is outlined in the colour of its kind, with its id, kind, area and
+    confidence beside it; where one moved from has an arrow.
+    """
     bounds = view.bounds
     width_in, height_in = size_of(bounds)
-    figure = new_figure((width_in + 3.8, height_in + 1.4))
+    figure = new_figure((width_in + 4.4, height_in + 1.4))
     axes = figure.add_subplot()
     colours = [palette.CHANGES[kind.name.lower()] for kind in Change]
     axes.imshow(
@@ -146,11 +153,48 @@ def change(view: ChangeView, *, title: str = "") -> Figure:
         interpolation="none",
         aspect="equal",
     )
+    _mark_objects(axes, objects, bounds)
     name_axes(axes, title or f"{', '.join(view.after)} against {', '.join(view.before)}")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)
     legend = [
         Patch(facecolor=colour, edgecolor="0.6", label=MEANING[kind])
         for kind, colour in zip(Change, colours, strict=True)
     ]
+    legend += [
+        Patch(
+            facecolor="none",
+            edgecolor=palette.CHANGED[kind],
+            linewidth=2.0,
+            label=f"object: {kind}",
+        )
+        for kind in dict.fromkeys(o.kind.value for o in objects)
+    ]
     figure.legend(handles=legend, loc="outside right upper", fontsize="small")
     return figure
+
+
+def _mark_objects(axes: Axes, objects: Sequence[ChangedObject], bounds: Bounds) -> None:
+    half_m = 0.015 * max(bounds.east_m - bounds.west_m, bounds.north_m - bounds.south_m)
+    for o in objects:
+        colour = palette.CHANGED[o.kind.value]
+        west_m, south_m, east_m, north_m = o.area.buffer(half_m).bounds
+        axes.add_patch(
+            Rectangle(
+                (west_m, south_m), east_m - west_m, north_m - south_m,
+                fill=False, edgecolor=colour, linewidth=1.8,
+            )
+        )  # fmt: skip
+        if math.isfinite(o.from_east_m):
+            axes.annotate(
+                "", (o.east_m, o.north_m), (o.from_east_m, o.from_north_m),
+                arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.8},
+            )  # fmt: skip
+        axes.annotate(
+            f"{o.id} {o.kind.value} {o.area_m2:.2f} m², {o.confidence:.2f}",
+            (east_m, north_m),
+            xytext=(4, 2),
+            textcoords="offset points",
+            color=colour,
+            fontsize="small",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )

@@ -1,0 +1,31 @@
+"""Changes between drives as objects: what appeared, vanished, moved, grew or was cut back.
+
+Two good drives of one field differ at every edge. What counts as a change is what their
+positions, their frames and the sides from which they looked cannot explain; `docs/changes.md` has
+the definitions::
+
+    for changed in find_changes(universal, "june-03", "june-17"):
+        print(changed.kind, changed.area_m2, changed.east_m, changed.north_m, changed.confidence)
+"""
+
+from fieldgrid.changes.find import (
+    GROWTH_M,
+    MIN_AREA_M2,
+    MIN_CONFIDENCE,
+    MOVED_M,
+    SIGMAS,
+    find_changes,
+)
+from fieldgrid.changes.result import ChangedObject, ChangeKind, Changes
+
+__all__ = [
+    "GROWTH_M",
+    "MIN_AREA_M2",
+    "MIN_CONFIDENCE",
+    "MOVED_M",
+    "SIGMAS",
+    "ChangeKind",
+    "ChangedObject",
+    "Changes",
+    "find_changes",
+]

@@ -1,0 +1,169 @@
+"""What one frame says of cells: an obstacle stands there, or the ground is seen to be free.
+
+A *look* of a frame at a cell is an obstacle where a local cell above 100 lands in it, and free
+where only local cells up to 50 do. What is between is unsure and says nothing. A free look is
+*hidden*, and says nothing either, where something stands in the line of sight shortly before it: a
+camera that looks at ground beneath a plant does not see what stands above that ground. So the far
+face of a row, seen from its other side, is not new.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Index
+from fieldgrid.errors import ConfigError, FieldgridError
+from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import FrameRecord, SessionInfo
+from fieldgrid.rig import Rig, StereoCamera
+from fieldgrid.transfer import Transfer, footprint, land
+
+HIDDEN_FROM = 0.8
+"""A free look is hidden where an obstacle stands in its line of sight between this share of its
+distance and the cell: the ray passes it at less than a fifth of the camera's height."""
+
+APART_M = 0.5
+"""Frames from one stretch of the path of this length count as one look together."""
+
+
+class Look(NamedTuple):
+    """What a frame says of the cells of `window`, arrays [rows north, columns east].
+
+    `stands` is where an obstacle or something unsure is seen, `observed` where anything is, hidden
+    ground too. `pose_m2` is the variance of the
+    place along one axis by the sigma of position and heading, `range_m2` that by the sensor's
+    range.
+    """
+
+    window: Window
+    obstacle: Bool
+    free: Bool
+    stands: Bool
+    observed: Bool
+    pose_m2: Float32
+    range_m2: Float32
+
+
+class Looker(NamedTuple):
+    """A frame with what its look counts (1 over the frames of its stretch of the path), and the
+    growth of its sensor's range error: sigma = `range_sigma_1pm` · range²."""
+
+    frame: FrameRecord
+    reach: Window
+    weight: float
+    range_sigma_1pm: float
+    position_sigma_m: float
+
+    def look(self, lattice: Lattice, window: Window) -> Look | None:
+        """What the frame says of the cells of a window; None when it does not reach there."""
+        place = self.reach.intersect(window)
+        if place is None:
+            return None
+        pose, grid = self.frame.pose, self.frame.grid()
+        cell = land(grid, pose, lattice, place, Transfer.CENTRE).cell
+        hit = cell >= 0
+        at, size = cell[hit], place.width * place.height
+        density = grid.density[hit]
+
+        def where(chosen: Bool) -> Bool:
+            flags = np.zeros(size, dtype=np.bool_)
+            flags[at[chosen]] = True
+            return flags.reshape(place.shape)
+
+        obstacle, stands = where(density > OBSTACLE_ABOVE), where(density > FREE_UP_TO)
+        free = where((density <= FREE_UP_TO) & ~hidden(grid)[hit]) & ~stands
+        observed = where(np.ones(density.shape, dtype=np.bool_))
+        range_m = np.zeros(size, dtype=np.float32)
+        range_m[at] = _polar(grid.spec).range_m[hit]
+        range_m = range_m.reshape(place.shape)
+        heading = math.radians(pose.heading_sigma_deg)
+        return Look(
+            place,
+            obstacle,
+            free,
+            stands,
+            observed,
+            np.square(range_m * np.float32(heading)) + np.float32(self.position_sigma_m**2),
+            np.square(np.square(range_m) * np.float32(self.range_sigma_1pm)),
+        )
+
+
+def lookers(
+    frames: Sequence[FrameRecord],
+    info: SessionInfo,
+    lattice: Lattice,
+    position_sigma_m: float | None,
+) -> list[Looker]:
+    """The accepted frames of a session, in time order.
+
+    Raises ConfigError for a frame without sigma where `position_sigma_m` gives none.
+    """
+    accepted = [frame for frame in frames if frame.accepted]
+    places = np.array([(f.pose.east_m, f.pose.north_m) for f in accepted]).reshape(-1, 2)
+    along_m = np.cumsum(np.hypot(*np.diff(places, axis=0, prepend=places[:1]).T))
+    stretch = np.floor(along_m / APART_M).astype(np.int64)
+    _, number, count = np.unique(stretch, return_inverse=True, return_counts=True)
+    range_sigma_1pm = _range_sigma_1pm(info.config)
+    found = []
+    for frame, shared in zip(accepted, count[number], strict=True):
+        sigma_m = frame.pose.position_sigma_m if position_sigma_m is None else position_sigma_m
+        if not (math.isfinite(sigma_m) and math.isfinite(frame.pose.heading_sigma_deg)):
+            raise ConfigError(
+                f"Frame {frame.frame_id!r} of session {info.name!r} does not say how sure its pose "
+                "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
+                "poses again with `fieldgrid build --repose`."
+            )
+        reach = footprint(frame.spec, frame.pose, lattice)
+        found.append(Looker(frame, reach, 1.0 / int(shared), range_sigma_1pm, sigma_m))
+    return found
+
+
+def _range_sigma_1pm(config: Mapping[str, Any]) -> float:
+    """sigma_d / (f·b) of a session by a stereo pair; 0 where the error of ranges is not known."""
+    try:
+        sensor = Rig.from_dict(config["rig"]).sensor
+        sigma_px = config["settings"]["stereo"]["disparity_sigma_px"]
+    except (KeyError, TypeError, FieldgridError):
+        return 0.0
+    if not isinstance(sensor, StereoCamera) or not isinstance(sigma_px, int | float):
+        return 0.0
+    return float(sensor.range_sigma_m(1.0, sigma_px))
+
+
+class _Polar(NamedTuple):
+    """The cells of a local grid as seen from its origin, arrays [n_y, n_x]."""
+
+    range_m: Float32
+    bearing: Index
+    ring: Index
+    hidden_from: Index
+
+
+@lru_cache(maxsize=8)
+def _polar(spec: GridSpec) -> _Polar:
+    """Bearings in steps of one cell at half the grid's reach, ranges in steps of a cell."""
+    x, y = np.meshgrid(*spec.centres_m())
+    range_m: Float64 = np.hypot(x, y)
+    step = 2.0 * spec.cell_m / spec.reach_m
+    bearing = np.floor((np.arctan2(x, y) + math.pi / 2.0) / step).astype(np.intp)
+    ring = np.floor(range_m / spec.cell_m).astype(np.intp)
+    first = np.floor(range_m * HIDDEN_FROM / spec.cell_m).astype(np.intp)
+    return _Polar(range_m.astype(np.float32), bearing, ring, first)
+
+
+def hidden(grid: LocalGrid) -> Bool:
+    """The cells [n_y, n_x] with an obstacle shortly before them in the line of sight."""
+    polar = _polar(grid.spec)
+    stands = grid.observed & (grid.density > OBSTACLE_ABOVE)
+    rays = np.zeros((int(polar.bearing.max()) + 1, int(polar.ring.max()) + 2), dtype=np.int16)
+    rays[polar.bearing[stands], polar.ring[stands] + 1] = 1
+    before: AnyArray = np.cumsum(rays, axis=1, dtype=np.int16)
+    # `before[b, k]` counts the rings of a bearing that are nearer than ring k.
+    found: Bool = before[polar.bearing, polar.ring] > before[polar.bearing, polar.hidden_from]
+    return found

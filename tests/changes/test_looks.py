@@ -1,0 +1,48 @@
+"""What one frame says of cells."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fieldgrid.changes.looks import _range_sigma_1pm, hidden
+from fieldgrid.grids import GridSpec, LocalGrid
+from tests.scenes import paper_rig
+
+SPEC = GridSpec(width_m=4.0, length_m=6.0, cell_m=0.1)
+
+
+def test_what_lies_shortly_behind_an_obstacle_is_hidden() -> None:
+    density = np.zeros(SPEC.shape, dtype=np.uint8)
+    density[30, 18:22] = 200  # 3 m ahead
+    seen = hidden(LocalGrid(SPEC, density, np.ones(SPEC.shape, dtype=np.bool_)))
+    ahead = seen[:, 20]
+    assert not ahead[:31].any()
+    assert ahead[32:37].all()  # as far as 3.05 m / 0.8
+    assert not ahead[39:].any()
+    assert not seen[:, :10].any()
+    assert not seen[:, 30:].any()
+
+
+def test_an_unsure_cell_hides_nothing_nor_does_an_unseen_one() -> None:
+    density = np.full(SPEC.shape, 100, dtype=np.uint8)
+    assert not hidden(LocalGrid(SPEC, density, np.ones(SPEC.shape, dtype=np.bool_))).any()
+    density[:] = 200
+    assert not hidden(LocalGrid(SPEC, density, np.zeros(SPEC.shape, dtype=np.bool_))).any()
+
+
+def test_how_unsure_ranges_are_comes_from_the_session() -> None:
+    """R² · sigma_d / (f · b), with f = 780 px and b = 0.2 m."""
+    config: dict[str, Any] = {
+        "rig": paper_rig().as_dict(), "settings": {"stereo": {"disparity_sigma_px": 0.25}},
+    }  # fmt: skip
+    assert _range_sigma_1pm(config) == pytest.approx(0.25 / (780.0 * 0.2))
+
+
+@pytest.mark.parametrize(
+    "config", [{}, {"rig": None}, {"rig": {"camera": 3}}, {"rig": [], "settings": "no"}]
+)
+def test_a_session_that_does_not_say_has_exact_ranges(config: dict[str, Any]) -> None:
+    assert _range_sigma_1pm(config) == 0.0
