@@ -91,20 +91,23 @@ class Costmap:
         bounds: Bounds | None = None,
         cell_m: float | None = None,
         *,
+        layer: str = "density",
         at: str | int | None = None,
         curve: CostCurve | None = None,
         robot_radius_m: float = 0.0,
         inflation_m: float = 0.0,
         decay_per_m: float = 3.0,
     ) -> Self:
-        """The costs of a part of a map; `bounds`, `cell_m` and `at` as in `MapFile.read`.
+        """The costs of a part of a map; `bounds`, `cell_m` and `at` as in `MapFile.read`. `layer`
+        is the density, or `lasting`: without what stood in half of the drives or fewer.
 
         Raises ConfigError for settings that cannot be and for a part of more than 100 million
         cells or 40000 along a side.
         """
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        view = universal.read(bounds, cell_m, layers=universal.deciding(cell_m), at=at)
-        return cls._of(view, curve or CostCurve(), settings)
+        wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
+        view = universal.read(bounds, cell_m, layers=tuple(wanted), at=at)
+        return cls._of(view, curve or CostCurve(), settings, layer)
 
     @classmethod
     def from_view(
@@ -119,13 +122,13 @@ class Costmap:
         """The costs of a view that was read already; where its cells are larger than the map's
         own, with `DECISION_LAYERS`."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        return cls._of(view, curve or CostCurve(), settings)
+        return cls._of(view, curve or CostCurve(), settings, "density")
 
     @classmethod
-    def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation) -> Self:
+    def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation, layer: str) -> Self:
         _check_size(view)
         costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
-        costs[1:-1, 1:-1] = curve.cost(view.peak, view.seen_share)
+        costs[1:-1, 1:-1] = curve.cost(view.worst(layer), view.seen_share)
         to_obstacle = _distance_cells(costs != LETHAL)
         to_unknown = _distance_cells(costs != UNKNOWN_COST)
         _inflate(costs, to_obstacle, inflation, view.lattice)

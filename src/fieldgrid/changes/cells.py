@@ -118,7 +118,8 @@ def seen_by(drives: Drives, lattice: Lattice, window: Window) -> Seen:
     total = _unseen(window)
     for number, lookers in enumerate(drives.lookers.values()):
         one = _seen_by_one(lookers, lattice, window, number)
-        for array, values in zip(total, one, strict=True):
+        pairs: Iterator[Any] = zip(total, one, strict=True)
+        for array, values in pairs:
             np.copyto(array, values, where=one.drive >= 0)
     return total
 

@@ -59,7 +59,7 @@ class Holds(StrEnum):
 
     ANY = "any layer"
     GREY = "layers of whole numbers from 0 to 255"
-    OCCUPANCY = "the layers density and max"
+    OCCUPANCY = "the layers density, lasting and max"
     SHAPES = "what is traced from the density"
     MAP = "the density of the map as it is"
 
@@ -215,7 +215,7 @@ def _check_layer(chosen: Format, layer: str) -> None:
     fits = {
         Holds.ANY: True,
         Holds.GREY: LAYERS[layer].dtype == "uint8",
-        Holds.OCCUPANCY: layer in ("density", "max"),
+        Holds.OCCUPANCY: layer in ("density", "lasting", "max"),
         Holds.SHAPES: layer == "density",
         Holds.MAP: layer == "density",
     }

@@ -29,6 +29,7 @@ from fieldgrid.layers.registry import (
     groups_of,
     register_group,
     register_layer,
+    stored_groups,
     unregister,
 )
 from fieldgrid.layers.traversability import Mobility, traversability
@@ -53,6 +54,7 @@ __all__ = [
     "groups_of",
     "register_group",
     "register_layer",
+    "stored_groups",
     "traversability",
     "unregister",
 ]

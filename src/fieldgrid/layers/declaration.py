@@ -102,6 +102,9 @@ class ChannelGroup:
     the channels from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0.
+
+    A group without channels is *derived*: its overview channels follow from base cells of the
+    groups before it, and are stored nowhere.
     """
 
     name: str
@@ -111,6 +114,11 @@ class ChannelGroup:
     overview: tuple[OverviewChannel, ...] = ()
     expected: Callable[[UInt64, UInt64], UInt64] | None = None
     frame: tuple[str, ...] = ()
+
+    @property
+    def derived(self) -> bool:
+        """Whether the group has no channels of its own, so that nothing of it is stored."""
+        return not self.channels
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from fieldgrid.layers import (
     ground,
     height,
     highest,
+    lasting,
     relief,
     sessions,
     traversability,
@@ -39,10 +40,11 @@ def register_group(group: ChannelGroup) -> None:
     if group.name in _GROUPS or twice:
         what = f"channel {min(twice)!r}" if twice else f"channel group {group.name!r}"
         raise ConfigError(f"There is a {what} already; give it another name.")
-    if not group.name.isidentifier() or (group.fold is None) == (group.of_session is None):
+    sources = (group.fold is not None) + (group.of_session is not None)
+    if not group.name.isidentifier() or sources != (0 if group.derived else 1):
         raise ConfigError(
             f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
-            "or a function of a session's cells."
+            "or a function of a session's cells; neither, if it has no channels."
         )
     _GROUPS[group.name] = group
 
@@ -75,6 +77,11 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
     return wanted
 
 
+def stored_groups() -> tuple[str, ...]:
+    """The channel groups that the tiles of a new map hold: all but derived ones."""
+    return tuple(name for name, group in _GROUPS.items() if not group.derived)
+
+
 def groups_of(layers: Iterable[str]) -> tuple[str, ...]:
     """The channel groups that layers are made of, in the order of their registration."""
     wanted = {name for layer in layers for name in _LAYERS[layer].groups} | {density.GROUP.name}
@@ -92,6 +99,7 @@ for _group in (
     count.GROUP,
     highest.GROUP,
     sessions.GROUP,
+    lasting.GROUP,
     height.GROUP,
     ground.GROUP,
     relief.GROUP,
@@ -105,6 +113,10 @@ for _layer in (
     highest.MAX,
     sessions.SESSIONS,
     sessions.PERSISTENCE,
+    lasting.STATIC,
+    lasting.SEASONAL,
+    lasting.PASSING,
+    lasting.LASTING,
     height.HEIGHT,
     ground.GROUND,
     ground.SIGMA,

@@ -62,6 +62,8 @@ class WindowFold:
         inside = (slice(None), *self._window.slices_of(part or self._window))
         arrays: dict[str, UInt64] = {}
         for group in self._groups:
+            if group.derived:
+                continue
             if group.of_session is None:
                 channels = np.ascontiguousarray(self._done[group.name][inside])
             else:

@@ -173,10 +173,10 @@ def _own_cells(
     one of `multiple`."""
     if request.sessions is not None or not _stored(header, request, groups):
         return session_source(evidence, header, request, groups), multiple
-    tables, level = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups), 0
-    while level < evidence.levels() and multiple % 2 == 0:
+    level, derived = 0, any(group.derived for group in groups)
+    while not derived and level < evidence.levels() and multiple % 2 == 0:
         level, multiple = level + 1, multiple // 2
-    return StoredLevel(tables, level), multiple
+    return StoredLevel(_tables(evidence, header, groups), level, groups), multiple
 
 
 def session_source(
@@ -187,8 +187,8 @@ def session_source(
     if names is None:
         names = tuple(info.name for info in evidence.active())
     if request.lattice == header.lattice and _stored(header, request, groups):
-        tables = TileTables(evidence.connection, TileMatrixSet(header.lattice), groups)
-        return StoredSessions(tables, evidence.session_ids(names))
+        tables = _tables(evidence, header, groups)
+        return StoredSessions(tables, evidence.session_ids(names), groups)
     near = request.lattice.bounds(request.window)
     frames = evidence.accepted(near, names, request.frame_filter)
     _check_cells(request.lattice, frames)
@@ -199,7 +199,14 @@ def session_source(
 def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
     """Whether tiles hold what is asked for, by the rule that is asked for."""
     by_own_rule = request.transfer is header.transfer and request.frame_filter is None
-    return by_own_rule and {group.name for group in groups} <= set(header.groups)
+    wanted = {group.name for group in groups if not group.derived}
+    return by_own_rule and wanted <= set(header.groups)
+
+
+def _tables(evidence: Evidence, header: Header, groups: tuple[ChannelGroup, ...]) -> TileTables:
+    """The tiles of the groups that are stored."""
+    stored = [group for group in groups if not group.derived]
+    return TileTables(evidence.connection, TileMatrixSet(header.lattice), stored)
 
 
 def reach_cells(request: Request) -> float:

@@ -32,10 +32,11 @@ class SessionSource(CellSource, Protocol):
 
 
 class StoredLevel:
-    """The tiles over all sessions of a zoom level; `level` counts from the base."""
+    """The tiles over all sessions of a zoom level; `level` counts from the base, where alone
+    derived groups follow from them."""
 
-    def __init__(self, tables: TileTables, level: int) -> None:
-        self._tables = tables
+    def __init__(self, tables: TileTables, level: int, groups: Sequence[ChannelGroup]) -> None:
+        self._tables, self._groups = tables, groups
         self._zoom, self._level = tables.matrices.base_zoom - level, level
 
     def merged(self, window: Window) -> Cells | None:
@@ -45,7 +46,7 @@ class StoredLevel:
             cells = self._tables.cells(self._zoom, tile)
             if cells is not None:
                 if self._level == 0:
-                    cells = with_overviews(self._tables.groups, cells)
+                    cells = with_overviews(self._groups, cells)
                 found.append((tile_window(tile), cells))
         return assembled(window, found)
 
@@ -53,13 +54,15 @@ class StoredLevel:
 class StoredSessions:
     """The base tiles of some sessions, by their row ids in the order of their drives."""
 
-    def __init__(self, tables: TileTables, names: Mapping[int, str]) -> None:
-        self._tables = tables
+    def __init__(
+        self, tables: TileTables, names: Mapping[int, str], groups: Sequence[ChannelGroup]
+    ) -> None:
+        self._tables, self._groups = tables, groups
         self._names = names
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
-        groups = self._tables.groups
+        groups = self._groups
         total: dict[TileIndex, Cells] = {}
         for tile, session_id in self._tables.sessions_near(window):
             if session_id in self._names:
@@ -75,9 +78,7 @@ class StoredSessions:
         for session_id, name in self._names.items():
             tiles = [tile for tile, other in near if other == session_id]
             cells = ((tile, self._tables.session_cells(session_id, tile)) for tile in tiles)
-            found = (
-                (tile_window(tile), with_overviews(self._tables.groups, one)) for tile, one in cells
-            )
+            found = ((tile_window(tile), with_overviews(self._groups, one)) for tile, one in cells)
             whole = assembled(window, found)
             if whole is not None:
                 yield name, whole

@@ -8,7 +8,7 @@ from pathlib import Path
 from fieldgrid.errors import MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers import GROUPS
+from fieldgrid.layers import stored_groups
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.database import connect, explained, keep_one_file, reading, writing
 from fieldgrid.mapfile.header import Header, read_header
@@ -80,7 +80,7 @@ def create_map(
     """
     path = Path(path)
     lattice = Lattice(DEFAULT_CELL_M if cell_m is None else cell_m)
-    header = Header(datum, lattice, transfer or Transfer.CENTRE, tuple(GROUPS))
+    header = Header(datum, lattice, transfer or Transfer.CENTRE, stored_groups())
     draft = Draft(
         path,
         overwrite=overwrite,

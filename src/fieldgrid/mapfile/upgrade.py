@@ -15,7 +15,7 @@ import numpy as np
 
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec
-from fieldgrid.layers import GROUPS
+from fieldgrid.layers import stored_groups
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.derived import rebuild
@@ -60,7 +60,7 @@ def upgraded(header: Header) -> Header:
     """The settings of a map once it is of the present format."""
     if header.version == schema.FORMAT_VERSION:
         return header
-    return header._replace(groups=tuple(GROUPS), version=schema.FORMAT_VERSION)
+    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
 
 
 def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) -> sqlite3.Connection:
@@ -112,7 +112,7 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
         "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
         (str(schema.FORMAT_VERSION),),
     )
-    rebuild(connection, path, header, tuple(GROUPS))
+    rebuild(connection, path, header, stored_groups())
 
 
 def _copy_frames(connection: sqlite3.Connection) -> set[int]:

@@ -14,7 +14,7 @@ from itertools import chain, islice
 from pathlib import Path
 
 from fieldgrid.errors import MapError
-from fieldgrid.layers import GROUPS
+from fieldgrid.layers import GROUPS, stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
 from fieldgrid.mapfile.codec import cells_sha256
@@ -228,9 +228,9 @@ def repair(
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
-    derived.rebuild(connection, path, header, tuple(GROUPS), jobs)
+    derived.rebuild(connection, path, header, stored_groups(), jobs)
     renew_file(connection)
-    return tuple(GROUPS)
+    return stored_groups()
 
 
 def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:

@@ -1,0 +1,94 @@
+"""What lasts and what passes: obstacles by the drives that saw them standing.
+
+The classes are those of the map's own cells. They follow from the channels of the sessions and are
+stored nowhere; a larger cell has what is highest in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid import palette
+from fieldgrid.array_types import AnyArray, Bool, UInt64
+from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.layers.declaration import (
+    Cells,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+)
+from fieldgrid.layers.density import DENSITIES, mean
+
+_LEAST = 2
+"""Sessions that must have seen a place to say what lasts there."""
+
+
+def _static(cells: Cells) -> UInt64:
+    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
+    return _flags((seen >= _LEAST) & (stood == seen))
+
+
+def _seasonal(cells: Cells) -> UInt64:
+    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
+    return _flags((stood >= 2) & (stood < seen))
+
+
+def _passing(cells: Cells) -> UInt64:
+    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
+    return _flags((stood == 1) & (seen >= _LEAST))
+
+
+def _lasting(cells: Cells) -> UInt64:
+    """The density, 0 where most drives, or half of them, saw no obstacle, and that of an obstacle
+    where most saw one: the mean over all is less where some saw far more of a cell."""
+    stood, seen, density = cells["obstacle_sessions"], cells["seen_sessions"], mean(cells)
+    stays = np.uint64(2) * stood > seen
+    kept = np.where(stays, np.maximum(density, OBSTACLE_ABOVE + 1), density)
+    return np.where(stays | (stood == 0), kept, 0).astype(np.uint64)
+
+
+def _flags(where: Bool) -> UInt64:
+    return where.astype(np.uint64)
+
+
+GROUP = ChannelGroup(
+    "lasting",
+    (),
+    overview=(
+        OverviewChannel("static", Combine.MAX, _static),
+        OverviewChannel("seasonal", Combine.MAX, _seasonal),
+        OverviewChannel("passing", Combine.MAX, _passing),
+        OverviewChannel("lasting_peak", Combine.MAX, _lasting),
+    ),
+)
+
+
+def _layer(name: str, meaning: str) -> Layer:
+    def values(cells: Cells) -> AnyArray:
+        return cells[name]
+
+    groups = "density", "sessions", GROUP.name
+    return Layer(name, "uint8", "", meaning, groups, values, None, _CLASS)
+
+
+_CLASS = Colours((palette.DENSITY[0].colour, palette.DENSITY[-1].colour), 0.0, 1.0)
+
+STATIC = _layer("static", "1: an obstacle in every session that observed the cell, two at least")
+SEASONAL = _layer(
+    "seasonal", "1: an obstacle in two or more of the sessions that observed the cell, not in all"
+)
+PASSING = _layer("passing", "1: an obstacle in one only of the sessions that observed the cell")
+
+LASTING = Layer(
+    "lasting",
+    "uint8",
+    "",
+    "highest density of the base cells in the cell, 0 where half of the sessions or more that "
+    "observed one saw no obstacle",
+    ("density", "sessions", GROUP.name),
+    lambda cells: cells["lasting_peak"],
+    None,
+    DENSITIES,
+)
