@@ -277,6 +277,13 @@ def test_a_view_as_xarray(path: Path) -> None:
         ("2026-06-04T23:59+05:00", ["1", "0"]),
         ("2030-01-01T00:00:00Z", ["1", "0", "2"]),
         (1_780_272_000_000_000_000 + 4 * DAY_NS, ["1", "0"]),
+        ("0..", ["0", "2"]),
+        ("..0", ["1", "0"]),
+        ("0..0", ["0"]),
+        ("..", ["1", "0", "2"]),
+        ("2026-06-02..2026-06-04", ["0"]),
+        ("2026-06-01..0", ["1", "0"]),
+        ("2026-06-04..2030-01-01", ["0", "2"]),
     ],
 )
 def test_a_map_as_of_a_session_or_a_date(path: Path, at: str | int, names: list[str]) -> None:
@@ -291,7 +298,7 @@ def test_a_map_as_of_a_session_or_a_date(path: Path, at: str | int, names: list[
         np.testing.assert_array_equal(view.observed, other.observed)
 
 
-@pytest.mark.parametrize("at", ["june", "2026-13-01", "2026-6-1", ""])
+@pytest.mark.parametrize("at", ["june", "2026-13-01", "2026-6-1", "", "june..2", "0..june"])
 def test_what_is_neither_a_session_nor_a_date(path: Path, at: str) -> None:
     with open_map(path) as universal, pytest.raises(ConfigError, match="neither a session"):
         universal.read(at=at)
@@ -300,6 +307,14 @@ def test_what_is_neither_a_session_nor_a_date(path: Path, at: str) -> None:
 def test_before_the_first_drive_there_is_no_map(path: Path) -> None:
     with open_map(path) as universal, pytest.raises(ConfigError, match="no session up to 2026-05"):
         universal.read(at="2026-05-31")
+
+
+def test_in_a_season_without_a_drive_there_is_no_map(path: Path) -> None:
+    with (
+        open_map(path) as universal,
+        pytest.raises(ConfigError, match=r"session in 2026-06-02\.\."),
+    ):
+        universal.read(at="2026-06-02..2026-06-03")
 
 
 # --- change

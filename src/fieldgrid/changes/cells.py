@@ -98,19 +98,20 @@ def changed_cells(
     before: Drives, after: Drives, lattice: Lattice, window: Window, sigmas: float
 ) -> tuple[Changed, Changed]:
     """The cells of a window that appeared, and those that vanished."""
-    margin = math.ceil(MARGIN_M * lattice.cells_per_m)
-    wide = Window(
-        window.i0 - margin,
-        window.j0 - margin,
-        window.width + 2 * margin,
-        window.height + 2 * margin,
-    )
+    wide = surroundings(window, lattice)
     inside = wide.slices_of(window)
     old, new = (seen_by(drives, lattice, wide) for drives in (before, after))
     return (
         _changed(new, old, lattice, window, inside, sigmas),
         _changed(old, new, lattice, window, inside, sigmas),
     )
+
+
+def surroundings(window: Window, lattice: Lattice) -> Window:
+    """A window and what lies within `MARGIN_M` of it."""
+    margin = math.ceil(MARGIN_M * lattice.cells_per_m)
+    i0, j0, width, height = window
+    return Window(i0 - margin, j0 - margin, width + 2 * margin, height + 2 * margin)
 
 
 def seen_by(drives: Drives, lattice: Lattice, window: Window) -> Seen:

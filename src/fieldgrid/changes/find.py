@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares
+from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, surroundings
 from fieldgrid.changes.looks import lookers
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.changes.result import ChangedObject, ChangeKind, Changes
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import Change, MapFile
 
 SIGMAS, GROWTH_M, MOVED_M, MIN_AREA_M2, MIN_CONFIDENCE = 3.0, 0.4, 3.0, 0.05, 0.5
@@ -55,15 +55,13 @@ def find_changes(
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise ConfigError(f"A {what} of {value} is outside 0..{most:g}.")
     view = universal.diff(from_, to, bounds, cell_m)
+    changed = np.isin(view.change, (Change.APPEARED, Change.VANISHED))
+    places = list(squares(view.window, changed))
     before, after = (
-        _drives(universal, names, view.lattice, position_sigma_m)
+        _drives(universal, names, view.lattice, places, position_sigma_m)
         for names in (view.before, view.after)
     )
-    changed = np.isin(view.change, (Change.APPEARED, Change.VANISHED))
-    parts = [
-        changed_cells(before, after, view.lattice, square, sigmas)
-        for square in squares(view.window, changed)
-    ]
+    parts = [changed_cells(before, after, view.lattice, place, sigmas) for place in places]
     found = list[ChangedObject]()
     if parts:
         appeared, vanished = (Changed.joined(cells) for cells in zip(*parts, strict=True))
@@ -84,13 +82,19 @@ def find_changes(
 
 
 def _drives(
-    universal: MapFile, names: Sequence[str], lattice: Lattice, position_sigma_m: float | None
+    universal: MapFile,
+    names: Sequence[str],
+    lattice: Lattice,
+    places: Sequence[Window],
+    position_sigma_m: float | None,
 ) -> Drives:
+    """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
+    wide = [surroundings(place, lattice) for place in places]
     return Drives(
         {
             name: lookers(
-                list(universal.frames(name, with_grid=True)), infos[name], lattice, position_sigma_m
+                universal.frames(name, with_grid=True), infos[name], lattice, wide, position_sigma_m
             )
             for name in names
         }

@@ -10,7 +10,8 @@ face of a row, seen from its other side, is not new.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -95,33 +96,40 @@ class Looker(NamedTuple):
 
 
 def lookers(
-    frames: Sequence[FrameRecord],
+    frames: Iterable[FrameRecord],
     info: SessionInfo,
     lattice: Lattice,
+    windows: Sequence[Window],
     position_sigma_m: float | None,
 ) -> list[Looker]:
-    """The accepted frames of a session, in time order.
+    """The accepted frames of a session that reach into any of the windows, in time order.
 
     Raises ConfigError for a frame without sigma where `position_sigma_m` gives none.
     """
-    accepted = [frame for frame in frames if frame.accepted]
-    places = np.array([(f.pose.east_m, f.pose.north_m) for f in accepted]).reshape(-1, 2)
-    along_m = np.cumsum(np.hypot(*np.diff(places, axis=0, prepend=places[:1]).T))
-    stretch = np.floor(along_m / APART_M).astype(np.int64)
-    _, number, count = np.unique(stretch, return_inverse=True, return_counts=True)
     range_sigma_1pm = _range_sigma_1pm(info.config)
-    found = []
-    for frame, shared in zip(accepted, count[number], strict=True):
-        sigma_m = frame.pose.position_sigma_m if position_sigma_m is None else position_sigma_m
-        if not (math.isfinite(sigma_m) and math.isfinite(frame.pose.heading_sigma_deg)):
+    found, stretches = list[tuple[int, Looker]](), Counter[int]()
+    along_m, last = 0.0, None
+    for frame in frames:
+        if not frame.accepted:
+            continue
+        pose = frame.pose
+        if last is not None:
+            along_m += math.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m)
+        last = pose
+        stretch = math.floor(along_m / APART_M)
+        stretches[stretch] += 1
+        reach = footprint(frame.spec, pose, lattice)
+        if all(reach.intersect(window) is None for window in windows):
+            continue
+        sigma_m = pose.position_sigma_m if position_sigma_m is None else position_sigma_m
+        if not (math.isfinite(sigma_m) and math.isfinite(pose.heading_sigma_deg)):
             raise ConfigError(
                 f"Frame {frame.frame_id!r} of session {info.name!r} does not say how sure its pose "
                 "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
                 "poses again with `fieldgrid build --repose`."
             )
-        reach = footprint(frame.spec, frame.pose, lattice)
-        found.append(Looker(frame, reach, 1.0 / int(shared), range_sigma_1pm, sigma_m))
-    return found
+        found.append((stretch, Looker(frame, reach, 1.0, range_sigma_1pm, sigma_m)))
+    return [one._replace(weight=1.0 / stretches[stretch]) for stretch, one in found]
 
 
 def _range_sigma_1pm(config: Mapping[str, Any]) -> float:

@@ -63,7 +63,8 @@ At = Annotated[
     typer.Option(
         "--at",
         metavar="SESSION|DATE",
-        help="The map as it was after this drive, or at the end of this day.",
+        help="The map as it was after this drive, or at the end of this day; FROM..TO: of the "
+        "drives of a season alone.",
         rich_help_panel=PART,
     ),
 ]

@@ -27,7 +27,7 @@ def until(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> list[Se
     ordered = in_drive_order(sessions)
     named = next((info for info in sessions if info.name == at), None)
     if named is None:
-        moment = at if isinstance(at, int) else _parsed_ns(at, sessions, path)
+        _, moment = (at, at) if isinstance(at, int) else _parsed_ns(at, sessions, path)
         return [
             info
             for info in ordered
@@ -42,13 +42,33 @@ def until(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> list[Se
     return ordered[: ordered.index(named) + 1]
 
 
-def _parsed_ns(text: str, sessions: Sequence[SessionInfo], path: Path) -> int:
+def during(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> list[SessionInfo]:
+    """`until`, or for `FROM..TO` the active sessions from one moment to another: from the drive, or
+    the beginning of the day, up to the other drive, or the end of its day. Either may be empty."""
+    if not isinstance(at, str) or ".." not in at or any(info.name == at for info in sessions):
+        return until(at, sessions, path)
+    first, last = at.split("..", 1)
+    found = until(last, sessions, path) if last else in_drive_order(sessions)
+    if not first:
+        return found
+    if any(info.name == first for info in sessions):
+        earlier = [info.name for info in until(first, sessions, path)][:-1]
+        return [info for info in found if info.name not in earlier]
+    start_ns, _ = _parsed_ns(first, sessions, path)
+    return [
+        info for info in found if info.last_time_ns is not None and info.last_time_ns >= start_ns
+    ]
+
+
+def _parsed_ns(text: str, sessions: Sequence[SessionInfo], path: Path) -> tuple[int, int]:
+    """The first and the last moment of a day; of a time, the same."""
     try:
         if len(text) == len("2026-06-03"):
             start = datetime.combine(date.fromisoformat(text), datetime.min.time(), UTC)
-            return _since_epoch_ns(start + timedelta(days=1)) - 1
+            return _since_epoch_ns(start), _since_epoch_ns(start + timedelta(days=1)) - 1
         moment = datetime.fromisoformat(text)
-        return _since_epoch_ns(moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+        at_ns = _since_epoch_ns(moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+        return at_ns, at_ns
     except (ValueError, OverflowError) as error:
         names = ", ".join(repr(info.name) for info in sessions) or "none"
         raise ConfigError(

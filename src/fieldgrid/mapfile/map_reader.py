@@ -99,7 +99,8 @@ class MapReader:
     def sessions_at(self, at: str | int) -> list[str]:
         """The names of the active sessions as of a moment, in the order of their drives.
 
-        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds.
+        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds; `FROM..TO`,
+        each a session or date or empty, is the drives of a season alone.
         """
         with reading(self._connection, self.path):
             return list(sessions_at(self._evidence, at, self.path))
@@ -143,7 +144,8 @@ class MapReader:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
         `layers` adds to the density: any of `fieldgrid.layers.LAYERS`. `at` is a session or a date:
-        the map as of then; `sessions` are some of them by name.
+        the map as of then, or `FROM..TO`: of the drives of a season (`sessions_at`); `sessions` are
+        some of them by name.
 
         With the map's own cell or a whole multiple of it, and its own rule, it comes from the
         stored tiles, of which only those within `bounds` are touched. Anything else is folded

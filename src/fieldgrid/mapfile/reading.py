@@ -21,7 +21,7 @@ from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touche
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome, unseen
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.history import until
+from fieldgrid.mapfile.history import during, until
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
@@ -282,11 +282,12 @@ def _draw_pictures(view: MapView, evidence: Evidence, header: Header, level: int
 
 
 def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...]:
-    """The active sessions as of a moment; ConfigError when there are none yet."""
-    found = tuple(info.name for info in until(at, evidence.sessions(), path))
+    """The active sessions as of a moment, or of `FROM..TO`; ConfigError when there are none."""
+    found = tuple(info.name for info in during(at, evidence.sessions(), path))
     if not found:
+        when = f"in {at}" if ".." in str(at) else f"up to {at}"
         raise ConfigError(
-            f"{path} has no session up to {at}; `fieldgrid sessions` lists the dates of its drives."
+            f"{path} has no session {when}; `fieldgrid sessions` lists the dates of its drives."
         )
     return found
 
