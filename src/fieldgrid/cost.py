@@ -19,6 +19,9 @@ from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 OCCUPIED, UNKNOWN_OCCUPANCY = 100, -1
 """Of nav_msgs/OccupancyGrid: an obstacle, and a cell of which nothing is known."""
 
+DENSITIES = ("density", "lasting", "max")
+"""The layers that hold densities, from which a cost can be made."""
+
 LEAST_SEEN = 0.5
 """The share of the map's own cells that must have been seen for a larger cell to be known."""
 

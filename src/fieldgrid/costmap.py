@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import Bool, Float32, Float64, Index, UInt8
-from fieldgrid.cost import INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
+from fieldgrid.cost import DENSITIES, INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -99,12 +99,17 @@ class Costmap:
         decay_per_m: float = 3.0,
     ) -> Self:
         """The costs of a part of a map; `bounds`, `cell_m` and `at` as in `MapFile.read`. `layer`
-        is the density, or `lasting`: without what stood in half of the drives or fewer.
+        is the density; `lasting`, without what stood in half of the drives or fewer; or `max`.
 
         Raises ConfigError for settings that cannot be and for a part of more than 100 million
         cells or 40000 along a side.
         """
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
+        if layer not in DENSITIES:
+            raise ConfigError(
+                f"The layer {layer!r} holds no density, so it has no cost; choose one of "
+                f"{', '.join(DENSITIES)}."
+            )
         wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
         view = universal.read(bounds, cell_m, layers=tuple(wanted), at=at)
         return cls._of(view, curve or CostCurve(), settings, layer)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.costmap import Costmap
+from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection, export_map
 from fieldgrid.mapfile import MapFile, open_map
 from tests.mapfile.maps import drive, one_cell, write_map
@@ -125,6 +126,8 @@ def test_planners_get_what_lasts(tmp_path: Path) -> None:
             lasting = Costmap.from_map(universal, cell_m=cell_m, layer="lasting", curve=None)
             assert lasting.cost(*SEEN_M) in (0, 255)  # a larger cell was seen too little
         assert Costmap.from_map(universal, layer="lasting").cost(*SEEN_M) == 0
+        with pytest.raises(ConfigError, match="'count' holds no density"):
+            Costmap.from_map(universal, layer="count")
         out = tmp_path / "lasting.yaml"
         export_map(universal, out, Selection(layer="lasting"))
         assert json.loads((tmp_path / "lasting.georef.json").read_text())["layer"] == "lasting"

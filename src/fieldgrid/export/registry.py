@@ -27,6 +27,7 @@ from typing import Any, NamedTuple, Protocol
 
 from pydantic import ValidationError
 
+from fieldgrid.cost import DENSITIES
 from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, MapFile, read_datum
@@ -215,7 +216,7 @@ def _check_layer(chosen: Format, layer: str) -> None:
     fits = {
         Holds.ANY: True,
         Holds.GREY: LAYERS[layer].dtype == "uint8",
-        Holds.OCCUPANCY: layer in ("density", "lasting", "max"),
+        Holds.OCCUPANCY: layer in DENSITIES,
         Holds.SHAPES: layer == "density",
         Holds.MAP: layer == "density",
     }
