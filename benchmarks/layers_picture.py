@@ -14,8 +14,8 @@ from fieldgrid.figures.grid import draw_grid
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 
-LAYERS = ("slope", "roughness", "step", "traversability")
-CELL_M, WIDTH_IN, HEIGHT_IN = 0.1, 12.0, 3.7
+LAYERS = ("slope", "roughness", "step", "traversability", "occupancy")
+CELL_M, WIDTH_IN, HEIGHT_IN = 0.1, 14.0, 3.5
 AREA = Bounds(-12.0, 55.0, 10.0, 80.0)
 """The ends of both lanes, and the headland."""
 

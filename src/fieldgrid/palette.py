@@ -32,6 +32,14 @@ DENSITY: Ramp = (
 )
 """3D density 0..255: pale is free, red to black is an obstacle, with an edge between them."""
 
+OCCUPANCY: Ramp = (
+    Stop(0.0, "#fdf8e7"),
+    Stop(0.5, "#d9ab4a"),
+    Stop(0.5, "#c23b2e"),
+    Stop(1.0, "#4a0a1c"),
+)
+"""Probabilities: the same colours, with the edge at one half."""
+
 VALUES: Ramp = (
     Stop(0.0, "#00224e"),
     Stop(0.125, "#123570"),

@@ -13,6 +13,7 @@ from fieldgrid.layers import (
     height,
     highest,
     lasting,
+    occupancy,
     relief,
     sessions,
     traversability,
@@ -103,6 +104,7 @@ for _group in (
     height.GROUP,
     ground.GROUP,
     relief.GROUP,
+    occupancy.GROUP,
 ):
     register_group(_group)
 
@@ -124,6 +126,7 @@ for _layer in (
     relief.ROUGHNESS,
     relief.STEP,
     traversability.TRAVERSABILITY,
+    occupancy.OCCUPANCY,
     density.PEAK,
     density.SEEN_SHARE,
 ):
