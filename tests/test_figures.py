@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.quiver import Quiver
@@ -26,6 +27,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from fieldgrid import figures, palette
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.figures.page import add_scale_bar
+from fieldgrid.figures.relief import contour_levels, hillshade
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -117,7 +119,7 @@ def place_of(axes: Axes, shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 
 def image_of(figure: Figure) -> AxesImage:
-    (image,) = figure.axes[0].get_images()
+    image, *_ = figure.axes[0].get_images()
     return image
 
 
@@ -296,6 +298,47 @@ def test_another_layer_has_its_own_scale_and_colours() -> None:
     assert np.ma.getmaskarray(image.get_array())[2, 5]
     assert image.colorbar is not None
     assert image.colorbar.ax.get_ylabel() == "height (m)"
+
+
+def test_heights_have_shades_and_contours() -> None:
+    """Ground that rises to the east by 0.2: the light comes from the north-west."""
+    heights = np.broadcast_to(0.1 * np.arange(WINDOW.width, dtype=np.float32), WINDOW.shape)
+    east_m = Lattice(0.5).centres(WINDOW)[0]
+    figure = figures.universal_grid(view(layers={"ground": heights}), layer="ground")
+    values, shades = figure.axes[0].get_images()
+    assert shades.get_extent() == values.get_extent() == [4.0, 12.0, -1.0, 3.0]
+    grey = np.asarray(shades.get_array())
+    assert (grey[:, 0, 3] == 0.0).all()  # not seen
+    assert (grey[:, 3:-3, :3] == 1.0).all()
+    assert (grey[:, 3:-3, 3] > 0.1).all()
+    (contours,) = (c for c in figure.axes[0].collections if isinstance(c, QuadContourSet))
+    assert list(contours.levels) == pytest.approx(np.arange(0.2, 1.6, 0.2))
+    for level, path in zip(contours.levels[1:-1], contours.get_paths()[1:-1], strict=True):
+        place = np.interp(level, heights[0], east_m)
+        np.testing.assert_allclose(path.vertices[:, 0], place, atol=0.1)
+    others = figures.universal_grid(view(layers={"slope": heights}), layer="slope")
+    assert len(others.axes[0].get_images()) == 1
+
+
+def test_slopes_to_the_light_are_lighter() -> None:
+    row, column = np.mgrid[0:9, 0:9].astype(np.float64)
+    level, to_light, away = (hillshade(h, 1.0)[4, 4] for h in (0 * row, column - row, row - column))
+    assert level == pytest.approx(0.0)
+    assert to_light > 0.1
+    assert away < -0.5
+
+
+@pytest.mark.parametrize(
+    ("low_m", "high_m", "expected"),
+    [
+        (0.3, 5.4, np.arange(0.5, 5.1, 0.5)),
+        (-3.0, 97.0, np.arange(0.0, 100.0, 10.0)),
+        (2.0, 2.0, []),
+        (7.0, 7.9, np.arange(7.0, 7.95, 0.1)),
+    ],
+)
+def test_contours_are_at_round_heights(low_m: float, high_m: float, expected: list[float]) -> None:
+    assert list(contour_levels(low_m, high_m)) == pytest.approx(list(expected))
 
 
 def test_no_label_is_cut(tmp_path: Path) -> None:

@@ -104,6 +104,8 @@ FEATURES = {
 TERRAIN = ("#1b5e3b", "#a3b18a", "#f2e8cf", "#8d5a34", "#ffffff")
 """Heights of ground, from low to high."""
 
+CONTOUR = "#3a2c1a"
+
 UNSURE = ("#ffffff", "#b2182b")
 """Sigmas, from small to large."""
 

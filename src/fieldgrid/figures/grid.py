@@ -17,6 +17,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.changes import ChangedObject
 from fieldgrid.figures.drives import Drive
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
+from fieldgrid.figures.relief import draw_relief
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
@@ -33,7 +34,8 @@ def universal_grid(
     route: Float64 | None = None,
     title: str = "",
 ) -> Figure:
-    """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14).
+    """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14);
+    heights with shades and contours.
 
     With `drives`, the positions of their local grids are marked, a colour a session. `layer` is
     one that the view was read with; `route` is drawn over it, [n, 2] metres east and north.
@@ -78,6 +80,8 @@ def draw_grid(
         interpolation="none",
         aspect="equal",
     )
+    if LAYERS[layer].above_datum:
+        draw_relief(axes, view, values, seen)
     _mark_frames(axes, drives, view)
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
