@@ -94,7 +94,7 @@ def _free_ends(
     vehicle, size = searcher.vehicle, float(lengths(line)[-1])
     corners = vehicle.footprint()[:, 0]
     reach = (corners.max() if is_last else -corners.min()) + vehicle.clearance_m
-    shift = np.arange(0.0, min(reach, 0.4 * size) + _STEP_M, _STEP_M)
+    shift = np.arange(0.0, min(reach + _STEP_M, 0.4 * size), _STEP_M)
     at = size - shift if is_last else shift
     found = {}
     for aside in beside:
