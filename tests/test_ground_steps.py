@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.grids import NO_STEP_KNOWN, OBSTACLE_ABOVE, STEP_CHANNEL
+from fieldgrid.grids import NO_STEP_KNOWN, OBSTACLE_ABOVE, STEP_CHANNEL, LocalGrid
 from fieldgrid.ground import BINS, WIDEST_GAP, ground_steps
 from fieldgrid.layers.relief import LEAST_STEP_CM, STEP_VOTES
 from fieldgrid.localgrid import LocalGridder, step_range_m
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import Disparity
 from tests.scenes import Box, Ground, depth_rig, paper_rig, render
@@ -61,16 +62,16 @@ def noise(seed: int) -> _Float64:
     return np.asarray(4.0 * blurred / blurred.std())
 
 
-def look(scene: Scene, seed: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.uint8]]:
-    """The obstacles of a frame, and its steps as they are kept, in cells that it saw."""
+def look(scene: Scene, seed: int) -> tuple[LocalGrid, npt.NDArray[np.uint8]]:
+    """The local grid of a frame, and its steps as they are kept, in cells that it saw."""
     region = GRIDDER.region
     exact = render(GRIDDER.rig, scene, region.num_disparities, row_start=region.row_start)
     noisy = np.rint(exact + noise(seed)[: len(exact)])
     values = np.where(exact > 0, np.maximum(noisy, 1), exact).astype(np.int16)
-    grid, ground = GRIDDER.from_disparity(Disparity(values, region.row_start))
+    grid, ground = GRIDDER.from_disparity(Disparity(values, region.row_start), Tilt(0.0, 0.0))
     assert ground.refined
     cm = np.where(grid.observed, ground.channels()[STEP_CHANNEL], NO_STEP_KNOWN)
-    return grid.density > OBSTACLE_ABOVE, cm.astype(np.uint8)
+    return grid, cm.astype(np.uint8)
 
 
 FIELD = {
@@ -114,13 +115,24 @@ def test_most_frames_mark_a_step_that_they_see(name: str, axis: str) -> None:
 )
 def test_no_slope_is_a_step_or_an_obstacle(scene: Scene) -> None:
     for seed in range(3):
-        obstacles, cm = look(scene, seed)
+        grid, cm = look(scene, seed)
+        obstacles = grid.density > OBSTACLE_ABOVE
         known = SEEN & (cm != NO_STEP_KNOWN)
         assert known.sum() > 0.5 * SEEN.sum()
         assert np.mean(cm[known] >= LEAST_STEP_CM) < 0.02
         # A few cells at the foot of a sudden rise, none in an even slope.
         most = 0.002 if len(scene) > 1 else 0.0
         assert obstacles[SEEN & np.ones_like(obstacles)].mean() <= most
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_what_the_edge_of_a_terrace_hides_is_unknown(axis: str) -> None:
+    for seed, at_m in enumerate([0.2, 0.7] if axis == "x" else [5.7, 7.2]):
+        grid, _ = look(strips(axis, [at_m], [0.0, -0.8]), seed)
+        behind = (Y if axis == "y" else X) * np.ones(grid.spec.shape) - at_m
+        # Noise of the range carries a few points of the edge past it.
+        assert grid.observed[SEEN & (behind > 0.15) & (behind < 1.5)].mean() < 0.01
+        assert grid.observed[SEEN & (behind < -0.05) & (behind > -1.0)].mean() > 0.9
 
 
 def test_no_step_is_told_of_what_stands_or_lies_too_far() -> None:
