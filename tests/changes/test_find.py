@@ -210,7 +210,7 @@ def test_least_area_and_confidence(tmp_path: Path) -> None:
 
 def test_frames_that_do_not_say_how_sure_they_are(tmp_path: Path) -> None:
     path = two(tmp_path, [], [CRATE], sigma_m=math.nan)
-    with pytest.raises(ConfigError, match=r"does not say how sure its pose is.*build --repose"):
+    with pytest.raises(ConfigError, match=r"does not say how sure its pose is.*position-sigma"):
         changes_of(path)
     assert only(changes_of(path, position_sigma_m=0.02)).kind is ChangeKind.APPEARED
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fieldgrid.changes.looks import _range_sigma_1pm, hidden
+from fieldgrid.changes.cells import Seen
+from fieldgrid.changes.looks import _range_sigma_1pm, hidden, lookers
 from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import open_map
+from tests.changes.worlds import pose, world_map
 from tests.scenes import paper_rig
 
 SPEC = GridSpec(width_m=4.0, length_m=6.0, cell_m=0.1)
@@ -46,3 +52,25 @@ def test_how_unsure_ranges_are_comes_from_the_session() -> None:
 )
 def test_a_session_that_does_not_say_has_exact_ranges(config: dict[str, Any]) -> None:
     assert _range_sigma_1pm(config) == 0.0
+
+
+def test_how_unsure_a_place_is_grows_with_range(tmp_path: Path) -> None:
+    at = pose(0.0, 0.0, 0.0, sigma_m=0.05)
+    lattice, everywhere = Lattice(0.1), Window(-100, -100, 200, 200)
+    with open_map(world_map(tmp_path / "map.gpkg", {"one": ([], [at])})) as universal:
+        frames, (info,) = list(universal.frames(with_grid=True)), universal.sessions()
+        (one,) = lookers(frames, info, lattice, [everywhere], None)
+        look = one._replace(range_sigma_1pm=0.01).look(lattice, Window(0, 40, 1, 1))
+    assert look is not None
+    assert look.free.all()
+    turned_m = 4.05 * math.radians(at.heading_sigma_deg)
+    assert look.pose_m2[0, 0] == pytest.approx(0.05**2 + turned_m**2, rel=1e-3)
+    assert look.range_m2[0, 0] == pytest.approx((0.01 * 4.05**2) ** 2, rel=0.01)
+
+
+def test_errors_of_ranges_average_out_and_those_of_poses_do_not() -> None:
+    def one(value: float) -> Any:
+        return np.full((1, 1), value, dtype=np.float32)
+
+    seen = Seen(one(3.0), one(1.0), one(0), one(1), one(0.01), one(0.04), one(0))
+    assert seen.variance_m2[0, 0] == pytest.approx(0.01 + 0.04 / 4.0)

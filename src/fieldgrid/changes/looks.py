@@ -60,6 +60,7 @@ class Looker(NamedTuple):
     weight: float
     range_sigma_1pm: float
     position_sigma_m: float
+    heading_sigma_deg: float
 
     def look(self, lattice: Lattice, window: Window) -> Look | None:
         """What the frame says of the cells of a window; None when it does not reach there."""
@@ -83,7 +84,7 @@ class Looker(NamedTuple):
         range_m = np.zeros(size, dtype=np.float32)
         range_m[at] = _polar(grid.spec).range_m[hit]
         range_m = range_m.reshape(place.shape)
-        heading = math.radians(pose.heading_sigma_deg)
+        heading = math.radians(self.heading_sigma_deg)
         return Look(
             place,
             obstacle,
@@ -121,14 +122,17 @@ def lookers(
         reach = footprint(frame.spec, pose, lattice)
         if all(reach.intersect(window) is None for window in windows):
             continue
-        sigma_m = pose.position_sigma_m if position_sigma_m is None else position_sigma_m
-        if not (math.isfinite(sigma_m) and math.isfinite(pose.heading_sigma_deg)):
+        sigmas = pose.position_sigma_m, pose.heading_sigma_deg
+        if position_sigma_m is not None:
+            known_deg = pose.heading_sigma_deg if math.isfinite(pose.heading_sigma_deg) else 0.0
+            sigmas = position_sigma_m, known_deg
+        if not all(map(math.isfinite, sigmas)):
             raise ConfigError(
                 f"Frame {frame.frame_id!r} of session {info.name!r} does not say how sure its pose "
                 "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
-                "poses again with `fieldgrid build --repose`."
+                "poses again with `fieldgrid build --repose`, or give --position-sigma."
             )
-        found.append((stretch, Looker(frame, reach, 1.0, range_sigma_1pm, sigma_m)))
+        found.append((stretch, Looker(frame, reach, 1.0, range_sigma_1pm, *sigmas)))
     return [one._replace(weight=1.0 / stretches[stretch]) for stretch, one in found]
 
 

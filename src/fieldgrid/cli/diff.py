@@ -75,8 +75,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="1-sigma error of the drives' places against each other, in place of what the "
-            "frames say.",
+            help="1-sigma error of each drive's positions, in place of what the frames say.",
             rich_help_panel=_OBJECTS,
         ),
     ] = None,
