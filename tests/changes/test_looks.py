@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.changes.cells import Seen
+from fieldgrid.changes.cells import Drives, Seen, seen_by
 from fieldgrid.changes.looks import _range_sigma_1pm, hidden, lookers
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
@@ -74,3 +74,17 @@ def test_errors_of_ranges_average_out_and_those_of_poses_do_not() -> None:
 
     seen = Seen(one(3.0), one(1.0), one(0), one(1), one(0.01), one(0.04), one(0))
     assert seen.variance_m2[0, 0] == pytest.approx(0.01 + 0.04 / 4.0)
+
+
+def test_of_several_looks_the_mean_counts(tmp_path: Path) -> None:
+    poses = [pose(0.0, 0.0, 0.0, sigma_m=0.05), pose(0.0, 1.0, 0.0, sigma_m=0.09, time_ns=1)]
+    lattice, cell = Lattice(0.1), Window(0, 40, 1, 1)
+    with open_map(world_map(tmp_path / "map.gpkg", {"one": ([], poses)})) as universal:
+        frames, (info,) = list(universal.frames(with_grid=True)), universal.sessions()
+        both = lookers(frames, info, lattice, [cell], None)
+        seen = seen_by(Drives({"one": both}), lattice, cell)
+    looks = [one.look(lattice, cell) for one in both]
+    assert seen.free[0, 0] == 2.0
+    assert seen.pose_m2[0, 0] == pytest.approx(
+        np.mean([look.pose_m2[0, 0] for look in looks if look is not None])
+    )
