@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import (
+    heading_gyro,
     heading_harvester,
     heading_honesty,
     heading_road,
@@ -41,6 +42,12 @@ SECTIONS = (
         "simulated drives whose stated sigma changes: errors in sigmas",
         Path("."),
         heading_honesty.report_sigmas,
+    ),
+    Section(
+        "gyro",
+        "simulated drives with gyros right and wrong, beside the truth",
+        Path("."),
+        heading_gyro.report,
     ),
     Section(
         "doubt",

@@ -364,3 +364,32 @@ def test_the_same_track_has_the_same_bits() -> None:
     a, b = (gears(own) for _ in ORDER)
     for one, other in zip(a, b, strict=True):
         assert np.array_equal(one, other)
+
+
+def with_holes(whole: Track, hole_s: float, phase_s: float) -> tuple[Track, npt.NDArray[np.bool_]]:
+    """A track of which nothing is seen for so long in every 10 s, and what of it is seen."""
+    seen = (whole.time_s + phase_s) % 10.0 < 10.0 - hole_s
+    time_s = whole.time_s[seen]
+    apart_s = np.diff(time_s, prepend=-np.inf)
+    part = Track(*(column[seen] for column in whole))
+    return part._replace(gap_s=np.where(apart_s > 2.0, apart_s, 0.0)), seen
+
+
+@pytest.mark.parametrize(
+    ("commands", "accepted"),
+    [(K_TURN, 0.5), ([ROW, Command(8.0, 1.2, 0.3), ROW], 0.7)],
+)
+def test_a_cusp_in_a_hole_leaves_doubt(commands: list[Command], accepted: float) -> None:
+    """K-turns whose cusps nobody saw, or saw begin at the edge of a hole: what is sure is right.
+    The radius that was seen, and speeds, tell them from a turn forward, which stays as sure."""
+    drive = sampled(simulate(commands, 35.0, speed_mps=1.5))
+    sure, right = [], []
+    for phase in range(10):
+        seen, at = with_holes(track(drive, seed=phase), 5.0, float(phase))
+        found = gears(seen)
+        moving = np.abs(drive.speed_mps[at]) > 0.3
+        sure.append((found.doubt <= SURE)[moving])
+        right.append((found.gear == drive.gear()[at])[moving])
+    is_sure = np.concatenate(sure)
+    assert is_sure.mean() > accepted
+    assert np.concatenate(right)[is_sure].mean() > 0.985

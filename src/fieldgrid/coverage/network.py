@@ -10,8 +10,8 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float32, Float64
 from fieldgrid.coverage.order import Order, best_order
 from fieldgrid.coverage.passes import Pass
+from fieldgrid.curves import Word, words
 from fieldgrid.route.astar import CUSP_M
-from fieldgrid.route.curves import Word, words
 from fieldgrid.route.path import joined
 from fieldgrid.route.search import Pose, Searcher, driven_cost
 

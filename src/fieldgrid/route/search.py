@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float32, Float64, Int64, UInt8
+from fieldgrid.curves import Word, words
 from fieldgrid.route.astar import (
     COUNT,
     CUSP_M,
@@ -32,7 +33,6 @@ from fieldgrid.route.astar import (
     first_free_word,
     spread,
 )
-from fieldgrid.route.curves import Word, words
 from fieldgrid.route.footprint import CURVATURES, STANDING, Shape, gaps_m
 from fieldgrid.route.ground import Ground
 from fieldgrid.route.path import joined

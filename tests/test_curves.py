@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.route.curves import Word, words
+from fieldgrid.curves import Word, words
 
 REACH = st.floats(-8.0, 8.0)
 TURN = st.floats(-math.pi, math.pi)

@@ -15,6 +15,7 @@ import scipy.special
 
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.gear.holes import EDGE_SHARE, carried_on_nats, slows, tight_nats
 from fieldgrid.kernel import kernel
 
 CUT_DEG = 75.0
@@ -39,9 +40,6 @@ LEAST_TURN_DPS, MOST_TURN_DPS, USUAL_TURN_DPS = 10.0, 45.0, 20.0
 """How fast a vehicle may turn while nobody sees it, degrees a second: as fast as the fastest of
 its turns that were seen, within these, or as is usual."""
 
-TURNED_BACK_SHARE, CARRIED_CAP = 0.7, 6.0
-"""Who turns back in a hole comes at most this share as far, and the most nats that this can say."""
-
 FEWEST_TURNS = 20
 
 FASTEST_SHARE = 0.98
@@ -50,9 +48,12 @@ FASTEST_SHARE = 0.98
 UNSEEN_TURN_SHARE = 0.5
 """A turn that nobody sees is mostly not the fastest, and does not last throughout."""
 
-HOLE_DISTANCE_SHARE, STOPPED_SHARE = 0.2, 0.3
-"""By what share of it the distance across a hole differs from what the speed makes, and how often a
-vehicle stops in it for other reasons than to turn back."""
+LOOSEST_M, TIGHTEST_M, TIGHTER_SHARE = 3.0, 1.0, 0.7
+"""Unseen, a vehicle turns no tighter than at this share of the smallest radius that was seen, which
+is taken to be within these."""
+
+TURNED_TWICE_COST = 1.5
+"""In nats, beyond a change of gear that nobody saw: for one back again in the same hole."""
 
 SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
 """In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
@@ -215,12 +216,12 @@ def _joins(track: Track, legs: list[tuple[int, int]]) -> list[_Join]:
     """Every way to go on from a leg: to the next, or past a few that may be mere wander."""
     joins = []
     skipping = [_skip_cost(track, a, b) for a, b in legs]
-    turn_dps = fastest_turn_dps(track)
+    seen = turning_seen(track)
     for i in range(len(legs) - 1):
         skipped = 0.0
         for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
             joins.append(
-                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], turn_dps)))
+                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], seen)))
             )
             skipped += skipping[j]
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
@@ -236,7 +237,7 @@ def _skip_cost(track: Track, start: int, stop: int) -> float:
 
 
 def _turn_costs(
-    track: Track, one: tuple[int, int], two: tuple[int, int], turn_dps: float
+    track: Track, one: tuple[int, int], two: tuple[int, int], seen: TurningSeen
 ) -> tuple[float, float]:
     """What it costs, in nats, to go from one leg to another in the same gear, and in the other."""
     gap_s = track.gap_s[two[0]]
@@ -252,18 +253,27 @@ def _turn_costs(
             out_m / max(track.time_s[across] - track.time_s[across - back], 1e-3),
             into_m / max(track.time_s[arrived + on] - track.time_s[arrived], 1e-3),
         )
-        stay = -_carried_on_nats(
-            float(np.hypot(*(track.points_m[arrived] - track.points_m[across]))),
-            sum(speeds_mps) / 2.0 * gap_s,
-            float(track.sigma_m[arrived]),
+        step_m, sigma_m = track.points_m[arrived] - track.points_m[across], track.sigma_m[arrived]
+        carried = carried_on_nats(
+            float(np.hypot(*step_m)), sum(speeds_mps) / 2.0 * gap_s, float(sigma_m)
         )
+        edges = (across, max(one[0], across - back)), (arrived, arrived + on)
+        path = track.points_m, track.time_s
+        if any(slows(*path, *edge, EDGE_SHARE * max(speeds_mps)) for edge in edges):
+            carried = min(carried, 0.0)
+        if min(out_m, into_m) > 0.0:
+            bearings, most_m = (out + 180.0, into), max(speeds_mps) * gap_s
+            tight = tight_nats(step_m, bearings, seen.radius_m, most_m, float(sigma_m))
+            # Or it came in the same gear since it turned back twice.
+            carried = float(np.logaddexp(carried - tight, -switch - TURNED_TWICE_COST))
+        stay = -carried
     if min(out_m, into_m) == 0.0:
         return stay, switch
     # A chord has the direction of its middle.
     turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
     known = bool(np.isfinite(turned))
     noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
-    unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * turn_dps * gap_s
+    unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * seen.fastest_dps * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
     beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
 
@@ -273,39 +283,31 @@ def _turn_costs(
     return stay + cost(beyond_deg), switch + cost(beyond_deg + 180.0)
 
 
-def _carried_on_nats(moved_m: float, driven_m: float, sigma_m: float) -> float:
-    """Log odds, by the distance across a hole, that a vehicle drove on rather than turned back:
-    who turns back stops and comes less far than the `driven_m` that its speed makes."""
-    if not driven_m > 4.0 * sigma_m:
-        return 0.0
-    spread_m = float(np.hypot(HOLE_DISTANCE_SHARE * driven_m, 2.0 * sigma_m))
-    off = (moved_m - driven_m) / spread_m
-    even = 1.0 / driven_m  # anything up to what the speed makes
-    beyond = float(np.exp(-0.5 * max(off, 0.0) ** 2))
-    drove_on = float(np.exp(-0.5 * off**2)) / (spread_m * np.sqrt(2.0 * np.pi))
-    mixed = (1.0 - STOPPED_SHARE) * drove_on + STOPPED_SHARE * even * beyond
-    # Turning back takes time to stop and to start: nobody does it at full speed throughout.
-    reach = moved_m / (TURNED_BACK_SHARE * driven_m)
-    turned_back = (
-        even / TURNED_BACK_SHARE * float(np.exp(-0.5 * (max(reach - 1.0, 0.0) / 0.15) ** 2))
-    )
-    return float(
-        np.clip(np.log((mixed + 1e-12) / (turned_back + 1e-12)), -CARRIED_CAP, CARRIED_CAP)
-    )
+class TurningSeen(NamedTuple):
+    """How fast a vehicle turns at its fastest, degrees a second, and at its tightest, as far as its
+    path was seen."""
+
+    fastest_dps: float
+    radius_m: float
 
 
-def fastest_turn_dps(track: Track) -> float:
-    """How fast the vehicle turns at its fastest, as far as its path was seen, degrees a second."""
+def turning_seen(track: Track) -> TurningSeen:
+    """The fastest and the tightest of the turns of a path, but for the few that noise makes."""
     points, part = track.points_m, np.cumsum(track.gap_s > 0.0)
     turn = turning_deg(points, part, TANGENT_REACH_M)
     away = [first_beyond_in(points, part, TANGENT_REACH_M, step) for step in (-1, 1)]
     known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
     if np.count_nonzero(known) < FEWEST_TURNS:
-        return USUAL_TURN_DPS
+        return TurningSeen(USUAL_TURN_DPS, TIGHTEST_M)
+    turned_deg = np.abs(turn[known])
     span_s = track.time_s[away[1][known]] - track.time_s[away[0][known]]
     # From the middle of the way in to the middle of the way out.
-    rate = np.abs(turn[known]) / np.maximum(span_s / 2.0, 0.05)
-    return float(np.clip(np.quantile(rate, FASTEST_SHARE), LEAST_TURN_DPS, MOST_TURN_DPS))
+    fastest = float(np.quantile(turned_deg / np.maximum(span_s / 2.0, 0.05), FASTEST_SHARE))
+    bend = float(np.radians(np.quantile(turned_deg, FASTEST_SHARE))) / TANGENT_REACH_M
+    return TurningSeen(
+        float(np.clip(fastest, LEAST_TURN_DPS, MOST_TURN_DPS)),
+        float(np.clip(TIGHTER_SHARE / max(bend, 1e-3), TIGHTEST_M, LOOSEST_M)),
+    )
 
 
 def _chord_deg(points: Float64) -> tuple[float, float, int]:

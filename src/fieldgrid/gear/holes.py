@@ -1,0 +1,81 @@
+"""What the two sides of a hole say: whether a vehicle that nobody saw turned back in it."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.curves import words
+
+TURNED_BACK_SHARE, CARRIED_CAP = 0.7, 6.0
+"""Who turns back in a hole comes at most this share as far, and the most nats that this can say."""
+
+HOLE_DISTANCE_SHARE, STOPPED_SHARE = 0.2, 0.3
+"""By what share of it the distance across a hole differs from what the speed makes, and how often a
+vehicle stops in it for other reasons than to turn back."""
+
+TANGENT_TURNS_DEG = (-45.0, 0.0, 45.0)
+"""How far it may turn beside that within a tangent's reach of a hole."""
+
+STANDING_M, DRIVEN_SHARE = 0.5, 0.2
+"""Who comes less far in a hole need not have turned; and by what share the way that its speed makes
+may be longer."""
+
+EDGE_S, EDGE_SHARE = 0.5, 0.2
+"""A vehicle that is slower than this share of its speed at the edge of a hole may turn back
+right there."""
+
+
+def carried_on_nats(moved_m: float, driven_m: float, sigma_m: float) -> float:
+    """Log odds, by the distance across a hole, that a vehicle drove on rather than turned back:
+    who turns back stops and comes less far than the `driven_m` that its speed makes."""
+    if not driven_m > 4.0 * sigma_m:
+        return 0.0
+    spread_m = float(np.hypot(HOLE_DISTANCE_SHARE * driven_m, 2.0 * sigma_m))
+    off = (moved_m - driven_m) / spread_m
+    even = 1.0 / driven_m  # anything up to what the speed makes
+    beyond = float(np.exp(-0.5 * max(off, 0.0) ** 2))
+    drove_on = float(np.exp(-0.5 * off**2)) / (spread_m * np.sqrt(2.0 * np.pi))
+    mixed = (1.0 - STOPPED_SHARE) * drove_on + STOPPED_SHARE * even * beyond
+    # Turning back takes time to stop and to start: nobody does it at full speed throughout.
+    reach = moved_m / (TURNED_BACK_SHARE * driven_m)
+    turned_back = (
+        even / TURNED_BACK_SHARE * float(np.exp(-0.5 * (max(reach - 1.0, 0.0) / 0.15) ** 2))
+    )
+    return float(
+        np.clip(np.log((mixed + 1e-12) / (turned_back + 1e-12)), -CARRIED_CAP, CARRIED_CAP)
+    )
+
+
+def slows(points_m: Float64, time_s: Float64, edge: int, inner: int, slow_mps: float) -> bool:
+    """Whether a vehicle is slower at the edge of a hole, on the way to or from an inner point."""
+    way = np.arange(edge, inner + (1 if inner > edge else -1), 1 if inner > edge else -1)
+    since_s = np.abs(time_s[way] - time_s[edge])
+    k = min(int(np.searchsorted(since_s, EDGE_S)), len(way) - 1)
+    moved_m = float(np.hypot(*(points_m[way[k]] - points_m[edge])))
+    return k > 0 and moved_m < slow_mps * float(since_s[k])
+
+
+def tight_nats(
+    step_m: Float64,
+    bearings_deg: tuple[float, float],
+    radius_m: float,
+    most_m: float,
+    sigma_m: float,
+) -> float:
+    """What it costs, in nats, to say that a vehicle came this far across a hole without turning
+    back, from one bearing to another: the shortest way that turns no tighter than the radius may be
+    longer than `most_m`, which its speed makes."""
+    if float(np.hypot(*step_m)) < STANDING_M:
+        return 0.0
+    out, into = (np.radians(90.0 - bearing) for bearing in bearings_deg)
+    needed_m = np.inf
+    for first, last in product(np.radians(TANGENT_TURNS_DEG), repeat=2):
+        sin, cos = np.sin(out + first), np.cos(out + first)
+        x, y = (step_m @ [cos, sin]) / radius_m, (step_m @ [-sin, cos]) / radius_m
+        ways = words(float(x), float(y), float(into + last - out - first), reverse=False)
+        needed_m = min(needed_m, *(radius_m * sum(abs(part) for _, part in way) for way in ways))
+    spread_m = float(np.hypot(DRIVEN_SHARE * most_m, 2.0 * sigma_m))
+    return float(0.5 * (max(needed_m - most_m, 0.0) / spread_m) ** 2)
