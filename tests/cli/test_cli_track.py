@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import json
 import os
+import pty
 import re
 import shutil
 import statistics
+import subprocess
 from pathlib import Path
 
 import cv2
 import pytest
 
 from fieldgrid.track import COLUMNS
-from tests.cli.conftest import Run
+from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
 
 RTK = TWO_LANES / "gnss" / "gnss_rtk.nmea"
@@ -371,3 +373,27 @@ def test_poses_that_cannot_be(
 def test_flags_of_poses(flag: str, value: str, fieldgrid: Run, out: Path) -> None:
     told = fieldgrid("track", TWO_LANES, "-o", out, "--poses", "a.tum", flag, value).usage()
     assert flag in told
+
+
+# --- on a terminal
+
+
+def test_a_long_log_is_not_silent(out: Path) -> None:
+    """On stderr alone, where a terminal watches; `--quiet` says nothing there."""
+    for quiet in (False, True):
+        ours, theirs = pty.openpty()
+        command = in_a_process("track", RTK, "-o", out, *(["--quiet"] if quiet else []))
+        env = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, env=env) as running:
+            os.close(theirs)
+            shown = b""
+            try:
+                while part := os.read(ours, 4096):
+                    shown += part
+            except OSError:  # how Linux ends a terminal
+                pass
+            assert running.stdout is not None
+            assert b"reading and estimating" not in running.stdout.read()
+            assert running.wait() == 0
+        os.close(ours)
+        assert (b"gnss_rtk.nmea: reading and estimating" in shown) is not quiet

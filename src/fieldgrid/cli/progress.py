@@ -24,6 +24,21 @@ def counting(what: str) -> Iterator[Callable[[int, int], None] | None]:
 
 
 @contextmanager
+def working(what: str) -> Iterator[None]:
+    """Tells that something goes on of which nobody knows the end, and for how long it has."""
+    if not output.shows_progress():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as line:
+        line.add_task(what, total=None)
+        yield
+
+
+@contextmanager
 def building() -> Iterator[Callable[[Progress], None] | None]:
     """The same for a build: frames, rate and distance of each session."""
     if not output.shows_progress():

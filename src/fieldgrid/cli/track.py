@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
@@ -114,7 +114,8 @@ def command(
         carrier = Carrier(antenna_ahead, heading_offset)
     check_target(out)
     refuse_input(out, [recording])
-    tracked = track_drive(recording, chosen, opening, datum=origin, carrier=carrier)
+    with progress.working(f"{recording.name}: reading and estimating"):
+        tracked = track_drive(recording, chosen, opening, datum=origin, carrier=carrier)
     write_track(tracked.estimate, out)
     if figure is not None:
         _draw(tracked, chosen, figure)
