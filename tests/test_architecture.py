@@ -55,7 +55,7 @@ LAYERS = (
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile", "track_formats"),
     ("evidence",),
-    ("rows", "route", "changes"),
+    ("align", "rows", "route", "changes"),
     ("coverage",),
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "live"),

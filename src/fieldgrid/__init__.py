@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fieldgrid import figures
+    from fieldgrid.align import align_map, undo_alignment
     from fieldgrid.build import (
         add_recording,
         estimate_drive,
@@ -60,6 +61,7 @@ _HOMES = {
     "Transfer": "transfer",
     "Vehicle": "route",
     "add_recording": "build",
+    "align_map": "align",
     "convert_recording": "convert",
     "estimate_drive": "build",
     "estimate_mount": "mounting",
@@ -80,6 +82,7 @@ _HOMES = {
     "plan_route": "route",
     "read_truth": "evaluation",
     "read_vehicle": "route",
+    "undo_alignment": "align",
     "visual_odometry": "build",
 }
 
@@ -104,6 +107,7 @@ __all__ = [
     "Transfer",
     "Vehicle",
     "add_recording",
+    "align_map",
     "convert_recording",
     "estimate_drive",
     "estimate_mount",
@@ -124,6 +128,7 @@ __all__ = [
     "plan_route",
     "read_truth",
     "read_vehicle",
+    "undo_alignment",
     "visual_odometry",
 ]
 

@@ -84,6 +84,13 @@ class Window(NamedTuple):
         height = min(self.j0 + self.height, other.j0 + other.height) - j0
         return Window(i0, j0, width, height) if width > 0 and height > 0 else None
 
+    def union(self, other: Window) -> Window:
+        """The smallest window that holds both."""
+        i0, j0 = min(self.i0, other.i0), min(self.j0, other.j0)
+        i1 = max(self.i0 + self.width, other.i0 + other.width)
+        j1 = max(self.j0 + self.height, other.j0 + other.height)
+        return Window(i0, j0, i1 - i0, j1 - j0)
+
     def grown(self, cells: int) -> Window:
         """The window with so many cells more on each side."""
         return Window(

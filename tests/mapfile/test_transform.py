@@ -7,6 +7,7 @@ import math
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError, DatumError, MapError
 from fieldgrid.mapfile import LAYERS, Transform, merge_maps, open_map
-from fieldgrid.mapfile.transform import transform_of
+from fieldgrid.mapfile.transform import Aligned, Wander, transform_of
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
 
@@ -47,14 +48,68 @@ def test_it_reads_back_and_what_is_unknown_is_refused() -> None:
     transform = Transform(0.1, -0.2, 0.3, 1 / 3, 2e9 / 7)
     assert transform_of(transform.to_text()) == transform
     assert Transform(pivot_east_m=5.0).to_text() is None
-    with pytest.raises(MapError, match="has knots, rigid, and this fieldgrid knows rigid only"):
+    with pytest.raises(MapError, match="has knots, and this fieldgrid knows rigid, wander and"):
         transform_of(json.dumps({"rigid": {}, "knots": []}))
+    with pytest.raises(MapError, match="has no rigid part"):
+        transform_of("{}")
     for text in ("{", "[]", '{"rigid": {"turn_deg": "x"}}', '{"rigid": 7}', "7"):
         with pytest.raises(MapError):
             transform_of(text)
     for bad in ((math.nan, 0.0), (0.0, 1001.0), (0.0, 0.0, 181.0)):
         with pytest.raises(ConfigError, match="cannot be"):
             Transform(*bad)
+
+
+def test_a_wander_is_linear_between_its_times_and_stays_beyond_them() -> None:
+    start = 1_600_000_000_000_000_000
+    second = 1_000_000_000
+    wander = Wander((start, start + 10 * second), (0.0, 0.5), (-0.2, 0.2))
+    transform = Transform(1.0, 2.0, wander=wander)
+    for after_s, east, north in ((-9, 0.0, -0.2), (0, 0.0, -0.2), (5, 0.25, 0.0), (99, 0.5, 0.2)):
+        placed = transform.pose(pose_at(10.0, 20.0, 30.0, time_ns=start + after_s * second))
+        assert (placed.east_m, placed.north_m) == pytest.approx((11.0 + east, 22.0 + north))
+        assert placed.heading_deg == 30.0
+    assert not Transform(wander=wander).is_identity
+    driven = track(4)
+    placed_track = transform.trajectory(driven)
+    by_pose = [transform.pose(driven.at(int(t))) for t in driven.time_ns[driven.accepted]]
+    assert placed_track.east_m[driven.accepted] == pytest.approx([p.east_m for p in by_pose])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        ((), (), ()),
+        ((1, 2), (0.0,), (0.0, 0.0)),
+        ((2, 1), (0.0, 0.0), (0.0, 0.0)),
+        ((1,), (math.nan,), (0.0,)),
+        ((1,), (2000.0,), (0.0,)),
+    ],
+)
+def test_a_wander_that_cannot_be(bad: Any) -> None:
+    with pytest.raises(ConfigError):
+        Wander(*bad)
+
+
+def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
+    transform = Transform(
+        0.1, -0.2, 0.3, 4.0, 5.0, Wander((5, 7), (0.1, 0.2), (0.0, -0.1)),
+        Aligned(0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text()),
+    )  # fmt: skip
+    text = transform.to_text()
+    assert text is not None
+    assert transform_of(text) == transform
+    for change in (
+        {"wander": {"time_ns": [5], "east_m": [0.1]}},
+        {"wander": {"time_ns": [5.5], "east_m": [0.1], "north_m": [0.0]}},
+        {"wander": {"time_ns": [7, 5], "east_m": [0.1, 0.1], "north_m": [0.0, 0.0]}},
+        {"aligned": {"sigma_m": "x", "turn_sigma_deg": 0.0, "to": [], "before": None}},
+        {"aligned": {"sigma_m": -1.0, "turn_sigma_deg": 0.0, "to": [], "before": None}},
+        {"aligned": {"sigma_m": 1.0, "turn_sigma_deg": 0.0, "to": [], "before": 7}},
+        {"aligned": {}},
+    ):
+        with pytest.raises(MapError, match="is damaged"):
+            transform_of(json.dumps({**json.loads(text), **change}))
 
 
 @pytest.fixture

@@ -71,6 +71,14 @@ def command(
     drive: Drive,
     poses: Poses,
     settings: Annotated[Overrides, SettingsFlags()],
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align",
+            help="Then make the new drives coincide with the map, as `align` does.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = False,
     every: Annotated[
         int,
         typer.Option(
@@ -92,6 +100,8 @@ def command(
         fieldgrid build 2011_09_30_drive_0020_sync -o road.gpkg --grid 20x15
 
         fieldgrid build orchard -o orchard.gpkg --poses slam.tum --poses-axes rdf
+
+        fieldgrid build june-24 -o vineyard.gpkg --append --align
 
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
@@ -131,12 +141,58 @@ def command(
     except KeyboardInterrupt:
         typer.echo("fieldgrid: interrupted; the drive is not in the map.", err=True)
         raise typer.Exit(130) from None
+    lies = _compare(out, [report.session for report in reports], align, jobs)
     if as_json:
-        output.print_json({"map": str(out), "sessions": [report.as_dict() for report in reports]})
+        sessions = [report.as_dict() for report in reports]
+        output.print_json({"map": str(out), "sessions": sessions, "alignment": lies})
         return
     for report in reports:
         _report(report)
+    for pair in lies:
+        output.report_line(_said(pair, out))
     output.report_line(f"map {out}")
+
+
+def _compare(out: Path, new: list[str], align: bool, jobs: int | None) -> list[dict[str, Any]]:
+    """How new drives lie against the map, and, with `align`, their transforms in it."""
+    from fieldgrid.align import FINE_ROUNDS, align_map
+    from fieldgrid.mapfile import open_map
+
+    with open_map(out, writable=align) as universal:
+        placed = {info.name for info in universal.sessions() if info.active and info.accepted}
+        moving = [name for name in new if name in placed]
+        if not moving or len(placed) < 2:
+            return []
+        with progress.stages() as show:
+            found = align_map(
+                universal, moving, rounds=FINE_ROUNDS if align else 0, progress=show, jobs=jobs
+            )
+        if align and found.transforms:
+            universal.set_transforms(found.transforms)
+    return [
+        {
+            "of": pair.b if pair.b in new else pair.a,
+            "against": pair.a if pair.b in new else pair.b,
+            "lay_apart_m": [float(v) * (1.0 if pair.b in new else -1.0) for v in pair.before_m],
+            "sigma_m": pair.sigma_m if pair.doubt is None else None,
+            "doubt": pair.doubt,
+            "aligned": align and pair.doubt is None,
+        }
+        for pair in found.pairs
+    ]
+
+
+def _said(pair: dict[str, Any], out: Path) -> str:
+    """What is said of how a new drive lies against an older one."""
+    east_m, north_m = pair["lay_apart_m"]
+    between = f"{pair['of']} against {pair['against']}"
+    if pair["doubt"] is not None:
+        return f"{between}: {pair['doubt']}; not aligned"
+    apart = f"{between}: {east_m:+.2f} m east, {north_m:+.2f} m north ± {pair['sigma_m']:.2f} m"
+    if pair["aligned"]:
+        return f"{apart}, aligned"
+    clear = (east_m**2 + north_m**2) ** 0.5 > 2.0 * pair["sigma_m"]
+    return f"{apart}; `fieldgrid align {out}` makes them coincide" if clear else apart
 
 
 def _repose(

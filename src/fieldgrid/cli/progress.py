@@ -39,6 +39,23 @@ def working(what: str) -> Iterator[None]:
 
 
 @contextmanager
+def stages() -> Iterator[Callable[[str, int, int], None] | None]:
+    """The same for work in stages that have names, a line each."""
+    if not output.shows_progress():
+        yield None
+        return
+    with _bar() as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total)
+            bar.update(tasks[stage], completed=done)
+
+        yield show
+
+
+@contextmanager
 def building() -> Iterator[Callable[[Progress], None] | None]:
     """The same for a build: frames, rate and distance of each session."""
     if not output.shows_progress():

@@ -115,6 +115,11 @@ def _shifted(transform: Transform) -> str:
     east_m, north_m, turn_deg = (
         transform.shift_east_m, transform.shift_north_m, transform.turn_deg,
     )  # fmt: skip
+    if (aligned := transform.aligned) is not None:
+        return (
+            f"aligned: {east_m:+.3f} m east, {north_m:+.3f} m north ± {aligned.sigma_m:.3f} m, "
+            f"{turn_deg:+.2f}°"
+        )
     turn = f", turned {turn_deg:+g}°" if turn_deg else ""
     return f"shifted {east_m:+g} m east, {north_m:+g} m north{turn}"
 

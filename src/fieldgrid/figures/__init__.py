@@ -5,6 +5,7 @@ colour; the same as in `fieldgrid view`. Figures are made without pyplot, so tha
 and no global state is involved.
 """
 
+from fieldgrid.figures.alignment import alignment_scores
 from fieldgrid.figures.drives import (
     Drive,
     draw_heading,
@@ -24,6 +25,7 @@ __all__ = [
     "MOST_POINTS",
     "UNSEEN",
     "Drive",
+    "alignment_scores",
     "change",
     "draw_grid",
     "draw_heading",

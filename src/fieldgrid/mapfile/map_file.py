@@ -176,6 +176,13 @@ class MapFile(MapReader):
             revision.transform(self._connection, self.path, self._header, name, to)
         return to
 
+    def set_transforms(self, transforms: Mapping[str, Transform]) -> None:
+        """Put sessions elsewhere, each by its own transform in place of any that it had; all of
+        them at once, or none."""
+        with self._changing():
+            for name, to in transforms.items():
+                revision.transform(self._connection, self.path, self._header, name, to)
+
     def repose(
         self,
         name: str,

@@ -76,7 +76,7 @@ def transform(
 ) -> None:
     """Put a session elsewhere in the map, in place of any transform that it had."""
     found = find(connection, path, header.datum, name)
-    if to.is_identity:
+    if to.is_identity and to.aligned is None:
         to = IDENTITY
     for record in frames_of(connection, found.session_id):
         check_pose(to.pose(record.driven))

@@ -2,28 +2,87 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import overload
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.trajectory import Pose, Trajectory
 
-_RIGID = "rigid"
+_RIGID, _WANDER, _ALIGNED = "rigid", "wander", "aligned"
 
 MOST_M, MOST_DEG = 1000.0, 180.0
+
+MOST_KNOTS = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Wander:
+    """What is added to a shift at times: metres east and north, linear between the times and the
+    same before the first and after the last. The times increase."""
+
+    time_ns: tuple[int, ...]
+    east_m: tuple[float, ...]
+    north_m: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        n, values = len(self.time_ns), (*self.east_m, *self.north_m)
+        if not 0 < n <= MOST_KNOTS or len(values) != 2 * n:
+            raise ConfigError(
+                f"A wander of {n} times, {len(self.east_m)} values east and {len(self.north_m)} "
+                f"north cannot be; give as many of each, 1 to {MOST_KNOTS}."
+            )
+        if any(b <= a for a, b in itertools.pairwise(self.time_ns)):
+            raise ConfigError("The times of a wander must increase.")
+        if not all(math.isfinite(value) and abs(value) <= MOST_M for value in values):
+            raise ConfigError(f"A wander goes up to {MOST_M:.0f} m; {max(values)} m cannot be.")
+
+    def at(self, time_ns: int | Int64) -> tuple[Float64, Float64]:
+        """Metres east and north at times."""
+        # Whole numbers of nanoseconds since 1970 are more than a float can tell.
+        after_s = (np.asarray(time_ns, np.int64) - self.time_ns[0]) / 1e9
+        knots_s = (np.asarray(self.time_ns, np.int64) - self.time_ns[0]) / 1e9
+        return (
+            np.interp(after_s, knots_s, np.asarray(self.east_m)),
+            np.interp(after_s, knots_s, np.asarray(self.north_m)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
+    aligned to, and the transform that the session had before, as it was stored."""
+
+    sigma_m: float
+    turn_sigma_deg: float
+    to: tuple[str, ...]
+    before: str | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.sigma_m >= 0.0 and self.turn_sigma_deg >= 0.0):
+            raise ConfigError(
+                f"An alignment with the errors {self.sigma_m} m and {self.turn_sigma_deg}° cannot "
+                "be; they are numbers from 0."
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """A turn about a pivot, then a shift: placed = pivot + R(turn) · (driven - pivot) + shift.
+    """A turn about a pivot, then a shift, and what the shift wandered by meanwhile:
+    placed = pivot + R(turn) · (driven - pivot) + shift + wander(time).
 
     Shifts are metres east and north. The turn is in degrees, clockwise seen from above like a
-    heading, to which it is added. The pivot is in metres of the map, as driven.
+    heading, to which it is added. The pivot is in metres of the map, as driven. `aligned` is
+    None where it was set by hand.
     """
 
     shift_east_m: float = 0.0
@@ -31,9 +90,11 @@ class Transform:
     turn_deg: float = 0.0
     pivot_east_m: float = 0.0
     pivot_north_m: float = 0.0
+    wander: Wander | None = None
+    aligned: Aligned | None = None
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        for name, value in self._rigid().items():
             most = MOST_DEG if name == "turn_deg" else math.inf
             most = MOST_M if name.startswith("shift") else most
             if not math.isfinite(value) or abs(value) > most:
@@ -42,49 +103,66 @@ class Transform:
                     f"turns up to {MOST_DEG:.0f} degrees."
                 )
 
+    def _rigid(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in _RIGID_FIELDS}
+
     @property
     def is_identity(self) -> bool:
         """Whether it leaves every pose as it is, bit for bit."""
-        return self.shift_east_m == self.shift_north_m == self.turn_deg == 0.0
+        is_rigid = self.shift_east_m == self.shift_north_m == self.turn_deg == 0.0
+        return is_rigid and self.wander is None
 
     def pose(self, driven: Pose) -> Pose:
         """A pose as it is placed in the map."""
         if self.is_identity:
             return driven
-        east_m, north_m = self._point(driven.east_m, driven.north_m)
+        east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
         heading_deg = driven.heading_deg
         if self.turn_deg:
             heading_deg = float(wrap_deg(heading_deg + self.turn_deg))
-        return replace(driven, east_m=east_m, north_m=north_m, heading_deg=heading_deg)
+        return replace(
+            driven, east_m=float(east_m), north_m=float(north_m), heading_deg=heading_deg
+        )
 
     def trajectory(self, driven: Trajectory) -> Trajectory:
         """A trajectory as it is placed in the map."""
         if self.is_identity:
             return driven
-        east_m, north_m = self._point(driven.east_m, driven.north_m)
+        east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
         heading_deg = driven.heading_deg
         if self.turn_deg:
             heading_deg = wrap_deg(heading_deg + self.turn_deg)
         return replace(driven, east_m=east_m, north_m=north_m, heading_deg=heading_deg)
 
-    @overload
-    def _point(self, east_m: float, north_m: float) -> tuple[float, float]: ...
-    @overload
-    def _point(self, east_m: Float64, north_m: Float64) -> tuple[Float64, Float64]: ...
-    def _point(
-        self, east_m: float | Float64, north_m: float | Float64
-    ) -> tuple[float | Float64, float | Float64]:
+    def points(
+        self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, time_ns: int | Int64
+    ) -> tuple[Float64, Float64]:
+        """Points as driven, seen at times, as they are placed; shapes broadcast."""
         turn = math.radians(self.turn_deg)
-        x, y = east_m - self.pivot_east_m, north_m - self.pivot_north_m
-        return (
-            self.pivot_east_m + x * math.cos(turn) + y * math.sin(turn) + self.shift_east_m,
-            self.pivot_north_m - x * math.sin(turn) + y * math.cos(turn) + self.shift_north_m,
-        )
+        x = np.asarray(east_m, np.float64) - self.pivot_east_m
+        y = np.asarray(north_m, np.float64) - self.pivot_north_m
+        east = self.pivot_east_m + x * math.cos(turn) + y * math.sin(turn) + self.shift_east_m
+        north = self.pivot_north_m - x * math.sin(turn) + y * math.cos(turn) + self.shift_north_m
+        if self.wander is None:
+            return east, north
+        wander_east, wander_north = self.wander.at(time_ns)
+        return east + wander_east, north + wander_north
 
     def to_text(self) -> str | None:
         """As it is stored: None for the identity, else a JSON object by the kind of transform."""
-        return None if self.is_identity else json.dumps({_RIGID: asdict(self)})
+        if self.is_identity and self.aligned is None:
+            return None
+        kinds: dict[str, object] = {_RIGID: self._rigid()}
+        if self.wander is not None:
+            kinds[_WANDER] = asdict(self.wander)
+        if self.aligned is not None:
+            kinds[_ALIGNED] = asdict(self.aligned)
+        return json.dumps(kinds)
 
+
+_RIGID_FIELDS = (
+    "shift_east_m", "shift_north_m", "turn_deg", "pivot_east_m", "pivot_north_m",
+)  # fmt: skip
 
 IDENTITY = Transform()
 
@@ -96,17 +174,46 @@ def transform_of(text: str | None) -> Transform:
         return IDENTITY
     try:
         kinds = json.loads(text)
-        if set(kinds) != {_RIGID}:
+        unknown = sorted(set(kinds) - {_RIGID, _WANDER, _ALIGNED})
+        if unknown or _RIGID not in kinds:
             raise MapError(
-                f"A session's transform has {', '.join(sorted(kinds))}, and this fieldgrid knows "
-                f"{_RIGID} only; update fieldgrid to read it."
+                f"A session's transform has {', '.join(unknown) or 'no rigid part'}, and this "
+                f"fieldgrid knows {_RIGID}, {_WANDER} and {_ALIGNED}; update fieldgrid to read "
+                "it."
             )
-        values = kinds[_RIGID]
-        known = {field.name for field in fields(Transform)}
-        if set(values) != known or not all(isinstance(v, int | float) for v in values.values()):
-            raise TypeError(f"it says {values}")
-        return Transform(**values)
-    except (TypeError, ValueError) as error:
+        rigid = kinds[_RIGID]
+        if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
+            raise TypeError(f"it says {rigid}")
+        return Transform(
+            **rigid, wander=_wander(kinds.get(_WANDER)), aligned=_aligned(kinds.get(_ALIGNED))
+        )
+    except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
             raise
-        raise MapError(f"A session's transform is damaged: {error}.") from error
+        raise MapError(f"A session's transform is damaged: {str(error).rstrip('.')}.") from error
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:
+    if stored is None:
+        return None
+    times, east, north = (tuple(stored[name]) for name in ("time_ns", "east_m", "north_m"))
+    if not (all(type(t) is int for t in times) and all(map(_is_number, (*east, *north)))):
+        raise TypeError("its wander is not of numbers")
+    return Wander(times, east, north)
+
+
+def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
+    if stored is None:
+        return None
+    sigma_m, turn_sigma_deg, before = (
+        stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
+    )  # fmt: skip
+    if not (_is_number(sigma_m) and _is_number(turn_sigma_deg)):
+        raise TypeError("the errors of its alignment are no numbers")
+    if not (before is None or isinstance(before, str)):
+        raise TypeError("what it was before is no text")
+    return Aligned(sigma_m, turn_sigma_deg, tuple(str(name) for name in stored["to"]), before)

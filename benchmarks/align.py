@@ -1,0 +1,328 @@
+"""`python -m benchmarks.align [TRIALS]`: how well drives of one field coincide after alignment.
+
+Drives are displaced by random shifts, turns and wanders, and the displacement that is left against
+the poses that are known is measured; where drives are displaced by one row, a doubt is right and
+a confident answer is counted as wrong. Data beside the repository in ../shared/data are left out
+where they are absent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import resource
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import EXAMPLE
+from fieldgrid.align import MapAlignment, align_map
+from fieldgrid.build import build_map
+from fieldgrid.evaluation import evaluate, read_truth
+from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile import FrameRecord, MapFile, Transform, create_map, open_map
+from fieldgrid.mapfile.transform import Wander
+from fieldgrid.recording import DriveOptions
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose
+
+SHARED = Path(__file__).resolve().parents[1] / "../shared/data"
+LATER, SLOPE = SHARED / "vineyard_two_lanes_later", SHARED / "vineyard_slope"
+ROAD = SHARED / "kitti_2011_09_30_drive_0020"
+
+SF1_SIGMA_M = 0.35
+"""What displaced drives state."""
+
+ROW_M = np.array([0.8, -0.6]) * 2.8
+"""From row to row of the rendered vineyards, east and north."""
+
+Placed = Sequence[tuple[FrameRecord, Pose]]
+
+
+def built(path: Path, drives: Mapping[str, tuple[Path, str | None]]) -> Path:
+    """A map of drives, by name: the recording and its log."""
+    for name, (recording, log) in drives.items():
+        options = DriveOptions(gnss=None if log is None else recording / "gnss" / log)
+        build_map([recording], path, BuildSettings(), options, append=path.exists(), name=name)
+    return path
+
+
+def frames_of(universal: MapFile, name: str) -> list[FrameRecord]:
+    """The accepted frames of a session."""
+    return [f for f in universal.frames(name, with_grid=True) if f.accepted]
+
+
+def map_of(path: Path, datum: Datum, sessions: Mapping[str, Placed]) -> MapFile:
+    """A map of frames at poses. Its cells are large: alignment does not read them."""
+    path.unlink(missing_ok=True)
+    with create_map(path, datum, cell_m=0.5) as universal:
+        for name, frames in sessions.items():
+            with universal.add_session(name) as session:
+                for frame, pose in frames:
+                    session.add_staged(frame.staged(), pose)
+    return open_map(path)
+
+
+def displaced(frames: Sequence[FrameRecord], by: Transform, sigma_m: float) -> Placed:
+    """Frames whose poses are off by a transform and state a sigma."""
+    return [(f, replace(by.pose(f.driven), position_sigma_m=sigma_m)) for f in frames]
+
+
+def at_poses(frames: Sequence[FrameRecord], sigma_m: float) -> Placed:
+    """Frames where they were."""
+    return displaced(frames, Transform(), sigma_m)
+
+
+class Left(NamedTuple):
+    """What lies between two drives after alignment: metres, degrees, and the sigma that was said;
+    a doubt has none."""
+
+    off_m: float
+    turn_deg: float
+    sigma_m: float
+
+    @property
+    def is_doubt(self) -> bool:
+        """Whether nothing was moved."""
+        return np.isnan(self.off_m)
+
+
+DOUBT = Left(np.nan, np.nan, np.nan)
+
+
+def left_between(
+    found: MapAlignment, sessions: Mapping[str, Placed], names: tuple[str, str]
+) -> Left:
+    """What alignment left of a displacement of the second drive against the first."""
+    pair = found.pairs[0] if found.pairs else None
+    if pair is None or pair.doubt is not None:
+        return DOUBT
+    after = {drive.name: drive.after for drive in found.drives}
+    off, turn = {}, {}
+    for name in names:
+        moved = [(f.driven, after[name].pose(pose)) for f, pose in sessions[name]]
+        off[name] = np.mean(
+            [(p.east_m - q.east_m, p.north_m - q.north_m) for q, p in moved], axis=0
+        )
+        away = np.array([p.heading_deg - q.heading_deg for q, p in moved])
+        turn[name] = np.mean((away + 180.0) % 360.0 - 180.0)
+    a, b = names
+    return Left(float(np.hypot(*(off[b] - off[a]))), float(turn[b] - turn[a]), pair.sigma_m)
+
+
+def random_transform(random: np.random.Generator, frames: Sequence[FrameRecord]) -> Transform:
+    """A shift of up to 2 m, a turn of up to 1°, a wander of 0.3 m over a minute or two."""
+    east, north = (np.array([getattr(f.driven, n) for f in frames]) for n in ("east_m", "north_m"))
+    way = random.uniform(0.0, 2.0 * np.pi)
+    size = random.uniform(0.0, 2.0)
+    start, stop = frames[0].driven.time_ns, frames[-1].driven.time_ns
+    times = np.linspace(start, stop, 25).astype(np.int64)
+    period_s = random.uniform(120.0, 300.0)
+    phases = random.uniform(0.0, 2.0 * np.pi, 2)
+    swing = [
+        0.3 / np.sqrt(2.0) * np.sin(2.0 * np.pi * (times - start) / 1e9 / period_s + phase)
+        for phase in phases
+    ]
+    swing = [one - one.mean() for one in swing]
+    return Transform(
+        size * np.sin(way), size * np.cos(way), random.uniform(-1.0, 1.0),
+        float(east.mean()), float(north.mean()),
+        Wander(tuple(times.tolist()), tuple(swing[0].tolist()), tuple(swing[1].tolist())),
+    )  # fmt: skip
+
+
+def report(name: str, results: Sequence[Left], *, spoilt: bool = False) -> None:
+    """A line of the table of trials."""
+    told = [one for one in results if not one.is_doubt]
+    line = f"{name:44s} {len(results):4d} {len(results) - len(told):6d}"
+    if told:
+        off = np.array([one.off_m for one in told])
+        turn = np.abs([one.turn_deg for one in told])
+        within = np.mean([one.off_m <= 3.0 * one.sigma_m for one in told])
+        middle, most = 100.0 * np.percentile(off, [50, 95])
+        line += f"   {middle:5.1f} {most:5.1f} {100 * off.max():6.1f}   "
+        line += f"{np.median(turn):5.2f} {turn.max():5.2f}   {100 * within:5.1f}"
+        wrong = int((off > 0.5).sum())
+        line += f"   {wrong} wrong" if spoilt or wrong else ""
+    print(line, flush=True)
+
+
+def trials(folder: Path, count: int, seed: int) -> None:
+    """Random displacements of one drive against another."""
+    random = np.random.default_rng(seed)
+    pairs: dict[str, tuple[Datum, list[FrameRecord], list[FrameRecord]]] = {}
+    sources = {"two_lanes": (EXAMPLE, "gnss_rtk.nmea")}
+    if LATER.exists():
+        sources["later"] = (LATER, "gnss_rtk.nmea")
+    if SLOPE.exists():
+        sources["slope"] = (SLOPE, "gnss_rtk.nmea")
+    if ROAD.exists():
+        sources["road"] = (ROAD, None)
+    frames: dict[str, list[FrameRecord]] = {}
+    maps = []
+    for name, source in sources.items():
+        universal = open_map(built(folder / f"{name}.gpkg", {name: source}))
+        maps.append(universal)  # frames load from it
+        frames[name] = frames_of(universal, name)
+        datum = universal.datum
+        own = frames[name]
+        cut = [own[: int(0.65 * len(own))], own[int(0.35 * len(own)) :]]
+        pairs[f"{name}: every other frame"] = (datum, own[::2], own[1::2])
+        pairs[f"{name}: two overlapping parts"] = (datum, cut[0], cut[1])
+    if LATER.exists():
+        both = open_map(
+            built(folder / "both.gpkg", {"june": sources["two_lanes"], "august": sources["later"]})
+        )
+        maps.append(both)
+        pairs["two_lanes: June and August"] = (
+            both.datum, frames_of(both, "june"), frames_of(both, "august"),
+        )  # fmt: skip
+    print(f"{'':44s} {'runs':>4s} {'doubts':>6s}   left: median, 95 %, worst cm; turn: median, "
+          "worst °; within 3 sigma %")  # fmt: skip
+    for name, (datum, first, second) in pairs.items():
+        share = -(-count // len(pairs))
+        for sigma_m, receiver in ((SF1_SIGMA_M, "says 0.35 m"), (0.02, "says 0.02 m")):
+            results = []
+            for _ in range(share if sigma_m == SF1_SIGMA_M else max(share // 4, 1)):
+                by = random_transform(random, second)
+                sessions = {"a": at_poses(first, 0.02), "b": displaced(second, by, sigma_m)}
+                with map_of(folder / "trial.gpkg", datum, sessions) as trial:
+                    results.append(left_between(align_map(trial), sessions, ("a", "b")))
+            report(f"{name}, {receiver}", results)
+        if not name.startswith("road"):
+            results = []
+            for step in (ROW_M, -ROW_M):
+                by = Transform(float(step[0]), float(step[1]))
+                sessions = {"a": at_poses(first, 0.02), "b": displaced(second, by, SF1_SIGMA_M)}
+                with map_of(folder / "trial.gpkg", datum, sessions) as trial:
+                    results.append(left_between(align_map(trial), sessions, ("a", "b")))
+            report(f"{name}, off by one row", results, spoilt=True)
+    for one in maps:
+        one.close()
+
+
+def pose_errors(universal: MapFile, name: str, drive: Path) -> np.ndarray:
+    """East, north (m) and heading (°) of placed frames less the truth [n, 3]."""
+    origin = json.loads((drive / "session.json").read_text())["ltp_origin"]
+    plane = Datum(origin["lat_deg"], origin["lon_deg"], origin["ellipsoid_height_m"])
+    with (drive / "truth" / "poses_frames.csv").open() as file:
+        truth = {row["id"]: row for row in csv.DictReader(file)}
+    errors = []
+    for frame in universal.frames(name):
+        if frame.accepted:
+            row = truth[frame.frame_id]
+            place = (float(row[key]) for key in ("cam_mid_E", "cam_mid_N", "ref_U"))
+            east, north, _ = universal.datum.to_enu(*plane.to_geodetic(*place))
+            turn = (frame.pose.heading_deg - float(row["heading_deg"]) + 180.0) % 360.0 - 180.0
+            errors.append((frame.pose.east_m - east, frame.pose.north_m - north, turn))
+    return np.array(errors, dtype=np.float64)
+
+
+def real(folder: Path) -> None:
+    """The logs of two rendered drives as they are, before and after alignment."""
+    logs = {
+        "june-sf1": (EXAMPLE, "gnss_sf1.nmea"), "august-sf1": (LATER, "gnss_sf1.nmea"),
+        "june-rtk": (EXAMPLE, "gnss_rtk.nmea"), "august-rtk": (LATER, "gnss_rtk.nmea"),
+    }  # fmt: skip
+    logs = {name: source for name, source in logs.items() if source[0].exists()}
+    sets = [
+        ["june-sf1"], ["june-sf1", "august-sf1"], ["june-sf1", "june-rtk"],
+        ["august-sf1", "june-rtk"], ["june-rtk", "august-rtk"], list(logs),
+    ]  # fmt: skip
+    for names in sets:
+        if not set(names) <= set(logs):
+            continue
+        path = built(folder / f"{'-'.join(names)}.gpkg", {name: logs[name] for name in names})
+        with open_map(path, writable=True) as universal:
+            before = {n: pose_errors(universal, n, logs[n][0]) for n in names}
+            start = time.process_time()
+            found = align_map(universal)
+            spent_s = time.process_time() - start
+            universal.set_transforms(found.transforms)
+            after = {n: pose_errors(universal, n, logs[n][0]) for n in names}
+            print(f"\n{' + '.join(names)} ({spent_s:.1f} s of processor time)")
+            for drive in found.drives:
+                b, a = before[drive.name], after[drive.name]
+                print(
+                    f"  {drive.name:12s} off by {_metres(b)} m, after {_metres(a)} m; scatter "
+                    f"{100 * np.hypot(*b[:, :2].std(axis=0)):.1f} cm, after "
+                    f"{100 * np.hypot(*a[:, :2].std(axis=0)):.1f} cm; said {drive.sigma_m:.3f} m"
+                )
+            for pair in found.pairs:
+                apart = [e[pair.b].mean(axis=0) - e[pair.a].mean(axis=0) for e in (before, after)]
+                print(
+                    f"  {pair.b} against {pair.a}: {100 * np.hypot(*apart[0][:2]):.1f} cm apart, "
+                    f"after {100 * np.hypot(*apart[1][:2]):.1f} cm and {apart[1][2]:+.2f}°; said "
+                    f"{100 * pair.sigma_m:.1f} cm{'; ' + pair.doubt if pair.doubt else ''}"
+                )
+            _scores(universal, names, logs)
+
+
+def _metres(errors: np.ndarray) -> str:
+    east, north = errors[:, :2].mean(axis=0)
+    return f"{east:+.3f} {north:+.3f}"
+
+
+def _scores(universal: MapFile, names: Sequence[str], logs: Mapping[str, tuple[Path, str]]) -> None:
+    """The cells of poor drives that were aligned, against the truth."""
+    for name in names:
+        if name.endswith("sf1") and len(names) > 1:
+            scores = evaluate(
+                universal.read(sessions=[name]),
+                read_truth(logs[name][0] / "truth", universal.datum),
+            )
+            print(f"  {name} alone: {scores}")
+
+
+def many(folder: Path, sessions: int, frames: int) -> None:
+    """The time and memory of many drives over one field: the example's frames, displaced."""
+    universal = open_map(built(folder / "many.gpkg", {"a": (EXAMPLE, "gnss_rtk.nmea")}))
+    own = frames_of(universal, "a")
+    random = np.random.default_rng(3)
+    made: dict[str, Placed] = {}
+    for n in range(sessions):
+        repeated = []
+        for k in range(frames):
+            frame = own[k % len(own)]
+            late_ns = (k // len(own)) * 600_000_000_000
+            pose = replace(frame.driven, time_ns=frame.driven.time_ns + late_ns)
+            staged = replace(frame, frame_id=f"{k:06d}", pose=pose, driven=pose)
+            repeated.append(staged)
+        shift = random.normal(0.0, 0.3, 2)
+        made[f"{n:02d}"] = displaced(repeated, Transform(*map(float, shift)), SF1_SIGMA_M)
+    with map_of(folder / "trial.gpkg", universal.datum, made) as field:
+        wall, start = time.perf_counter(), time.process_time()
+        found = align_map(field)
+        print(
+            f"\n{sessions} sessions of {frames} frames: {time.perf_counter() - wall:.0f} s, "
+            f"{time.process_time() - start:.0f} s of processor time, peak "
+            f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB; "
+            f"{sum(pair.doubt is None for pair in found.pairs)} of {len(found.pairs)} pairs agree"
+        )
+    universal.close()
+
+
+def main() -> None:
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("trials", nargs="?", type=int, default=200)
+    parser.add_argument("--only", choices=("real", "trials", "many"))
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        if given.only in (None, "real"):
+            real(Path(folder))
+        if given.only in (None, "trials"):
+            trials(Path(folder), given.trials, given.seed)
+        if given.only in (None, "many"):
+            many(Path(folder), 20, 200)
+
+
+if __name__ == "__main__":
+    main()

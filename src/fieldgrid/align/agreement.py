@@ -1,0 +1,141 @@
+"""Where two drives agree as wholes: the shift and turn of one against the other, or a doubt.
+
+Rows repeat. So all shifts within reach are scored, with every pair of submaps as a witness whose
+voice is bounded, and the best is believed only when nothing apart from it comes near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from fieldgrid.align.score import Scores
+from fieldgrid.array_types import Float64
+
+WEIGHT = 40.0
+"""How much the log-posterior falls for shifts whose agreement, a cell, is none beside the best: a
+sixth less of it is as bad as `MARGIN`. Not the sum over cells: of two hypotheses the one with more
+ground in common, as after a slip by a row, is not the better one."""
+
+MARGIN = 6.0
+"""Shifts that are worse than the best by more than this are ruled out."""
+
+APART_M = 0.6
+"""Shifts that are not ruled out and lie farther from the best are another answer."""
+
+LEAST_SHARE = 0.08
+"""Shifts with a smaller share of the ground in common that others have are not told. It is small,
+since after a slip by a row more may coincide than where drives really lie."""
+
+LEAST_AGREEMENT = 0.144
+"""Log-likelihood a cell of a correlation of 0.5; drives that agree less have nothing in common."""
+
+BLUR_M = 0.2
+"""What receivers wander by meanwhile, at most, within what is scored as one shift."""
+
+MOST_TURN_DEG, TURN_STEP_DEG = 1.6, 0.2
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's distribution, of stated errors."""
+
+
+class Agreement(NamedTuple):
+    """How drive `b` lies against drive `a`: `shift_m` [2] at `at_m` [2], the middle of the ground
+    that they share, `turn_deg` clockwise. `doubt` says why that is not believed, None where it is.
+
+    `score` [n, n] is the log-posterior of shifts `shifts_m` along either axis, at the best turn of
+    each, less its maximum; `rivals_m` [m, 2] are other shifts that are not ruled out, `alike_m`
+    those that only the stated errors of receivers rule out, as where rows repeat.
+    """
+
+    a: int
+    b: int
+    at_m: Float64
+    shift_m: Float64
+    turn_deg: float
+    pairs: int
+    score: Float64
+    shifts_m: Float64
+    rivals_m: Float64
+    alike_m: Float64
+    doubt: str | None
+
+
+def agree(
+    a: int,
+    b: int,
+    found: Sequence[Scores],
+    places_m: Float64,
+    sigma_m: float,
+    turn_sigma_deg: float,
+    most_m: float,
+) -> Agreement:
+    """Where drives `a` and `b` agree, from the scores of their pairs of submaps at places [n, 2].
+
+    `sigma_m` is what their receivers leave open between them, `most_m` the largest shift that is
+    believed.
+    """
+    axis, cell_m = found[0].shifts_m, found[0].cell_m
+    blur = 2 * round(min(sigma_m, BLUR_M) / cell_m) + 1
+    likelihoods = [one.independent * ndimage.maximum_filter(one.by_cell, blur) for one in found]
+    away = places_m - places_m.mean(axis=0)
+    turns = np.arange(-MOST_TURN_DEG, MOST_TURN_DEG + 1e-9, TURN_STEP_DEG)
+    # Turns that move nothing by a quarter of a cell are one.
+    extent_m = float(np.hypot(*away.T).max())
+    turns = turns if np.radians(MOST_TURN_DEG) * extent_m > cell_m / 4.0 else np.zeros(1)
+    shape = (len(turns), len(axis), len(axis))
+    agreement, cells = np.zeros(shape), np.zeros(shape)
+    for n, turn in enumerate(np.radians(turns)):
+        for one, likelihood, (east, north) in zip(found, likelihoods, away, strict=True):
+            # A clockwise turn of b moves it there by turn · (north, -east).
+            by = (turn * east / cell_m, -turn * north / cell_m)
+            agreement[n] += ndimage.shift(likelihood, by, order=1)
+            cells[n] += ndimage.shift(one.independent, by, order=1)
+    told = cells > LEAST_SHARE * cells.max()
+    agreement = np.where(told, agreement / np.maximum(cells, 1.0), 0.0)
+    # Less its own 1-sigma error: of few cells some agree by chance.
+    error = np.sqrt(-np.expm1(-2.0 * agreement) / np.maximum(cells, 1.0))
+    agreement = np.maximum(agreement - error, 0.0)
+    squared = (axis[:, None] ** 2 + axis[None, :] ** 2) / sigma_m**2
+    evidence = WEIGHT * agreement / max(float(agreement.max()), LEAST_AGREEMENT)
+    posterior = evidence - (FREEDOM + 2.0) / 2.0 * np.log1p(squared / FREEDOM)
+    by_turn = (turns / turn_sigma_deg) ** 2
+    posterior -= ((FREEDOM + 1.0) / 2.0 * np.log1p(by_turn / FREEDOM))[:, None, None]
+    turn, j, i = np.unravel_index(int(posterior.argmax()), posterior.shape)
+    shift = np.array([axis[i], axis[j]])
+    score = posterior.max(axis=0) - posterior.max()
+    rivals = _rivals(score, axis, shift)
+    alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
+    doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)
+    return Agreement(
+        a, b, places_m.mean(axis=0), shift, float(turns[turn]), len(found), score, axis, rivals,
+        alike, doubt,
+    )  # fmt: skip
+
+
+def _rivals(score: Float64, axis: Float64, shift: Float64) -> Float64:
+    """The best of each region that is not ruled out and does not hold the best shift."""
+    labels, count = ndimage.label(score > -MARGIN, np.ones((3, 3)))
+    rivals = []
+    for n in range(1, count + 1):
+        j, i = np.unravel_index(int(np.where(labels == n, score, -np.inf).argmax()), score.shape)
+        place = np.array([axis[i], axis[j]])
+        if np.hypot(*(place - shift)) > APART_M:
+            rivals.append(place)
+    return np.array(rivals).reshape(-1, 2)
+
+
+def _doubt(agreement: float, shift: Float64, rivals: Float64, most_m: float) -> str | None:
+    """Why a shift is not believed."""
+    if agreement < LEAST_AGREEMENT:
+        return "what they saw has too little in common"
+    if len(rivals):
+        every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in (shift, *rivals[:3]))
+        return f"several shifts fit (metres east, north: {every}), as where rows repeat"
+    size = float(np.hypot(*shift))
+    if size > most_m:
+        return f"they agree best {size:.1f} m away, beyond the {most_m:g} m that --reach allows"
+    return None

@@ -1,0 +1,391 @@
+"""How the drives of a map lie against each other, from the evidence in it and nothing else.
+
+1. Drives are cut into submaps of some metres, within which poses are trusted.
+2. As wholes, every two drives that saw the same ground are compared over all shifts in reach:
+   where rows repeat there are several answers, and then these two are not compared further.
+3. Pairs of submaps are compared finely, and all drives are placed at once (`network`), twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from fieldgrid.align.agreement import Agreement, agree
+from fieldgrid.align.drives import Drive, Role, read_drives
+from fieldgrid.align.network import Match, Solution, information_of, solve, turn_sigma_deg
+from fieldgrid.align.pairs import Pair, overlapping
+from fieldgrid.align.score import PROBE_DEG, TurnPeak, peak, scores, turn_peak
+from fieldgrid.align.submaps import Picture, draw
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import ConfigError
+from fieldgrid.lattice import Lattice
+from fieldgrid.mapfile import MapFile, Transform
+from fieldgrid.mapfile.transform import Aligned, transform_of
+from fieldgrid.mapfile.workers import in_order
+
+COARSE_M, FINE_M = 0.2, 0.1
+"""Sides of the cells in which drives are compared, as wholes and finely."""
+
+REACH_M = 2.5
+"""The largest shift that is believed by default; more is scored, to see what else would fit."""
+
+BEYOND_M = 2.0
+
+FINE_REACH_M = 1.5
+
+FAR_SIGMAS = 3.0
+
+FINE_ROUNDS = 2
+
+_Found = TypeVar("_Found")
+
+Progress = Callable[[str, int, int], None]
+"""Told of a stage and how far it is: (stage, done, all)."""
+
+
+class DriveAlignment(NamedTuple):
+    """What became of a drive: its transforms `before` and `after`, the 1-sigma errors of shift and
+    turn, from how many matches. By its `role` it was to move or not; without matches it does not.
+    """
+
+    name: str
+    before: Transform
+    after: Transform
+    sigma_m: float
+    turn_sigma_deg: float
+    matches: int
+    role: Role
+
+    @property
+    def moved(self) -> bool:
+        """Whether it gets another place."""
+        return self.after is not self.before
+
+
+class PairAlignment(NamedTuple):
+    """How drive `b` lay against drive `a` where both saw the same ground, about `at_m` [2]: metres
+    east and north (of b less of a), and degrees clockwise, as they were placed and as they are
+    after alignment, with the error of the shift. Of a pair with a `doubt` nothing was used.
+
+    What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
+    infinite where not at all: there the receivers alone have a say.
+    """
+
+    a: str
+    b: str
+    at_m: Float64
+    before_m: Float64
+    after_m: Float64
+    turn_before_deg: float
+    turn_after_deg: float
+    sigma_m: float
+    weak_axis_deg: float
+    weak_sigma_m: float
+    matches: int
+    doubt: str | None
+    agreement: Agreement
+
+
+class MapAlignment(NamedTuple):
+    """How the drives of a map lie against each other. `misfit` is the median normalised residual
+    of all matches, 1.2 where they scatter as they say; `face_m` lies between the two faces of a
+    row, and all looks nearer by `view_m` than it is."""
+
+    drives: tuple[DriveAlignment, ...]
+    pairs: tuple[PairAlignment, ...]
+    misfit: float
+    face_m: float
+    view_m: float
+
+    @property
+    def transforms(self) -> dict[str, Transform]:
+        """Of the drives that get another place, for `MapFile.set_transforms`."""
+        return {drive.name: drive.after for drive in self.drives if drive.moved}
+
+
+def align_map(
+    universal: MapFile,
+    sessions: Collection[str] | None = None,
+    *,
+    to: Collection[str] = (),
+    datum_from: str | None = None,
+    reach_m: float = REACH_M,
+    rounds: int = FINE_ROUNDS,
+    progress: Progress | None = None,
+    jobs: int | None = None,
+) -> MapAlignment:
+    """How drives lie against each other, and the transforms that make them coincide; changes
+    nothing (`MapFile.set_transforms` does).
+
+    `sessions` are those that may move, all active ones when not given; the others stay, and count
+    as far as they are sure. Those in `to`, and `datum_from`, hold: they are right. With `to` no
+    further ones take part.
+    `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
+    good to a decimetre, in a third of the time. Raises ConfigError for names that are not in
+    the map, or nothing to align.
+    """
+    if not 0.0 < reach_m <= MOST_REACH_M:
+        raise ConfigError(f"A reach of {reach_m:g} m cannot be; give 0 to {MOST_REACH_M:g} m.")
+    drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
+    tell = progress or (lambda stage, done, count: None)
+    run = _Run(drives, reach_m, tell, jobs)
+    agreements, coarse = run.compare_as_wholes()
+    believed = {(one.a, one.b) for one in agreements if one.doubt is None}
+    matched = np.bincount([n for m in coarse for n in (m.a, m.b)], minlength=len(drives)) > 0
+    # Who matches nothing has nothing that could place it elsewhere.
+    drives = [
+        drive if some or drive.role is not Role.MOVES else replace(drive, role=Role.STAYS)
+        for drive, some in zip(drives, matched, strict=True)
+    ]
+    before = [drive.transform for drive in drives]
+    solution, matches = solve(drives, before, coarse), coarse
+    # A receiver that is far off is as poor as that, also in what it wanders.
+    off_m = (np.hypot(one.shift_east_m, one.shift_north_m) for one in solution.transforms)
+    drives = [
+        replace(drive, sigma_m=off / 2.0) if off > FAR_SIGMAS * drive.sigma_m else drive
+        for drive, off in zip(drives, map(float, off_m), strict=True)
+    ]
+    for number in range(rounds):
+        stage = f"submaps, round {number + 1} of {rounds}"
+        matches = run.compare_finely(solution.transforms, believed, stage)
+        solution = solve(drives, solution.transforms, matches)
+    return _report(drives, before, agreements, matches, solution)
+
+
+MOST_REACH_M = 20.0
+
+
+def _roles(
+    universal: MapFile,
+    sessions: Collection[str] | None,
+    to: Collection[str],
+    datum_from: str | None,
+) -> dict[str, Role]:
+    """The roles of the sessions that take part, as they were added one after the other."""
+    active = [info.name for info in universal.sessions() if info.active and info.accepted]
+    holding = {*to, *([] if datum_from is None else [datum_from])}
+    moving = set(active) - holding if sessions is None else set(sessions)
+    for name in (*holding, *moving):
+        if name not in active:
+            raise ConfigError(
+                f"{universal.path} has no session {name!r} with accepted frames in the map; it has "
+                f"{', '.join(map(repr, active)) or 'none'}."
+            )
+    if moving & holding:
+        raise ConfigError(
+            f"Session {sorted(moving & holding)[0]!r} is to move and to hold; say one of them."
+        )
+    if not moving:
+        raise ConfigError("There is nothing to align: every session is to hold.")
+    named = dict.fromkeys(moving, Role.MOVES) | dict.fromkeys(holding, Role.HOLDS)
+    return {name: named.get(name, Role.STAYS) for name in active if not to or name in named}
+
+
+def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) -> list[str]:
+    """Put aligned sessions back where they were, bit for bit; returns their names.
+
+    All of them when `sessions` are not given. Raises ConfigError for one that is not aligned.
+    """
+    aligned = {
+        info.name: info.transform.aligned
+        for info in universal.sessions()
+        if info.transform.aligned is not None
+    }
+    for name in sessions or ():
+        if name not in aligned:
+            raise ConfigError(
+                f"Session {name!r} of {universal.path} is not aligned; there is nothing to undo."
+            )
+    chosen = list(aligned) if sessions is None else [name for name in aligned if name in sessions]
+    if not chosen:
+        raise ConfigError(f"No session of {universal.path} is aligned; there is nothing to undo.")
+    universal.set_transforms({name: transform_of(aligned[name].before) for name in chosen})
+    return chosen
+
+
+class _Run:
+    """Comparing submaps, on all cores."""
+
+    def __init__(
+        self,
+        drives: Sequence[Drive],
+        reach_m: float,
+        tell: Progress,
+        jobs: int | None,
+    ) -> None:
+        self._drives, self._reach_m = drives, reach_m
+        self._tell, self._jobs = tell, jobs
+        self._local_m = max(f.spec.cell_m for d in drives for s in d.submaps for f in s.frames)
+
+    def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
+        """Where every two drives agree, and the matches of those that do without doubt."""
+        transforms = [drive.transform for drive in self._drives]
+        pictures = self._draw(transforms, COARSE_M, "drives")
+        reach_m = self._reach_m + BEYOND_M
+        by_pair = defaultdict(list)
+        pairs = self._pairs(pictures, None)
+        for pair, score in self._each(
+            lambda p: scores(pictures[p.a][p.k], pictures[p.b][p.l], reach_m), pairs, "drives"
+        ):
+            by_pair[pair.a, pair.b].append((pair, score))
+        agreements, matches = [], list[Match]()
+        for (a, b), members in sorted(by_pair.items()):
+            if a == b:
+                matches += [Match(*pair, *peak(score, np.zeros(2))) for pair, score in members]
+                continue
+            places = np.array([pair.at_m for pair, _ in members])
+            both = self._drives[a], self._drives[b]
+            sigma_m = math.hypot(*(drive.sigma_m for drive in both))
+            turn_deg = math.hypot(*(turn_sigma_deg(drive) for drive in both))
+            one = agree(
+                a, b, [score for _, score in members], places, sigma_m, turn_deg, self._reach_m,
+            )  # fmt: skip
+            agreements.append(one)
+            if one.doubt is None:
+                turn = np.radians(one.turn_deg)
+                for (pair, score), away in zip(members, places - one.at_m, strict=True):
+                    near = one.shift_m + turn * np.array([away[1], -away[0]])
+                    matches.append(Match(*pair, *peak(score, near)))
+        return agreements, matches
+
+    def compare_finely(
+        self, transforms: Sequence[Transform], believed: set[tuple[int, int]], stage: str
+    ) -> list[Match]:
+        """The matches of drives that agree, placed by transforms."""
+        pictures = self._draw(transforms, FINE_M, stage)
+        less, more = (
+            self._draw(transforms, FINE_M, stage, turn) for turn in (-PROBE_DEG, PROBE_DEG)
+        )
+
+        def match(p: Pair) -> Match | None:
+            a, b = pictures[p.a][p.k], pictures[p.b][p.l]
+            score = scores(a, b, FINE_REACH_M)
+            if score is None:
+                return None
+            turned = TurnPeak(0.0, 0.0)
+            if p.a != p.b:
+                turned = turn_peak(a, less[p.b][p.l], b, more[p.b][p.l], score.alike)
+            return Match(*p, *peak(score, np.zeros(2)), *turned)
+
+        return [one for _, one in self._each(match, self._pairs(pictures, believed), stage)]
+
+    def _draw(
+        self, transforms: Sequence[Transform], cell_m: float, stage: str, turn_deg: float = 0.0
+    ) -> list[list[Picture]]:
+        """The pictures of all submaps by drive, each turned about its own middle."""
+        lattice = Lattice(max(cell_m, self._local_m))
+        places = [(n, submap) for n, drive in enumerate(self._drives) for submap in drive.submaps]
+        pictures: list[list[Picture]] = [[] for _ in self._drives]
+        drawn = in_order(
+            lambda place: draw(place[1], transforms[place[0]], lattice, turn_deg),
+            places,
+            self._jobs,
+        )
+        for done, ((n, _), picture) in enumerate(zip(places, drawn, strict=True)):
+            pictures[n].append(picture)
+            self._tell(f"drawing {stage}", done + 1, len(places))
+        return pictures
+
+    def _pairs(
+        self, pictures: Sequence[Sequence[Picture]], believed: set[tuple[int, int]] | None
+    ) -> list[Pair]:
+        """What is to be compared: not what holds with what holds, nor what is in doubt."""
+        return [
+            pair
+            for pair in overlapping(pictures)
+            if Role.MOVES in (self._drives[pair.a].role, self._drives[pair.b].role)
+            and (believed is None or pair.a == pair.b or (pair.a, pair.b) in believed)
+        ]
+
+    def _each(
+        self, work: Callable[[Pair], _Found | None], pairs: Sequence[Pair], stage: str
+    ) -> list[tuple[Pair, _Found]]:
+        """What work finds for pairs, without those for which it finds nothing."""
+        results = []
+        for done, (pair, found) in enumerate(
+            zip(pairs, in_order(work, pairs, self._jobs), strict=True)
+        ):
+            if found is not None:
+                results.append((pair, found))
+            self._tell(f"comparing {stage}", done + 1, len(pairs))
+        return results
+
+
+def _report(
+    drives: Sequence[Drive],
+    before: Sequence[Transform],
+    agreements: Sequence[Agreement],
+    matches: Sequence[Match],
+    solution: Solution,
+) -> MapAlignment:
+    with_ = defaultdict[int, set[int]](set)
+    counts = defaultdict[tuple[int, int], int](int)
+    for match in matches:
+        counts[match.a, match.b] += 1
+        with_[match.a].add(match.b)
+        with_[match.b].add(match.a)
+    results = []
+    for n, drive in enumerate(drives):
+        after = solution.transforms[n]
+        if drive.role is Role.MOVES:
+            others = tuple(drives[k].name for k in sorted(with_[n] - {n}))
+            earlier = before[n].aligned
+            was = before[n].to_text() if earlier is None else earlier.before
+            after = replace(
+                after,
+                aligned=Aligned(
+                    float(solution.sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
+                ),
+            )
+        own = sum(count for pair, count in counts.items() if n in pair)
+        results.append(
+            DriveAlignment(
+                drive.name,
+                before[n],
+                after,
+                float(solution.sigma_m[n, n]),
+                float(solution.turn_sigma_deg[n]),
+                own,
+                drive.role,
+            )
+        )
+    pairs = [
+        _pair(drives, before, solution, one, [m for m in matches if (m.a, m.b) == (one.a, one.b)])
+        for one in agreements
+    ]
+    misfit = float(np.median(solution.misfit)) if len(matches) else float("nan")
+    return MapAlignment(tuple(results), tuple(pairs), misfit, solution.face_m, solution.view_m)
+
+
+def _pair(
+    drives: Sequence[Drive],
+    before: Sequence[Transform],
+    solution: Solution,
+    one: Agreement,
+    matches: Sequence[Match],
+) -> PairAlignment:
+    """What a pair lay apart is what alignment moved one against the other, for those that agree."""
+    a, b = one.a, one.b
+    moved, turned = np.zeros(2), 0.0
+    for sign, n in ((1.0, a), (-1.0, b)):
+        drive, now, was = drives[n], solution.transforms[n], before[n]
+        middle = int(np.argmin(np.hypot(*(drive.middle_m - one.at_m).T)))
+        place = *drive.middle_m[middle], int(drive.time_ns[middle])
+        moved += sign * (np.array(now.points(*place)) - np.array(was.points(*place)))
+        turned += sign * (now.turn_deg - was.turn_deg)
+    trusted = one.doubt is None
+    information = [information_of(match, len(matches)) for match in matches]
+    told, axes = np.linalg.eigh(np.sum(information, axis=0) if matches else np.zeros((2, 2)))
+    return PairAlignment(
+        drives[a].name, drives[b].name, one.at_m,
+        moved if trusted else one.shift_m, np.zeros(2) if trusted else one.shift_m,
+        turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
+        float(solution.sigma_m[a, b]), float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
+        float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(matches), one.doubt, one,
+    )  # fmt: skip

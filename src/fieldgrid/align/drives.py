@@ -1,0 +1,107 @@
+"""The drives of a map as alignment sees them: submaps, where they lie now, what their receiver
+leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from fieldgrid.align.submaps import Submap, cut
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import FrameRecord, MapFile, Transform
+
+LEAST_SIGMA_M = 0.01
+"""No receiver is better."""
+
+UNKNOWN_SIGMA_M = 1.0
+"""Of poses that state none."""
+
+
+class Role(Enum):
+    """What may become of a drive: it moves; it stays although it may be wrong, which others are not
+    to follow; it holds, and is what others come to."""
+
+    MOVES = "moves"
+    STAYS = "stays"
+    HOLDS = "holds"
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A session: its submaps in the order of time, [n], and where each was as driven.
+
+    `sigma_m` is the error along one axis that its receiver leaves open, which moves slowly.
+    """
+
+    name: str
+    role: Role
+    submaps: tuple[Submap, ...]
+    transform: Transform
+    sigma_m: float
+    time_ns: Int64
+    middle_m: Float64
+    """Where the submaps were driven [n, 2], east and north."""
+    pivot_m: Float64
+    """The middle of the drive [2]."""
+
+    @property
+    def half_length_m(self) -> float:
+        """How far its submaps lie from the pivot at most."""
+        return float(np.hypot(*(self.middle_m - self.pivot_m).T).max(initial=1.0))
+
+
+def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
+    """Sessions with accepted frames by their roles; of those that do not move the part near others
+    that do. Sessions of which nothing is near are left out."""
+    transforms = {info.name: info.transform for info in universal.sessions()}
+    frames_of = {
+        name: [f for f in universal.frames(name, with_grid=True) if f.accepted] for name in roles
+    }
+    moves = [frame for name in roles if roles[name] is Role.MOVES for frame in frames_of[name]]
+    near = _bounds(moves)
+    drives = []
+    for name, role in roles.items():
+        frames = frames_of[name]
+        if role is not Role.MOVES:
+            frames = [frame for frame in frames if near.overlaps(_bounds([frame]))]
+        if not frames:
+            continue
+        submaps = tuple(cut(name, frames))
+        points = np.array([[f.driven.east_m, f.driven.north_m] for f in frames])
+        drives.append(
+            Drive(
+                name,
+                role,
+                submaps,
+                transforms[name],
+                _sigma_m(frames, transforms[name], role),
+                np.array([submap.time_ns for submap in submaps], np.int64),
+                np.array([submap.driven_m() for submap in submaps]),
+                (points.min(axis=0) + points.max(axis=0)) / 2.0,
+            )
+        )
+    return drives
+
+
+def _sigma_m(frames: Sequence[FrameRecord], transform: Transform, role: Role) -> float:
+    """What is open of where a drive lies: what its receiver states, or, of one that was aligned
+    and stays so, what that left."""
+    if role is not Role.MOVES and transform.aligned is not None:
+        return max(transform.aligned.sigma_m, LEAST_SIGMA_M)
+    sigmas = [f.driven.position_sigma_m for f in frames]
+    known = [sigma for sigma in sigmas if np.isfinite(sigma)]
+    return max(float(np.median(known)), LEAST_SIGMA_M) if known else UNKNOWN_SIGMA_M
+
+
+def _bounds(frames: Sequence[FrameRecord]) -> Bounds:
+    """What frames may have seen."""
+    reach_m = max(frame.spec.reach_m for frame in frames)
+    east = [frame.pose.east_m for frame in frames]
+    north = [frame.pose.north_m for frame in frames]
+    return Bounds(
+        min(east) - reach_m, min(north) - reach_m, max(east) + reach_m, max(north) + reach_m
+    )

@@ -1,0 +1,116 @@
+"""Submaps: what a session saw along some metres of its drive, as pictures that can be compared.
+
+Within a submap the poses are trusted: over some metres camera, gyro and receiver are good to
+centimetres, while the slow error of a receiver moves a submap as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float32, Float64
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.layers import Cells
+from fieldgrid.layers.density import GROUP
+from fieldgrid.layers.window import WindowFold
+from fieldgrid.mapfile import FrameRecord, Transform
+from fieldgrid.transfer import Transfer, footprint
+
+SUBMAP_M = 8.0
+"""A submap ends after so many metres of driving."""
+
+PAUSE_NS = 30_000_000_000
+"""Or where nothing was seen for so long: a receiver wanders meanwhile."""
+
+FULL = 150.0
+"""Densities from here on say obstacle with full weight; half of it is a potential obstacle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Submap:
+    """Frames of one session that follow each other."""
+
+    session: str
+    frames: tuple[FrameRecord, ...]
+
+    @property
+    def time_ns(self) -> int:
+        """The middle of its time."""
+        return (self.frames[0].driven.time_ns + self.frames[-1].driven.time_ns) // 2
+
+    def driven_m(self) -> Float64:
+        """The middle of its poses as driven [2], east and north."""
+        points = np.array([[f.driven.east_m, f.driven.north_m] for f in self.frames])
+        return np.asarray(points.mean(axis=0))
+
+
+class Picture(NamedTuple):
+    """The obstacles of a submap over a window of a lattice: `value` 0..1, 0 where not `seen`;
+    `track_m` are the places of its poses [n, 2], east and north, `facing` [2] the way that they
+    look, a unit vector."""
+
+    lattice: Lattice
+    window: Window
+    value: Float32
+    seen: Bool
+    track_m: Float64
+    facing: Float64
+
+
+def cut(session: str, frames: Sequence[FrameRecord]) -> Iterator[Submap]:
+    """The submaps of a session, from its accepted frames in the order of time."""
+    part: list[FrameRecord] = []
+    driven_m = 0.0
+    for frame in frames:
+        if part:
+            last, here = part[-1].driven, frame.driven
+            driven_m += float(np.hypot(here.east_m - last.east_m, here.north_m - last.north_m))
+            if driven_m > SUBMAP_M or here.time_ns - last.time_ns > PAUSE_NS:
+                yield Submap(session, tuple(part))
+                part, driven_m = [], 0.0
+        part.append(frame)
+    if part:
+        yield Submap(session, tuple(part))
+
+
+def draw(submap: Submap, transform: Transform, lattice: Lattice, turn_deg: float = 0.0) -> Picture:
+    """What the frames of a submap saw, each at its pose as driven, transformed; and turned about
+    the middle of the submap."""
+    poses = [transform.pose(frame.driven) for frame in submap.frames]
+    if turn_deg:
+        middle = np.mean([(pose.east_m, pose.north_m) for pose in poses], axis=0)
+        turn = Transform(0.0, 0.0, turn_deg, float(middle[0]), float(middle[1]))
+        poses = [turn.pose(pose) for pose in poses]
+    specs = (frame.spec for frame in submap.frames)
+    windows = [footprint(spec, at, lattice) for spec, at in zip(specs, poses, strict=True)]
+    window = reduce(Window.union, windows)
+    # By their centres cells leave holes in cells that are hardly larger.
+    local_m = max(frame.spec.cell_m for frame in submap.frames)
+    rule = Transfer.CENTRE if lattice.cell_m >= np.sqrt(2.0) * local_m else Transfer.AREA
+    fold = WindowFold(lattice, window, rule, [GROUP])
+    for frame, pose in zip(submap.frames, poses, strict=True):
+        fold.add(frame.cells(), pose)
+    window, cells = _cropped(window, fold.cells())
+    weight = cells["weight"]
+    density = cells["sum"] / np.maximum(weight, np.uint64(1))
+    value = np.minimum(density / FULL, 1.0).astype(np.float32)
+    track = np.array([[pose.east_m, pose.north_m] for pose in poses])
+    heading = np.radians([pose.heading_deg for pose in poses])
+    facing = np.array([np.sin(heading).sum(), np.cos(heading).sum()])
+    facing /= max(float(np.hypot(*facing)), 1e-9)
+    return Picture(lattice, window, value, weight > 0, track, facing)
+
+
+def _cropped(window: Window, cells: Cells) -> tuple[Window, Cells]:
+    """The part of a window that was seen; one cell of it where none was."""
+    rows, columns = (np.flatnonzero(cells.observed.any(axis=axis)) for axis in (1, 0))
+    j0, j1 = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+    i0, i1 = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
+    inside = slice(j0, j1 + 1), slice(i0, i1 + 1)
+    part = Window(window.i0 + i0, window.j0 + j0, i1 - i0 + 1, j1 - j0 + 1)
+    return part, Cells({name: values[inside] for name, values in cells.items()})

@@ -1,0 +1,203 @@
+"""`fieldgrid align`: how the drives of a map lie against each other, and how they coincide."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import options, output, progress
+
+if TYPE_CHECKING:
+    from fieldgrid.align import DriveAlignment, MapAlignment, PairAlignment
+    from fieldgrid.mapfile import Transform
+
+
+_UNTOLD_M = 0.5
+"""A direction in which matches leave more is not told by them."""
+
+
+def command(
+    ctx: typer.Context,
+    map_: options.MapArgument,
+    session: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Move only this session; may be given again."),
+    ] = None,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Align to this session, which holds, and leave out further ones."
+        ),
+    ] = None,
+    datum_from: Annotated[
+        str | None, typer.Option(metavar="SESSION", help="All take part, and this one holds.")
+    ] = None,
+    reach: Annotated[
+        float, typer.Option(metavar="M", help="The largest shift that is believed.")
+    ] = 2.5,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Report, and change nothing.")] = False,
+    undo: Annotated[
+        bool, typer.Option("--undo", help="Put aligned sessions back where they were.")
+    ] = False,
+    figure: options.Figure = None,
+    jobs: options.Jobs = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Make the drives of a map coincide, from what they saw and nothing else.
+
+    A drive gets a shift, a small turn and a slow wander with their sigma; its poses as driven are
+    kept. Better receivers pull worse ones. Where several shifts fit, as where rows repeat, nothing
+    moves, and --figure shows the score of all shifts.
+
+    Examples:
+
+        fieldgrid align vineyard.gpkg --dry-run --figure scores.png
+
+        fieldgrid align vineyard.gpkg --session june-17 --to june-03
+
+        fieldgrid align vineyard.gpkg --undo
+    """
+    if undo:
+        taken = {"map_", "session", "undo", "as_json", "quiet", "verbose"}
+        options.refuse_given(ctx, taken, "--undo cannot use it; leave it out")
+    options.check_figure(figure)
+    from fieldgrid.align import align_map, undo_alignment
+    from fieldgrid.mapfile import open_map
+
+    with open_map(map_, writable=not dry_run) as universal:
+        if undo:
+            names = undo_alignment(universal, session)
+            if as_json:
+                output.print_json({"map": str(map_), "undone": names})
+            else:
+                output.print_line(f"{', '.join(names)}: as before alignment")
+            return
+        with progress.stages() as show:
+            found = align_map(
+                universal, session, to=to or (), datum_from=datum_from, reach_m=reach,
+                progress=show, jobs=jobs,
+            )  # fmt: skip
+        if not dry_run and found.transforms:
+            universal.set_transforms(found.transforms)
+    if figure is not None:
+        from fieldgrid.figures import alignment_scores, save
+
+        save(alignment_scores(found), figure)
+    if as_json:
+        output.print_json(_as_dict(map_, found, applied=not dry_run))
+        return
+    _print(found)
+    if dry_run:
+        output.print_line("nothing was changed (--dry-run)")
+    if figure is not None:
+        output.print_line(f"figure {figure}")
+
+
+def _print(found: MapAlignment) -> None:
+    output.print_table(
+        ("session", "east", "north", "sigma", "turn", "wander", "matches", ""),
+        [_drive_row(drive) for drive in found.drives],
+    )
+    if found.pairs:
+        output.print_table(
+            ("of", "against", "lay apart", "sigma", "turn", "matches", ""),
+            [_pair_row(pair) for pair in found.pairs],
+        )
+    else:
+        output.print_line("no two sessions saw the same ground; each was compared with itself")
+    for pair in found.pairs:
+        if pair.doubt is not None:
+            output.print_line(f"{pair.b} against {pair.a}: {pair.doubt}; not used")
+            continue
+        if len(alike := pair.agreement.alike_m):
+            every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in alike[:3])
+            output.print_line(
+                f"{pair.b} against {pair.a}: what they saw fits as well when shifted by {every} m, "
+                "as where rows repeat; only what the receivers state rules that out"
+            )
+        if pair.weak_sigma_m > _UNTOLD_M:
+            output.print_line(
+                f"{pair.b} against {pair.a}: what they saw does not tell a shift along "
+                f"{pair.weak_axis_deg:.0f}°, as along even rows; the receivers alone do"
+            )
+
+
+def _drive_row(drive: DriveAlignment) -> tuple[str, ...]:
+    after = drive.after
+    if not drive.moved:
+        why = drive.role.value if drive.matches else "nothing to compare with"
+        return (drive.name, "", "", "", "", "", str(drive.matches), why)
+    return (
+        drive.name,
+        f"{after.shift_east_m:+.3f} m",
+        f"{after.shift_north_m:+.3f} m",
+        f"{drive.sigma_m:.3f} m",
+        f"{after.turn_deg:+.2f} ± {drive.turn_sigma_deg:.2f}°",
+        f"{_wander_m(after):.3f} m",
+        str(drive.matches),
+        "",
+    )
+
+
+def _wander_m(transform: Transform) -> float:
+    """The largest departure from the shift."""
+    wander = transform.wander
+    if wander is None:
+        return 0.0
+    return max(map(math.hypot, wander.east_m, wander.north_m))
+
+
+def _pair_row(pair: PairAlignment) -> tuple[str, ...]:
+    east_m, north_m = pair.before_m
+    in_doubt = pair.doubt is not None
+    return (
+        pair.b,
+        pair.a,
+        f"{east_m:+.2f} {north_m:+.2f} m",
+        "" if in_doubt else f"{pair.sigma_m:.3f} m",
+        "" if in_doubt else f"{pair.turn_before_deg:+.2f}°",
+        str(pair.matches),
+        "in doubt" if in_doubt else "",
+    )
+
+
+def _as_dict(path: Path, found: MapAlignment, *, applied: bool) -> dict[str, Any]:
+    return {
+        "map": str(path),
+        "applied": applied and bool(found.transforms),
+        "misfit": output.known(found.misfit),
+        "sessions": [
+            {
+                "name": drive.name,
+                "moved": drive.moved,
+                "role": drive.role.value,
+                "matches": drive.matches,
+                "sigma_m": drive.sigma_m,
+                "turn_sigma_deg": drive.turn_sigma_deg,
+                "transform": asdict(drive.after),
+            }
+            for drive in found.drives
+        ],
+        "pairs": [
+            {
+                "of": pair.b,
+                "against": pair.a,
+                "at_m": pair.at_m.tolist(),
+                "lay_apart_m": pair.before_m.tolist(),
+                "lies_apart_m": pair.after_m.tolist(),
+                "turn_deg": pair.turn_before_deg,
+                "sigma_m": pair.sigma_m if pair.doubt is None else None,
+                "weak_axis_deg": pair.weak_axis_deg,
+                "weak_sigma_m": output.known(pair.weak_sigma_m),
+                "matches": pair.matches,
+                "doubt": pair.doubt,
+                "rivals_m": pair.agreement.rivals_m.tolist(),
+                "alike_m": pair.agreement.alike_m.tolist(),
+            }
+            for pair in found.pairs
+        ],
+    }

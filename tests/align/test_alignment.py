@@ -1,0 +1,156 @@
+"""Drives of a made-up field, from the map to their transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.align import Role, align_map, undo_alignment
+from fieldgrid.errors import ConfigError
+from fieldgrid.mapfile import Transform, open_map
+from tests.align.field import SPACING_M, Drive, Field, left_m, write_field
+
+OFF = Transform(0.9, -0.7)
+LATER_S = 1e5
+
+
+@pytest.fixture(scope="module")
+def drives() -> dict[str, Drive]:
+    """One lane with a good receiver, two with one that is off."""
+    field = Field()
+    return {
+        "june": field.drive([0.0], sigma_m=0.02),
+        "july": field.drive([0.0, SPACING_M], by=OFF, seed=7, start_s=LATER_S),
+    }
+
+
+@pytest.fixture(scope="module")
+def true(drives: Mapping[str, Drive]) -> dict[str, Drive]:
+    field = Field()
+    return {"june": drives["june"], "july": field.drive([0.0, SPACING_M], seed=7, start_s=LATER_S)}
+
+
+@pytest.fixture
+def path(tmp_path: Path, drives: Mapping[str, Drive]) -> Path:
+    return write_field(tmp_path / "map.gpkg", drives)
+
+
+def test_a_drive_comes_to_the_better_one_and_back_bit_for_bit(
+    path: Path, drives: Mapping[str, Drive], true: Mapping[str, Drive]
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    with open_map(path, writable=True) as universal:
+        before = universal.root_sha256
+        picture = universal.read().density.tobytes()
+        found = align_map(universal, progress=lambda *now: told.append(now))
+        assert universal.root_sha256 == before, "it changes nothing by itself"
+        universal.set_transforms(found.transforms)
+        off = left_m(found.transforms, drives, true)
+        assert np.hypot(*off[0]) < 0.02
+        assert np.hypot(*off[1]) < 0.12
+        (pair,) = found.pairs
+        assert (pair.a, pair.b, pair.doubt) == ("june", "july", None)
+        assert pair.before_m == pytest.approx([0.9, -0.7], abs=0.12)
+        assert np.hypot(*off[1]) < 3.0 * pair.sigma_m
+        aligned = universal.transform("july").aligned
+        assert aligned is not None
+        assert aligned.to == ("june",)
+        assert universal.verify().problems == ()
+        assert {name: done == count for name, done, count in told}.values()
+        again = align_map(universal)
+        assert again.transforms["july"].aligned is not None
+        universal.set_transforms(again.transforms)
+        off = left_m(again.transforms, drives, true)
+        assert np.hypot(*off[1]) < 0.12
+        assert sorted(undo_alignment(universal)) == ["july", "june"]
+        assert universal.root_sha256 == before
+        assert universal.read().density.tobytes() == picture
+        with pytest.raises(ConfigError, match="there is nothing to undo"):
+            undo_alignment(universal)
+
+
+def test_an_undone_alignment_leaves_the_shift_that_was_set_by_hand(path: Path) -> None:
+    with open_map(path, writable=True) as universal:
+        by_hand = universal.set_transform("july", -0.5, 0.4)
+        universal.set_transforms(align_map(universal).transforms)
+        assert undo_alignment(universal, ["july"]) == ["july"]
+        assert universal.transform("july") == by_hand
+        assert universal.transform("june").aligned is not None
+        with pytest.raises(ConfigError, match=r"'july' of .* is not aligned"):
+            undo_alignment(universal, ["july"])
+
+
+def test_who_holds_is_chosen(path: Path) -> None:
+    with open_map(path) as universal:
+        for given in (
+            align_map(universal, to=["july"], rounds=0),
+            align_map(universal, datum_from="july", rounds=0),
+        ):
+            by_name = {drive.name: drive for drive in given.drives}
+            assert list(given.transforms) == ["june"]
+            assert by_name["july"].role is Role.HOLDS
+            moved = given.transforms["june"]
+            assert (moved.shift_east_m, moved.shift_north_m) == pytest.approx((0.9, -0.7), abs=0.2)
+        # One that only stays is followed as far as it is sure, and july is not.
+        stays = align_map(universal, ["june"], rounds=0)
+        assert [drive.role for drive in stays.drives] == [Role.MOVES, Role.STAYS]
+        assert abs(stays.transforms["june"].shift_east_m) < 0.02
+        for bad, message in (
+            ({"sessions": ["may"]}, "has no session 'may'"),
+            ({"sessions": ["june"], "to": ["june"]}, "is to move and to hold"),
+            ({"to": ["june", "july"]}, "every session is to hold"),
+            ({"reach_m": 0.0}, "A reach of 0 m cannot be"),
+        ):
+            with pytest.raises(ConfigError, match=message):
+                align_map(universal, **bad)  # type: ignore[arg-type]
+
+
+def test_what_lies_beyond_reach_is_a_doubt_and_moves_nothing(path: Path) -> None:
+    with open_map(path) as universal:
+        found = align_map(universal, reach_m=0.4, rounds=0)
+        (pair,) = found.pairs
+        assert "beyond the 0.4 m that --reach allows" in str(pair.doubt)
+        # One that saw itself from another lane may be straightened, and lies where it lay.
+        assert set(found.transforms) <= {"july"}
+        for transform in found.transforms.values():
+            assert np.hypot(transform.shift_east_m, transform.shift_north_m) < 0.02
+
+
+@pytest.mark.parametrize("rows", [-1.0, 1.0])
+@pytest.mark.parametrize("even", [False, True])
+def test_a_slip_by_one_row_is_never_believed_in_silence(
+    tmp_path: Path, rows: float, even: bool
+) -> None:
+    """Drives along neighbouring lanes whose receivers put them into the same one, with plants that
+    tell rows apart and with walls that do not."""
+    field = Field(3, even=even)
+    slip = Transform(rows * SPACING_M, 0.0)
+    drives = {
+        "a": field.drive([0.0]),
+        "b": field.drive([-rows * SPACING_M], by=slip, seed=5, start_s=LATER_S),
+    }
+    true = dict(drives, b=field.drive([-rows * SPACING_M], seed=5, start_s=LATER_S))
+    with open_map(write_field(tmp_path / "map.gpkg", drives, 0.5)) as universal:
+        found = align_map(universal, reach_m=4.0)
+    (pair,) = found.pairs
+    if pair.doubt is None and not len(pair.agreement.alike_m):
+        off = left_m(found.transforms, drives, true)
+        assert np.hypot(*(off[1] - off[0])) < 0.5
+
+
+def test_far_apart_nothing_is_compared(tmp_path: Path) -> None:
+    field = Field()
+    drives = {
+        "a": field.drive([0.0]),
+        "b": field.drive([0.0], by=Transform(500.0, 0.0), start_s=LATER_S),
+    }
+    with open_map(write_field(tmp_path / "map.gpkg", drives, 0.5)) as universal:
+        found = align_map(universal)
+        assert found.pairs == ()
+        assert found.transforms == {}
+        # The one that holds is not even read where nothing is near.
+        alone = align_map(universal, ["a"])
+        assert [drive.name for drive in alone.drives] == ["a"]

@@ -1,0 +1,141 @@
+"""`fieldgrid align` and `build --align`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fieldgrid.mapfile import Transform, open_map
+from tests.align.field import Field, write_field
+from tests.cli.conftest import Run
+from tests.conftest import TWO_LANES
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drives of which the later is off, and one that is far away."""
+    field = Field()
+    off, away = Transform(0.9, -0.7), Transform(0.0, 900.0)
+    return write_field(
+        tmp_path_factory.mktemp("align") / "map.gpkg",
+        {
+            "june": field.drive([0.0], sigma_m=0.02),
+            "july": field.drive([0.0], by=off, seed=7, start_s=1e5),
+            "far": field.drive([0.0], by=away, seed=8, start_s=2e5),
+        },
+        0.5,
+    )
+
+
+@pytest.fixture
+def path(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(made, tmp_path / "map.gpkg"))
+
+
+def root(path: Path) -> str:
+    with open_map(path) as universal:
+        return universal.root_sha256
+
+
+def test_a_dry_run_reports_and_draws_and_changes_nothing(fieldgrid: Run, path: Path) -> None:
+    before = path.read_bytes()
+    figure = path.with_suffix(".png")
+    text = fieldgrid("align", path, "--dry-run", "--figure", figure).output()
+    assert path.read_bytes() == before
+    lines = text.splitlines()
+    assert lines[0].split() == ["session", "east", "north", "sigma", "turn", "wander", "matches"]
+    rows = {line.split()[0]: line for line in lines[1:4]}
+    assert float(rows["july"].split()[1]) == pytest.approx(-0.9, abs=0.1)
+    assert "nothing to compare with" in rows["far"]
+    pair = next(line.split() for line in lines[4:] if line.split()[:2] == ["july", "june"])
+    assert [float(value) for value in pair[2:4]] == pytest.approx([0.9, -0.7], abs=0.1)
+    assert "nothing was changed (--dry-run)" in text
+    picture = cv2.imread(str(figure))
+    assert picture is not None
+    assert picture.std() > 10.0
+
+
+def test_drives_are_moved_told_of_and_put_back(fieldgrid: Run, path: Path) -> None:
+    before = root(path)
+    found = json.loads(fieldgrid("align", path, "--json").output())
+    assert found["applied"] is True
+    (pair,) = found["pairs"]
+    assert (pair["of"], pair["against"], pair["doubt"]) == ("july", "june", None)
+    assert pair["lay_apart_m"] == pytest.approx([0.9, -0.7], abs=0.1)
+    moved = {one["name"]: one["transform"] for one in found["sessions"] if one["moved"]}
+    assert set(moved) == {"june", "july"}
+    listed = json.loads(fieldgrid("sessions", path, "--json").output())["sessions"]
+    assert listed[1]["transform"] == moved["july"]
+    assert "aligned: -0." in fieldgrid("sessions", path).output()
+    assert "sound" in fieldgrid("verify", path).output()
+    assert fieldgrid("align", path, "--undo").output() == "june, july: as before alignment\n"
+    assert root(path) == before
+    assert "No session of" in fieldgrid("align", path, "--undo").sentence()
+
+
+def test_who_moves_and_who_holds(fieldgrid: Run, path: Path) -> None:
+    given = ("--session", "june", "--to", "july", "--json")
+    found = json.loads(fieldgrid("align", path, *given).output())
+    assert [one["name"] for one in found["sessions"]] == ["june", "july"]
+    assert [one["moved"] for one in found["sessions"]] == [True, False]
+    undone = json.loads(fieldgrid("align", path, "--undo", "--session", "june", "--json").output())
+    assert undone["undone"] == ["june"]
+
+
+def test_a_doubt_is_put_into_words(fieldgrid: Run, path: Path) -> None:
+    before = root(path)
+    text = fieldgrid("align", path, "--reach", "0.5").output()
+    assert "july against june: they agree best" in text
+    assert "beyond the 0.5 m that --reach allows; not used" in text
+    assert root(path) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (("--session", "may"), 1, "has no session 'may'"),
+        (("--reach", "-1"), 1, "A reach of -1 m cannot be"),
+        (("--undo", "--dry-run"), 2, "--undo cannot use it"),
+        (("--undo", "--session", "june"), 1, "is not aligned"),
+        (("--figure", "x.txt"), 2, "ends in none of"),
+        (("--session", "june", "--to", "june"), 1, "is to move and to hold"),
+    ],
+)
+def test_what_cannot_be_done(
+    fieldgrid: Run, path: Path, arguments: tuple[str, ...], status: int, says: str
+) -> None:
+    result = fieldgrid("align", path, *arguments)
+    assert says in (result.sentence() if status == 1 else result.usage())
+
+
+def test_a_drive_that_is_appended_says_how_it_lies_and_is_aligned_when_asked(
+    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    """The example drive again, with its poor receiver; every third frame."""
+    path = Path(shutil.copy(two_lanes_map, tmp_path / "map.gpkg"))
+    again = ("build", TWO_LANES, "-o", path, "--append", "--every", "3", "--gnss", "gnss_sf1.nmea")
+    text = fieldgrid(*again, "--name", "poor").output()
+    said = next(line for line in text.splitlines() if line.startswith("poor against two_lanes"))
+    assert said.endswith(f"`fieldgrid align {path}` makes them coincide")
+    east_m = float(said.split(": ")[1].split()[0])
+    assert east_m == pytest.approx(0.30, abs=0.12)
+    found = json.loads(fieldgrid(*again, "--name", "aligned", "--align", "--json").output())
+    by_pair = {one["against"]: one for one in found["alignment"]}
+    assert by_pair["two_lanes"]["aligned"] is True
+    with open_map(path) as universal:
+        assert universal.transform("aligned").aligned is not None
+        assert universal.transform("two_lanes").is_identity
+        first, last = (
+            {frame.frame_id: frame.pose for frame in universal.frames(name) if frame.accepted}
+            for name in ("two_lanes", "aligned")
+        )
+        off = [
+            (pose.east_m - first[name].east_m, pose.north_m - first[name].north_m)
+            for name, pose in last.items()
+        ]
+    assert np.hypot(*np.mean(off, axis=0)) < 0.06
