@@ -145,3 +145,10 @@ def test_submaps_of_one_drive_straighten_it_and_do_not_move_it() -> None:
     by = moved(found, 0)
     assert by[0, 0] - by[-1, 0] == pytest.approx(0.2, abs=0.06)
     assert np.abs(by.mean(axis=0)).max() < 0.05
+    assert 0.25 < found.sigma_m[0, 0] < 0.5
+
+
+def test_without_matches_a_drive_is_as_sure_as_its_receiver() -> None:
+    found = solve([drive("a", 0.3)], [Transform()], [])
+    assert np.abs(moved(found, 0)).max() < 1e-9
+    assert 0.3 < found.sigma_m[0, 0] < 0.5

@@ -136,7 +136,7 @@ def solve(
             side[columns] += weight * information * target * np.array([-1.0, 1.0])
         factor = splu(normal.matrix(face + 2))
         before, x = x, factor.solve(side)
-        if np.abs(x - before).max() < 1e-5:
+        if number and np.abs(x - before).max() < 1e-5:
             break
     # Where matches scatter by more than they say, all is less sure.
     factor_of_sigma = (
