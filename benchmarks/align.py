@@ -270,14 +270,20 @@ def _metres(errors: np.ndarray) -> str:
 
 
 def _scores(universal: MapFile, names: Sequence[str], logs: Mapping[str, tuple[Path, str]]) -> None:
-    """The cells of poor drives that were aligned, against the truth."""
-    for name in names:
-        if name.endswith("sf1") and len(names) > 1:
-            scores = evaluate(
-                universal.read(sessions=[name]),
-                read_truth(logs[name][0] / "truth", universal.datum),
-            )
-            print(f"  {name} alone: {scores}")
+    """The cells of poor drives after alignment, each alone, against the truth."""
+    for name in names if len(names) > 1 else ():
+        if not name.endswith("sf1"):
+            continue
+        others = [other for other in names if other != name]
+        for other in others:
+            universal.remove_session(other)
+        found = evaluate(universal, read_truth(logs[name][0] / "truth")).groups[0].obstacles
+        print(
+            f"  {name} alone: precision {found.precision['0.10']:.3f}, recall "
+            f"{found.recall['0.10']:.3f} within 10 cm"
+        )
+        for other in others:
+            universal.restore_session(other)
 
 
 def many(folder: Path, sessions: int, frames: int) -> None:
@@ -292,8 +298,7 @@ def many(folder: Path, sessions: int, frames: int) -> None:
             frame = own[k % len(own)]
             late_ns = (k // len(own)) * 600_000_000_000
             pose = replace(frame.driven, time_ns=frame.driven.time_ns + late_ns)
-            staged = replace(frame, frame_id=f"{k:06d}", pose=pose, driven=pose)
-            repeated.append(staged)
+            repeated.append(replace(frame, frame_id=f"{k:06d}", pose=pose, driven=pose))
         shift = random.normal(0.0, 0.3, 2)
         made[f"{n:02d}"] = displaced(repeated, Transform(*map(float, shift)), SF1_SIGMA_M)
     with map_of(folder / "trial.gpkg", universal.datum, made) as field:
