@@ -28,7 +28,18 @@ def matches(
     """What drives that are off [N, 2] show against each other, a match a submap."""
     information = np.eye(2) / sigma_m**2
     return [
-        Match(a, k, b, k, MIDDLE_M[k], np.zeros(2), np.zeros(2), off[b][k] - off[a][k], information)
+        Match(
+            a,
+            k,
+            b,
+            k,
+            MIDDLE_M[k],
+            np.zeros(2),
+            np.zeros(2),
+            1.0,
+            off[b][k] - off[a][k],
+            information,
+        )
         for a, b in pairs
         for k in range(N)
     ]
@@ -138,7 +149,16 @@ def test_submaps_of_one_drive_straighten_it_and_do_not_move_it() -> None:
     information = np.eye(2) / 0.02**2
     some = [
         Match(
-            0, 0, 0, N - 1, MIDDLE_M[0], np.zeros(2), np.zeros(2), np.array([0.2, 0.0]), information
+            0,
+            0,
+            0,
+            N - 1,
+            MIDDLE_M[0],
+            np.zeros(2),
+            np.zeros(2),
+            1.0,
+            np.array([0.2, 0.0]),
+            information,
         )
     ]
     found = solve(drives, [Transform()], some)

@@ -19,8 +19,9 @@ def picture(value: Float64, seen: Float64, i0: int = 0, j0: int = 0) -> Picture:
     """A picture over a window that begins at a cell."""
     window = Window(i0, j0, value.shape[1], value.shape[0])
     mask = seen > 0.0
-    shown = np.where(mask, value, 0.0).astype(np.float32)
-    return Picture(LATTICE, window, shown, mask, np.zeros((1, 2)), np.array([0.0, 1.0]))
+    shown = np.where(mask, 255.0 * np.clip(value, 0.0, 1.0), 0.0).astype(np.uint8)
+    cells = int(mask.sum())
+    return Picture(LATTICE, window, shown, mask, np.zeros((1, 2)), np.array([0.0, 1.0]), cells)
 
 
 def noise(seed: int, shape: tuple[int, int] = (60, 50), cells: float = 1.5) -> Float64:

@@ -19,7 +19,7 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.drives import Drive, Role, read_drives
 from fieldgrid.align.network import Match, Solution, information_of, solve, turn_sigma_deg
-from fieldgrid.align.pairs import Pair, overlapping
+from fieldgrid.align.pairs import Pair, bounded, overlapping, thinned
 from fieldgrid.align.score import PROBE_DEG, TurnPeak, peak, scores, turn_peak
 from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.array_types import Float64
@@ -229,7 +229,7 @@ class _Run:
         pictures = self._draw(transforms, COARSE_M, "drives")
         reach_m = self._reach_m + BEYOND_M
         by_pair = defaultdict(list)
-        pairs = self._pairs(pictures, None)
+        pairs = thinned(self._pairs(pictures, None))
         for pair, score in self._each(
             lambda p: scores(pictures[p.a][p.k], pictures[p.b][p.l], reach_m), pairs, "drives"
         ):
@@ -273,7 +273,8 @@ class _Run:
                 turned = turn_peak(a, less[p.b][p.l], b, more[p.b][p.l], score.alike)
             return Match(*p, *peak(score, np.zeros(2)), *turned)
 
-        return [one for _, one in self._each(match, self._pairs(pictures, believed), stage)]
+        pairs = bounded(self._pairs(pictures, believed))
+        return [one for _, one in self._each(match, pairs, stage)]
 
     def _draw(
         self, transforms: Sequence[Transform], cell_m: float, stage: str, turn_deg: float = 0.0

@@ -72,7 +72,7 @@ def turn_sigma_deg(drive: Drive) -> float:
 class Match(NamedTuple):
     """Submap `l` of drive `b` lies `shift_m` [2] from where submap `k` of drive `a` has it, with
     the information [2, 2], and is to be turned by `turn_deg` clockwise, with the information
-    1/degrees² (0: not told); `at_m`, `across` and `facing` as in `Pair`."""
+    1/degrees² (0: not told); the others as in `Pair`."""
 
     a: int
     k: int
@@ -81,6 +81,7 @@ class Match(NamedTuple):
     at_m: Float64
     across: Float64
     facing: Float64
+    share: float
     shift_m: Float64
     information: Float64
     turn_deg: float = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,8 +14,12 @@ from fieldgrid.array_types import Float64
 LEAST_SHARE = 0.25
 """Submaps are compared when this share of the smaller one was seen by the other, too."""
 
-MOST_MATCHES = 3
-"""A submap is compared with so many of each other session, those that share most."""
+MOST_OF_A_DRIVE, MOST_OF_ALL = 3, 5
+"""A submap is compared with so many of one other drive, and with so many in all: those that share
+most."""
+
+MOST_OF_TWO = 16
+"""To see whether two drives agree as wholes so many pairs are enough."""
 
 APART = 3
 """Submaps of one drive are compared when so many lie between them: before, they see the same from
@@ -28,7 +33,7 @@ class Pair(NamedTuple):
     """Submap `k` of drive `a` and submap `l` of drive `b`. `at_m` [2] is the middle of the ground
     that both saw; `across` [2] the unit vector from the track of the one to that of the other
     where they lie in different lanes, else zero; `facing` [2] the way that `a` looks less that of
-    `b`, as unit vectors."""
+    `b`, as unit vectors; `share` of the smaller one was seen by both."""
 
     a: int
     k: int
@@ -37,30 +42,60 @@ class Pair(NamedTuple):
     at_m: Float64
     across: Float64
     facing: Float64
+    share: float
 
 
 def overlapping(pictures: Sequence[Sequence[Picture]]) -> Iterator[Pair]:
     """The pairs worth comparing, of different drives and of the same one; `pictures` has those of
     each drive."""
     for a, of_a in enumerate(pictures):
-        for b in range(a, len(pictures)):
-            for k, one in enumerate(of_a):
-                others = range(k + APART, len(of_a)) if a == b else range(len(pictures[b]))
-                shared = [(_shared(one, pictures[b][l]), l) for l in others]  # noqa: E741
-                best = sorted((s for s in shared if s[0] >= LEAST_SHARE), reverse=True)
-                for _, other in best[:MOST_MATCHES]:
-                    at_m, across = _place(one, pictures[b][other])
-                    facing = one.facing - pictures[b][other].facing
-                    yield Pair(a, k, b, other, at_m, across, facing)
+        for k, one in enumerate(of_a):
+            best: list[tuple[float, int, int]] = []
+            for b in range(a, len(pictures)):
+                first = k + APART if b == a else 0
+                shared = [
+                    (_shared(one, other), b, l)
+                    for l, other in enumerate(pictures[b])  # noqa: E741
+                    if l >= first
+                ]
+                told = sorted((s for s in shared if s[0] >= LEAST_SHARE), reverse=True)
+                best += told[:MOST_OF_A_DRIVE]
+            for share, b, l in best:  # noqa: E741
+                other = pictures[b][l]
+                yield Pair(a, k, b, l, *_place(one, other), one.facing - other.facing, share)
+
+
+def thinned(pairs: Sequence[Pair]) -> list[Pair]:
+    """Of each two drives a few pairs from all along them."""
+    by_drives = defaultdict[tuple[int, int], list[Pair]](list)
+    for pair in pairs:
+        by_drives[pair.a, pair.b].append(pair)
+    chosen = []
+    for members in by_drives.values():
+        step = max(-(-len(members) // MOST_OF_TWO), 1)
+        chosen += members[::step]
+    return chosen
+
+
+def bounded(pairs: Sequence[Pair]) -> list[Pair]:
+    """Of each submap the pairs that share most ground with it, as far as it needs any."""
+    counts = Counter[tuple[int, int]]()
+    chosen = []
+    for pair in sorted(pairs, key=lambda pair: -pair.share):
+        ends = (pair.a, pair.k), (pair.b, pair.l)
+        if min(counts[end] for end in ends) < MOST_OF_ALL:
+            chosen.append(pair)
+            counts.update(ends)
+    return sorted(chosen, key=lambda pair: pair[:4])
 
 
 def _shared(a: Picture, b: Picture) -> float:
     """The share of the smaller picture that both saw."""
-    part = a.window.intersect(b.window)
-    if part is None:
+    part, cells = a.window.intersect(b.window), max(min(a.cells, b.cells), 1)
+    if part is None or part.width * part.height < LEAST_SHARE * cells:
         return 0.0
     both = a.seen[a.window.slices_of(part)] & b.seen[b.window.slices_of(part)]
-    return float(both.sum()) / max(min(float(a.seen.sum()), float(b.seen.sum())), 1.0)
+    return np.count_nonzero(both) / cells
 
 
 def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from fieldgrid.align.submaps import Picture
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float32, Float64
 from fieldgrid.lattice import Window
 
 LEAST_SHARE = 0.25
@@ -63,15 +63,17 @@ def scores(a: Picture, b: Picture, reach_m: float, alike: float | None = None) -
     """
     cell_m = a.lattice.cell_m
     reach = round(reach_m / cell_m)
-    if min(float(a.value.sum()), float(b.value.sum())) * cell_m**2 < LEAST_OBSTACLE_M2:
+    obstacles = min(float(one.value.sum()) / 255.0 for one in (a, b))
+    if obstacles * cell_m**2 < LEAST_OBSTACLE_M2:
         return None
     window = a.window.grown(reach)
     value_b, seen_b = _on(b, window)
-    if seen_b.sum() < LEAST_SHARE * a.seen.sum() and seen_b.sum() < LEAST_SHARE * b.seen.sum():
+    if float(seen_b.sum()) < LEAST_SHARE * min(a.cells, b.cells):
         return None
     shape = tuple(fft.next_fast_len(side, real=True) for side in window.shape)
     seen_a = a.seen.astype(np.float32)
-    of_a = [np.conj(fft.rfft2(x, shape)) for x in (seen_a, a.value, a.value**2)]
+    value_a = a.value / np.float32(255.0)
+    of_a = [np.conj(fft.rfft2(x, shape)) for x in (seen_a, value_a, value_a**2)]
     of_b = [fft.rfft2(x, shape) for x in (seen_b, value_b, value_b**2)]
 
     def lagged(i: int, j: int) -> Float64:
@@ -84,7 +86,7 @@ def scores(a: Picture, b: Picture, reach_m: float, alike: float | None = None) -
     spread_b = lagged(0, 2) - sum_b**2 / n
     least = 1e-3 * n  # a picture that is the same everywhere correlates with nothing
     covariance = lagged(1, 1) - sum_a * sum_b / n
-    told = n > LEAST_SHARE * min(float(a.seen.sum()), float(b.seen.sum()))
+    told = n > LEAST_SHARE * min(a.cells, b.cells)
     told &= (spread_a > least) & (spread_b > least)
     rho = np.where(told, covariance / np.sqrt(np.maximum(spread_a * spread_b, 1e-12)), 0.0)
     rho = np.clip(rho, 0.0, 0.999)
@@ -97,23 +99,25 @@ def scores(a: Picture, b: Picture, reach_m: float, alike: float | None = None) -
     return Scores(by_cell, np.where(told, n, 0.0) / alike, alike, cell_m)
 
 
-def _on(picture: Picture, window: Window) -> tuple[Float64, Float64]:
-    """The values and the seen cells of a picture on another window, 0 outside."""
-    value, seen = np.zeros(window.shape), np.zeros(window.shape)
+def _on(picture: Picture, window: Window) -> tuple[Float32, Float32]:
+    """The values, 0..1, and the seen cells of a picture on another window, 0 outside."""
+    value, seen = (np.zeros(window.shape, np.float32) for _ in range(2))
     part = picture.window.intersect(window)
     if part is not None:
         value[window.slices_of(part)] = picture.value[picture.window.slices_of(part)]
+        value /= np.float32(255.0)
         seen[window.slices_of(part)] = picture.seen[picture.window.slices_of(part)]
     return value, seen
 
 
-def _correlated_cells(a: Picture, value_b: Float64, seen_b: Float64, j: int, i: int) -> float:
+def _correlated_cells(a: Picture, value_b: Float32, seen_b: Float32, j: int, i: int) -> float:
     """Over how many cells the residuals are alike, at one shift."""
     height, width = a.window.shape
     there = (slice(j, j + height), slice(i, i + width))
     both = a.seen & (seen_b[there] > 0.0)
     n = float(both.sum())
-    y = np.where(both, a.value - a.value[both].mean(), 0.0)
+    value_a = a.value / 255.0
+    y = np.where(both, value_a - value_a[both].mean(), 0.0)
     x = np.where(both, value_b[there] - value_b[there][both].mean(), 0.0)
     residual = y - x * float((x * y).sum() / (x * x).sum())
     lag = round(CORRELATED_M / a.lattice.cell_m)

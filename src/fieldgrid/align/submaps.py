@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64
+from fieldgrid.array_types import Bool, Float64, UInt8
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import Cells
 from fieldgrid.layers.density import GROUP
@@ -50,16 +50,17 @@ class Submap:
 
 
 class Picture(NamedTuple):
-    """The obstacles of a submap over a window of a lattice: `value` 0..1, 0 where not `seen`;
+    """The obstacles of a submap over a window of a lattice: `value` 0..255, 0 where not `seen`;
     `track_m` are the places of its poses [n, 2], east and north, `facing` [2] the way that they
-    look, a unit vector."""
+    look, a unit vector; `cells` is how many were seen."""
 
     lattice: Lattice
     window: Window
-    value: Float32
+    value: UInt8
     seen: Bool
     track_m: Float64
     facing: Float64
+    cells: int
 
 
 def cut(session: str, frames: Sequence[FrameRecord]) -> Iterator[Submap]:
@@ -96,14 +97,14 @@ def draw(submap: Submap, transform: Transform, lattice: Lattice, turn_deg: float
     for frame, pose in zip(submap.frames, poses, strict=True):
         fold.add(frame.cells(), pose)
     window, cells = _cropped(window, fold.cells())
-    weight = cells["weight"]
+    weight, seen = cells["weight"], cells.observed
     density = cells["sum"] / np.maximum(weight, np.uint64(1))
-    value = np.minimum(density / FULL, 1.0).astype(np.float32)
+    value = np.minimum(density * (255.0 / FULL), 255.0).astype(np.uint8)
     track = np.array([[pose.east_m, pose.north_m] for pose in poses])
     heading = np.radians([pose.heading_deg for pose in poses])
     facing = np.array([np.sin(heading).sum(), np.cos(heading).sum()])
     facing /= max(float(np.hypot(*facing)), 1e-9)
-    return Picture(lattice, window, value, weight > 0, track, facing)
+    return Picture(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
 
 
 def _cropped(window: Window, cells: Cells) -> tuple[Window, Cells]:
