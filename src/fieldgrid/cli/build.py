@@ -99,7 +99,7 @@ def command(
 
         fieldgrid build 2011_09_30_drive_0020_sync -o road.gpkg --grid 20x15
 
-        fieldgrid build orchard -o orchard.gpkg --poses slam.tum --poses-axes rdf
+        fieldgrid build orchard -o trees.gpkg --poses slam.tum --poses-axes rdf
 
         fieldgrid build june-24 -o vineyard.gpkg --append --align
 
