@@ -6,6 +6,7 @@ import json
 import math
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,12 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     text = transform.to_text()
     assert text is not None
     assert transform_of(text) == transform
+    # A place that was aligned is as sure as that, and no less sure than it was.
+    for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.01), (math.nan, 0.02)):
+        driven = replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m)
+        assert transform.pose(driven).position_sigma_m == placed_m
+        by_hand = replace(transform, aligned=None)
+        assert by_hand.pose(driven).position_sigma_m == pytest.approx(driven_m, nan_ok=True)
     for change in (
         {"wander": {"time_ns": [5], "east_m": [0.1]}},
         {"wander": {"time_ns": [5.5], "east_m": [0.1], "north_m": [0.0]}},

@@ -93,7 +93,7 @@ def command(
 
         fieldgrid diff vineyard.gpkg --from june-03 --to june-17 -o change.png
 
-        fieldgrid diff vineyard.gpkg --from 2026-06-03 --to 2026-09-30 -o change.geojson
+        fieldgrid diff vineyard.gpkg --from june-03 --to 2026-09-30 -o new.kml
     """
     ending = "" if out is None else out.suffix.lower()
     if overwrite and ending not in (*_LAYER, *_TABLES):

@@ -92,7 +92,7 @@ def command(
 
         fieldgrid route vineyard.gpkg --from -14,50,37 --to 6,76 -o route.csv
 
-        fieldgrid route vineyard.gpkg --cover --lanes B1-L1,B1-L2 -o work.geojson
+        fieldgrid route vineyard.gpkg --cover --lanes B1-L1,B1-L2 -o all.csv
     """
     from fieldgrid.cost import CostCurve
     from fieldgrid.coverage import plan_coverage

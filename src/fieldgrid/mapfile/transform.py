@@ -121,7 +121,11 @@ class Transform:
         if self.turn_deg:
             heading_deg = float(wrap_deg(heading_deg + self.turn_deg))
         return replace(
-            driven, east_m=float(east_m), north_m=float(north_m), heading_deg=heading_deg
+            driven,
+            east_m=float(east_m),
+            north_m=float(north_m),
+            heading_deg=heading_deg,
+            position_sigma_m=float(self._sigma_m(driven.position_sigma_m)),
         )
 
     def trajectory(self, driven: Trajectory) -> Trajectory:
@@ -132,7 +136,18 @@ class Transform:
         heading_deg = driven.heading_deg
         if self.turn_deg:
             heading_deg = wrap_deg(heading_deg + self.turn_deg)
-        return replace(driven, east_m=east_m, north_m=north_m, heading_deg=heading_deg)
+        return replace(
+            driven,
+            east_m=east_m,
+            north_m=north_m,
+            heading_deg=heading_deg,
+            position_sigma_m=self._sigma_m(driven.position_sigma_m),
+        )
+
+    def _sigma_m(self, driven_m: npt.ArrayLike) -> Float64:
+        """The errors of places: those of the receiver, or less after alignment."""
+        stated = np.asarray(driven_m, np.float64)
+        return stated if self.aligned is None else np.fmin(stated, self.aligned.sigma_m)
 
     def points(
         self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, time_ns: int | Int64
