@@ -124,6 +124,16 @@ def test_matches_that_contradict_the_rest_lose_their_weight() -> None:
     assert found.misfit[2] > 5.0
 
 
+def test_what_contradicts_the_others_is_left_between_two() -> None:
+    off = {n: constant(0.0, 0.0) for n in range(3)}
+    lying = {0: constant(0.0, 0.0), 2: constant(0.3, 0.0)}
+    some = [*matches(off, [(0, 1), (1, 2)]), *matches(lying, [(0, 2)])]
+    found = solve([drive(name, 0.05) for name in "abc"], [Transform()] * 3, some)
+    left = found.left_m.reshape(3, N, 2).mean(axis=1)
+    assert left[2, 0] > 0.08
+    assert (left[0] - left[2] + left[1])[0] == pytest.approx(-0.3, abs=1e-6)
+
+
 def test_of_four_receivers_the_one_that_lies_is_moved() -> None:
     off = {n: constant(0.0, 0.0) for n in range(3)} | {3: constant(2.0, 0.0)}
     pairs = [(a, b) for a in range(4) for b in range(a + 1, 4)]

@@ -3,13 +3,11 @@
 from fieldgrid.align.alignment import (
     FINE_ROUNDS,
     REACH_M,
-    DriveAlignment,
-    MapAlignment,
-    PairAlignment,
     align_map,
     undo_alignment,
 )
 from fieldgrid.align.drives import Role
+from fieldgrid.align.report import DriveAlignment, MapAlignment, PairAlignment
 
 __all__ = [
     "FINE_ROUNDS",

@@ -12,21 +12,21 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.drives import Drive, Role, read_drives
-from fieldgrid.align.network import Match, Solution, information_of, solve, turn_sigma_deg
+from fieldgrid.align.network import Match, solve, turn_sigma_deg
 from fieldgrid.align.pairs import Pair, bounded, overlapping, thinned
+from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.score import PROBE_DEG, TurnPeak, peak, scores, turn_peak
 from fieldgrid.align.submaps import Picture, draw
-from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
-from fieldgrid.mapfile.transform import Aligned, transform_of
+from fieldgrid.mapfile.transform import transform_of
 from fieldgrid.mapfile.workers import in_order
 
 COARSE_M, FINE_M = 0.2, 0.1
@@ -47,66 +47,6 @@ _Found = TypeVar("_Found")
 
 Progress = Callable[[str, int, int], None]
 """Told of a stage and how far it is: (stage, done, all)."""
-
-
-class DriveAlignment(NamedTuple):
-    """What became of a drive: its transforms `before` and `after`, the 1-sigma errors of shift and
-    turn, from how many matches. By its `role` it was to move or not; without matches it does not.
-    """
-
-    name: str
-    before: Transform
-    after: Transform
-    sigma_m: float
-    turn_sigma_deg: float
-    matches: int
-    role: Role
-
-    @property
-    def moved(self) -> bool:
-        """Whether it gets another place."""
-        return self.after is not self.before
-
-
-class PairAlignment(NamedTuple):
-    """How drive `b` lay against drive `a` where both saw the same ground, about `at_m` [2]: metres
-    east and north (of b less of a), and degrees clockwise, as they were placed and as they are
-    after alignment, with the error of the shift. Of a pair with a `doubt` nothing was used.
-
-    What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
-    infinite where not at all: there the receivers alone have a say.
-    """
-
-    a: str
-    b: str
-    at_m: Float64
-    before_m: Float64
-    after_m: Float64
-    turn_before_deg: float
-    turn_after_deg: float
-    sigma_m: float
-    weak_axis_deg: float
-    weak_sigma_m: float
-    matches: int
-    doubt: str | None
-    agreement: Agreement
-
-
-class MapAlignment(NamedTuple):
-    """How the drives of a map lie against each other. `misfit` is the median normalised residual
-    of all matches, 1.2 where they scatter as they say; `face_m` lies between the two faces of a
-    row, and all looks nearer by `view_m` than it is."""
-
-    drives: tuple[DriveAlignment, ...]
-    pairs: tuple[PairAlignment, ...]
-    misfit: float
-    face_m: float
-    view_m: float
-
-    @property
-    def transforms(self) -> dict[str, Transform]:
-        """Of the drives that get another place, for `MapFile.set_transforms`."""
-        return {drive.name: drive.after for drive in self.drives if drive.moved}
 
 
 def align_map(
@@ -155,7 +95,7 @@ def align_map(
         stage = f"submaps, round {number + 1} of {rounds}"
         matches = run.compare_finely(solution.transforms, believed, stage)
         solution = solve(drives, solution.transforms, matches)
-    return _report(drives, before, agreements, matches, solution)
+    return summed_up(drives, before, agreements, matches, solution)
 
 
 MOST_REACH_M = 20.0
@@ -316,77 +256,3 @@ class _Run:
                 results.append((pair, found))
             self._tell(f"comparing {stage}", done + 1, len(pairs))
         return results
-
-
-def _report(
-    drives: Sequence[Drive],
-    before: Sequence[Transform],
-    agreements: Sequence[Agreement],
-    matches: Sequence[Match],
-    solution: Solution,
-) -> MapAlignment:
-    with_ = defaultdict[int, set[int]](set)
-    counts = defaultdict[tuple[int, int], int](int)
-    for match in matches:
-        counts[match.a, match.b] += 1
-        with_[match.a].add(match.b)
-        with_[match.b].add(match.a)
-    results = []
-    for n, drive in enumerate(drives):
-        after = solution.transforms[n]
-        if drive.role is Role.MOVES:
-            others = tuple(drives[k].name for k in sorted(with_[n] - {n}))
-            earlier = before[n].aligned
-            was = before[n].to_text() if earlier is None else earlier.before
-            after = replace(
-                after,
-                aligned=Aligned(
-                    float(solution.sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
-                ),
-            )
-        own = sum(count for pair, count in counts.items() if n in pair)
-        results.append(
-            DriveAlignment(
-                drive.name,
-                before[n],
-                after,
-                float(solution.sigma_m[n, n]),
-                float(solution.turn_sigma_deg[n]),
-                own,
-                drive.role,
-            )
-        )
-    pairs = [
-        _pair(drives, before, solution, one, [m for m in matches if (m.a, m.b) == (one.a, one.b)])
-        for one in agreements
-    ]
-    misfit = float(np.median(solution.misfit)) if len(matches) else float("nan")
-    return MapAlignment(tuple(results), tuple(pairs), misfit, solution.face_m, solution.view_m)
-
-
-def _pair(
-    drives: Sequence[Drive],
-    before: Sequence[Transform],
-    solution: Solution,
-    one: Agreement,
-    matches: Sequence[Match],
-) -> PairAlignment:
-    """What a pair lay apart is what alignment moved one against the other, for those that agree."""
-    a, b = one.a, one.b
-    moved, turned = np.zeros(2), 0.0
-    for sign, n in ((1.0, a), (-1.0, b)):
-        drive, now, was = drives[n], solution.transforms[n], before[n]
-        middle = int(np.argmin(np.hypot(*(drive.middle_m - one.at_m).T)))
-        place = *drive.middle_m[middle], int(drive.time_ns[middle])
-        moved += sign * (np.array(now.points(*place)) - np.array(was.points(*place)))
-        turned += sign * (now.turn_deg - was.turn_deg)
-    trusted = one.doubt is None
-    information = [information_of(match, len(matches)) for match in matches]
-    told, axes = np.linalg.eigh(np.sum(information, axis=0) if matches else np.zeros((2, 2)))
-    return PairAlignment(
-        drives[a].name, drives[b].name, one.at_m,
-        moved if trusted else one.shift_m, np.zeros(2) if trusted else one.shift_m,
-        turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
-        float(solution.sigma_m[a, b]), float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
-        float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(matches), one.doubt, one,
-    )  # fmt: skip

@@ -92,13 +92,15 @@ class Solution(NamedTuple):
     """What fits, of each drive: the transforms; the 1-sigma errors [n, n] of the shift of one
     against that of another (along the worse axis; on the diagonal: of itself); those of the turns
     in degrees [n]. `face_m` lies between the faces of a row, `view_m` is how much nearer all looks
-    than it is; `misfit` [m] is the normalised residual of each match."""
+    than it is; `left_m` [m, 2] is what remains of the shift of each match, `misfit` [m] that by its
+    error."""
 
     transforms: tuple[Transform, ...]
     sigma_m: Float64
     turn_sigma_deg: Float64
     face_m: float
     view_m: float
+    left_m: Float64
     misfit: Float64
 
 
@@ -160,6 +162,7 @@ def solve(
         np.degrees(np.sqrt(covariance.diagonal()[2::3])),
         float(x[face]),
         float(x[face + 1]),
+        np.array([row.left_m(x) for row in rows]).reshape(-1, 2),
         misfit,
     )
 
@@ -259,9 +262,13 @@ class _Row(NamedTuple):
     target: Float64
     information: Float64
 
+    def left_m(self, x: Float64) -> Float64:
+        """The residual [2]."""
+        return np.asarray(self.target - self.jacobian @ x[self.columns])
+
     def misfit(self, x: Float64) -> float:
         """The normalised residual."""
-        off = self.jacobian @ x[self.columns] - self.target
+        off = self.left_m(x)
         return math.sqrt(max(float(off @ self.information @ off), 0.0))
 
 

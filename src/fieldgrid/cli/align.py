@@ -104,7 +104,7 @@ def _print(found: MapAlignment) -> None:
     )
     if found.pairs:
         output.print_table(
-            ("of", "against", "lay apart", "sigma", "turn", "matches", ""),
+            ("of", "against", "lay apart", "left", "sigma", "turn", "matches", ""),
             [_pair_row(pair) for pair in found.pairs],
         )
     else:
@@ -158,6 +158,7 @@ def _pair_row(pair: PairAlignment) -> tuple[str, ...]:
         pair.b,
         pair.a,
         f"{east_m:+.2f} {north_m:+.2f} m",
+        "" if in_doubt else "{:+.2f} {:+.2f} m".format(*pair.after_m),
         "" if in_doubt else f"{pair.sigma_m:.3f} m",
         "" if in_doubt else f"{pair.turn_before_deg:+.2f}°",
         str(pair.matches),

@@ -1,0 +1,167 @@
+"""What alignment found: of each drive, of each two, and of the map."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.align.agreement import Agreement
+from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.network import Match, Solution, information_of
+from fieldgrid.array_types import Float64
+from fieldgrid.mapfile import Transform
+from fieldgrid.mapfile.transform import Aligned
+
+
+class DriveAlignment(NamedTuple):
+    """What became of a drive: its transforms `before` and `after`, the 1-sigma errors of shift and
+    turn, from how many matches. By its `role` it was to move or not; without matches it does not.
+    """
+
+    name: str
+    before: Transform
+    after: Transform
+    sigma_m: float
+    turn_sigma_deg: float
+    matches: int
+    role: Role
+
+    @property
+    def moved(self) -> bool:
+        """Whether it gets another place."""
+        return self.after is not self.before
+
+
+class PairAlignment(NamedTuple):
+    """How drive `b` lay against drive `a` where both saw the same ground, about `at_m` [2]: metres
+    east and north (of b less of a), and degrees clockwise, as they were placed and as they are
+    after alignment, with the error of the shift. What is left beyond a few sigmas contradicts other
+    pairs. Of a pair with a `doubt` nothing was used.
+
+    What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
+    infinite where not at all: there the receivers alone have a say.
+    """
+
+    a: str
+    b: str
+    at_m: Float64
+    before_m: Float64
+    after_m: Float64
+    turn_before_deg: float
+    turn_after_deg: float
+    sigma_m: float
+    weak_axis_deg: float
+    weak_sigma_m: float
+    matches: int
+    doubt: str | None
+    agreement: Agreement
+
+
+class MapAlignment(NamedTuple):
+    """How the drives of a map lie against each other. `misfit` is the median normalised residual
+    of all matches, 1.2 where they scatter as they say; `face_m` lies between the two faces of a
+    row, and all looks nearer by `view_m` than it is."""
+
+    drives: tuple[DriveAlignment, ...]
+    pairs: tuple[PairAlignment, ...]
+    misfit: float
+    face_m: float
+    view_m: float
+
+    @property
+    def transforms(self) -> dict[str, Transform]:
+        """Of the drives that get another place, for `MapFile.set_transforms`."""
+        return {drive.name: drive.after for drive in self.drives if drive.moved}
+
+
+def summed_up(
+    drives: Sequence[Drive],
+    before: Sequence[Transform],
+    agreements: Sequence[Agreement],
+    matches: Sequence[Match],
+    solution: Solution,
+) -> MapAlignment:
+    """The outcome of drives that were placed `before`, from the last matches and what fits them."""
+    with_ = defaultdict[int, set[int]](set)
+    counts = defaultdict[tuple[int, int], int](int)
+    for match in matches:
+        counts[match.a, match.b] += 1
+        with_[match.a].add(match.b)
+        with_[match.b].add(match.a)
+    results = []
+    for n, drive in enumerate(drives):
+        after = solution.transforms[n]
+        if drive.role is Role.MOVES:
+            others = tuple(drives[k].name for k in sorted(with_[n] - {n}))
+            earlier = before[n].aligned
+            was = before[n].to_text() if earlier is None else earlier.before
+            after = replace(
+                after,
+                aligned=Aligned(
+                    float(solution.sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
+                ),
+            )
+        own = sum(count for pair, count in counts.items() if n in pair)
+        results.append(
+            DriveAlignment(
+                drive.name,
+                before[n],
+                after,
+                float(solution.sigma_m[n, n]),
+                float(solution.turn_sigma_deg[n]),
+                own,
+                drive.role,
+            )
+        )
+    pairs = [
+        _pair(
+            drives,
+            before,
+            solution,
+            one,
+            [k for k, match in enumerate(matches) if (match.a, match.b) == (one.a, one.b)],
+            matches,
+        )
+        for one in agreements
+    ]
+    misfit = float(np.median(solution.misfit)) if len(matches) else float("nan")
+    return MapAlignment(tuple(results), tuple(pairs), misfit, solution.face_m, solution.view_m)
+
+
+def _pair(
+    drives: Sequence[Drive],
+    before: Sequence[Transform],
+    solution: Solution,
+    one: Agreement,
+    own: Sequence[int],
+    matches: Sequence[Match],
+) -> PairAlignment:
+    """What a pair lay apart is what alignment moved one against the other, for those that agree."""
+    a, b = one.a, one.b
+    zero = np.zeros(2)
+    moved, turned = zero, 0.0
+    for sign, n in ((1.0, a), (-1.0, b)):
+        drive, now, was = drives[n], solution.transforms[n], before[n]
+        middle = int(np.argmin(np.hypot(*(drive.middle_m - one.at_m).T)))
+        place = *drive.middle_m[middle], int(drive.time_ns[middle])
+        moved = moved + sign * (np.array(now.points(*place)) - np.array(was.points(*place)))
+        turned += sign * (now.turn_deg - was.turn_deg)
+    trusted = one.doubt is None
+    information = [information_of(matches[k], len(own)) for k in own]
+    total = np.sum(information, axis=0) if own else np.zeros((2, 2))
+    pulled = sum(
+        (told @ solution.left_m[k] for told, k in zip(information, own, strict=True)), zero
+    )
+    left = np.linalg.pinv(total, hermitian=True) @ pulled
+    told, axes = np.linalg.eigh(total)
+    return PairAlignment(
+        drives[a].name, drives[b].name, one.at_m,
+        moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
+        turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
+        float(solution.sigma_m[a, b]), float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
+        float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
+    )  # fmt: skip
