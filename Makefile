@@ -61,11 +61,13 @@ crash: .venv/installed ## Kill writers and break their disk, hundreds of times (
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
 	$(PY) -m benchmarks.heading
 
-accuracy: .venv/installed ## Measure the accuracy of maps, mounts and clocks
+accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, alignment and changes
 	$(PY) -m benchmarks.accuracy
 	$(PY) -m benchmarks.rectified
 	$(PY) -m benchmarks.mounting
 	$(PY) -m benchmarks.clock
+	$(PY) -m benchmarks.align 100
+	$(PY) -m benchmarks.changes
 
 fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each)
 	$(PY) -m fuzz --seconds $(or $(SECONDS),30)
