@@ -83,6 +83,7 @@ class LongDrive:
         self._start_ns = self._pairs[0].time_ns
         self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
         self.gnss_source, self.notes, self.losses = self._of.gnss_source, (), ()
+        self.pose_name = self._of.pose_name
         self.frame_count = frame_count
         self.images = Alive()
         self.drawn = 0

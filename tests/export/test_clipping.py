@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
@@ -28,6 +28,7 @@ lines = st.lists(st.tuples(coordinates, coordinates), min_size=2, max_size=12)
 
 
 @given(lines)
+@example([(0.0, 0.0), (1.0, -2.0), (-2.9, -0.7)])
 def test_a_line_is_cut_as_shapely_cuts_it(places: list[tuple[float, float]]) -> None:
     line = np.array(places)
     found = stretches_inside(line[:, 0], line[:, 1], BOX)

@@ -93,7 +93,9 @@ def align_map(
     ]
     for number in range(rounds):
         stage = f"submaps, round {number + 1} of {rounds}"
-        matches = run.compare_finely(solution.transforms, believed, stage)
+        # Near the end a parabola tells the turn; before, pictures lie too far off for it.
+        turns = number == rounds - 1
+        matches = run.compare_finely(solution.transforms, believed, stage, turns=turns)
         solution = solve(drives, solution.transforms, matches)
     return summed_up(drives, before, agreements, matches, solution)
 
@@ -195,12 +197,18 @@ class _Run:
         return agreements, matches
 
     def compare_finely(
-        self, transforms: Sequence[Transform], believed: set[tuple[int, int]], stage: str
+        self,
+        transforms: Sequence[Transform],
+        believed: set[tuple[int, int]],
+        stage: str,
+        *,
+        turns: bool,
     ) -> list[Match]:
-        """The matches of drives that agree, placed by transforms."""
+        """The matches of drives that agree, placed by transforms; with `turns`, or without."""
         pictures = self._draw(transforms, FINE_M, stage)
         less, more = (
-            self._draw(transforms, FINE_M, stage, turn) for turn in (-PROBE_DEG, PROBE_DEG)
+            self._draw(transforms, FINE_M, stage, turn) if turns else []
+            for turn in (-PROBE_DEG, PROBE_DEG)
         )
 
         def match(p: Pair) -> Match | None:
@@ -209,7 +217,7 @@ class _Run:
             if score is None:
                 return None
             turned = TurnPeak(0.0, 0.0)
-            if p.a != p.b:
+            if turns and p.a != p.b:
                 turned = turn_peak(a, less[p.b][p.l], b, more[p.b][p.l], score.alike)
             return Match(*p, *peak(score, np.zeros(2)), *turned)
 

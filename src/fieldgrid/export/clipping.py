@@ -33,7 +33,9 @@ def stretches_inside(east_m: Float64, north_m: Float64, bounds: Bounds | None) -
         first[along], last[along] = np.where(inside[along], [[-np.inf], [np.inf]], np.nan)
         enter, leave = np.maximum(enter, first), np.minimum(leave, last)
     found: list[list[float]] = []
-    for k in np.flatnonzero(enter < leave).tolist():  # False where something is not a number
+    rows = np.arange(len(enter))
+    # A touch of the edge may be too short to tell in rows; False where something is not a number.
+    for k in np.flatnonzero(rows + enter < rows + leave).tolist():
         if not (found and found[-1][-1] == k and enter[k] == 0.0):
             found.append([k + float(enter[k])])
         found[-1].append(k + float(leave[k]))
