@@ -141,6 +141,29 @@ def test_a_slip_by_one_row_is_never_believed_in_silence(
         assert np.hypot(*(off[1] - off[0])) < 0.5
 
 
+@pytest.mark.parametrize("sigma_m", [0.02, 0.35])
+def test_a_receiver_that_states_too_little_is_told_by_what_was_seen(
+    tmp_path: Path, sigma_m: float
+) -> None:
+    """Two drives that hold the same are right, though the third states as little as they do."""
+    field, off = Field(), Transform(1.3, -0.9)
+    drives = {
+        name: field.drive(
+            [0.0], by=off if name == "c" else None, sigma_m=sigma_m, seed=seed, start_s=seed * 1e5
+        )
+        for seed, name in enumerate("abc", 1)
+    }
+    true = dict(drives, c=field.drive([0.0], seed=3, start_s=3e5))
+    with open_map(write_field(tmp_path / "map.gpkg", drives, 0.5)) as universal:
+        found = align_map(universal)
+    left = left_m(found.transforms, drives, true)
+    assert np.hypot(*(left[2] - left[0])) < 0.06
+    sure = next(pair.sigma_m for pair in found.pairs if (pair.a, pair.b) == ("a", "c"))
+    assert np.hypot(*(left[2] - left[0])) < 3.0 * sure
+    if sigma_m < 0.1:
+        assert np.abs(left[:2]).max() < 0.05
+
+
 def test_far_apart_nothing_is_compared(tmp_path: Path) -> None:
     field = Field()
     drives = {

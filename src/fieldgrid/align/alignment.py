@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -40,6 +40,7 @@ BEYOND_M = 2.0
 FINE_REACH_M = 1.5
 
 FAR_SIGMAS = 3.0
+"""Drives that agree so many stated errors apart contradict what their receivers state."""
 
 FINE_ROUNDS = 2
 
@@ -83,24 +84,42 @@ def align_map(
         drive if some or drive.role is not Role.MOVES else replace(drive, role=Role.STAYS)
         for drive, some in zip(drives, matched, strict=True)
     ]
+    drives = _as_poor_as_found(drives, agreements)
     before = [drive.transform for drive in drives]
     solution, matches = solve(drives, before, coarse), coarse
-    # A receiver that is far off is as poor as that, also in what it wanders.
-    off_m = (np.hypot(one.shift_east_m, one.shift_north_m) for one in solution.transforms)
-    drives = [
-        replace(drive, sigma_m=off / 2.0) if off > FAR_SIGMAS * drive.sigma_m else drive
-        for drive, off in zip(drives, map(float, off_m), strict=True)
-    ]
     for number in range(rounds):
         stage = f"submaps, round {number + 1} of {rounds}"
-        # Near the end a parabola tells the turn; before, pictures lie too far off for it.
-        turns = number == rounds - 1
-        matches = run.compare_finely(solution.transforms, believed, stage, turns=turns)
+        matches = run.compare_finely(solution.transforms, believed, stage)
         solution = solve(drives, solution.transforms, matches)
     return summed_up(drives, before, agreements, matches, solution)
 
 
 MOST_REACH_M = 20.0
+
+
+def _as_poor_as_found(drives: Sequence[Drive], agreements: Sequence[Agreement]) -> list[Drive]:
+    """Drives with the errors of their receivers, and larger ones where drives agree too far apart.
+
+    Of those that contradict each other the one that contradicts most is the wrong one, or the one
+    whose receiver states most; where that is the same, both are.
+    """
+    apart = {
+        (one.a, one.b): size
+        for one in agreements
+        if one.doubt is None
+        and (size := float(np.hypot(*one.shift_m)))
+        > FAR_SIGMAS * math.hypot(drives[one.a].sigma_m, drives[one.b].sigma_m)
+    }
+    found = list(drives)
+    while apart:
+        counts = Counter(n for pair in apart for n in pair)
+        worst = max((count, drives[n].sigma_m) for n, count in counts.items())
+        wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
+        for n in wrong:
+            size = max(size for pair, size in apart.items() if n in pair)
+            found[n] = replace(drives[n], sigma_m=max(size / 2.0, drives[n].sigma_m))
+        apart = {pair: size for pair, size in apart.items() if not wrong & set(pair)}
+    return found
 
 
 def _roles(
@@ -197,18 +216,12 @@ class _Run:
         return agreements, matches
 
     def compare_finely(
-        self,
-        transforms: Sequence[Transform],
-        believed: set[tuple[int, int]],
-        stage: str,
-        *,
-        turns: bool,
+        self, transforms: Sequence[Transform], believed: set[tuple[int, int]], stage: str
     ) -> list[Match]:
-        """The matches of drives that agree, placed by transforms; with `turns`, or without."""
+        """The matches of drives that agree, placed by transforms."""
         pictures = self._draw(transforms, FINE_M, stage)
         less, more = (
-            self._draw(transforms, FINE_M, stage, turn) if turns else []
-            for turn in (-PROBE_DEG, PROBE_DEG)
+            self._draw(transforms, FINE_M, stage, turn) for turn in (-PROBE_DEG, PROBE_DEG)
         )
 
         def match(p: Pair) -> Match | None:
@@ -217,7 +230,7 @@ class _Run:
             if score is None:
                 return None
             turned = TurnPeak(0.0, 0.0)
-            if turns and p.a != p.b:
+            if p.a != p.b:
                 turned = turn_peak(a, less[p.b][p.l], b, more[p.b][p.l], score.alike)
             return Match(*p, *peak(score, np.zeros(2)), *turned)
 
