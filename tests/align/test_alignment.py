@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fieldgrid.align import Role, align_map, undo_alignment
+from fieldgrid.align.submaps import cut
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Transform, open_map
 from tests.align.field import SPACING_M, Drive, Field, left_m, write_field
@@ -81,6 +83,36 @@ def test_an_undone_alignment_leaves_the_shift_that_was_set_by_hand(path: Path) -
         assert universal.transform("june").aligned is not None
         with pytest.raises(ConfigError, match=r"'july' of .* is not aligned"):
             undo_alignment(universal, ["july"])
+
+
+def test_other_poses_keep_the_transform_and_not_its_sigma(path: Path) -> None:
+    with open_map(path, writable=True) as universal:
+        before = universal.root_sha256
+        universal.set_transforms(align_map(universal, rounds=0).transforms)
+        aligned = universal.transform("july")
+        frames = list(universal.frames("july"))
+        assert max(frame.pose.position_sigma_m for frame in frames) < 0.2
+        universal.repose("july", {frame.frame_id: frame.driven for frame in frames})
+        after = universal.transform("july")
+        assert (after.shift_east_m, after.wander) == (aligned.shift_east_m, aligned.wander)
+        assert after.aligned is not None
+        assert after.aligned.sigma_m is None
+        assert {frame.pose.position_sigma_m for frame in universal.frames("july")} == {0.35}
+        assert universal.verify().problems == ()
+        # It is what others are compared with as far as its receiver is sure.
+        again = align_map(universal, ["june"], rounds=0)
+        assert abs(again.transforms["june"].shift_east_m) < 0.05
+        undo_alignment(universal)
+        assert universal.root_sha256 == before
+
+
+def test_frames_of_one_moment_are_one_submap(path: Path) -> None:
+    """Times are for the wander; a program that has none to give may leave them out."""
+    with open_map(path) as universal:
+        frames = list(universal.frames("july", with_grid=True))
+    still = [replace(f, driven=replace(f.driven, time_ns=0)) for f in frames]
+    assert len(list(cut("july", frames))) > 5
+    assert len(list(cut("july", still))) == 1
 
 
 def test_who_holds_is_chosen(path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from fieldgrid.errors import ConfigError, DatumError
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec
+from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapView, create_map, open_map
 from fieldgrid.trajectory import Status
 from tests.mapfile.maps import (
@@ -209,3 +211,25 @@ def test_the_settings_of_the_map_are_in_the_file(tmp_path: Path) -> None:
     assert float(meta["cell_m"]) == CELL_M
     assert meta["transfer"] == "centre"
     assert len(json.loads(meta["data_window"])) == 4
+
+
+def test_frames_near_a_place_are_read_alone(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(12, step_m=5.0)])
+    with closing(sqlite3.connect(path)) as database, database:
+        # The grid of the last frame is gone, which a reader of the first ones does not notice.
+        database.execute(
+            "DELETE FROM fieldgrid_grid WHERE frame = (SELECT max(id) FROM fieldgrid_frame)"
+        )
+    with open_map(path) as universal:
+        every = list(universal.frames())
+        first = every[0].pose
+        near = Bounds(first.east_m - 1.0, first.north_m - 1.0, first.east_m, first.north_m)
+        found = list(universal.frames(with_grid=True, near=near))
+        assert [frame.frame_id for frame in found] == [
+            frame.frame_id
+            for frame in every
+            if frame.pose.east_m - SPEC.reach_m <= near.east_m
+            and frame.pose.north_m - SPEC.reach_m <= near.north_m
+        ]
+        assert 1 < len(found) < len(every)
+        assert all(frame.grid().observed.any() for frame in found)

@@ -114,6 +114,7 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
         {"aligned": {"sigma_m": -1.0, "turn_sigma_deg": 0.0, "to": [], "before": None}},
         {"aligned": {"sigma_m": 1.0, "turn_sigma_deg": 0.0, "to": [], "before": 7}},
         {"aligned": {}},
+        {"aligned": {"sigma_m": True, "turn_sigma_deg": 0.0, "to": [], "before": None}},
     ):
         with pytest.raises(MapError, match="is damaged"):
             transform_of(json.dumps({**json.loads(text), **change}))

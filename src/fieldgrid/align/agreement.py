@@ -1,7 +1,7 @@
 """Where two drives agree as wholes: the shift and turn of one against the other, or a doubt.
 
-Rows repeat. So all shifts within reach are scored, with every pair of submaps as a witness whose
-voice is bounded, and the best is believed only when nothing apart from it comes near.
+Rows repeat. So all shifts within reach are scored by how well a cell agrees, over all pairs of
+submaps, and the best is believed only when nothing apart from it comes near.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from fieldgrid.align.network import FREEDOM
 from fieldgrid.align.score import Scores
 from fieldgrid.array_types import Float64
 
@@ -38,9 +39,6 @@ BLUR_M = 0.2
 
 MOST_TURN_DEG, TURN_STEP_DEG = 1.6, 0.2
 
-FREEDOM = 4.0
-"""Degrees of freedom of Student's distribution, of stated errors."""
-
 
 class Agreement(NamedTuple):
     """How drive `b` lies against drive `a`: `shift_m` [2] at `at_m` [2], the middle of the ground
@@ -56,7 +54,6 @@ class Agreement(NamedTuple):
     at_m: Float64
     shift_m: Float64
     turn_deg: float
-    pairs: int
     score: Float64
     shifts_m: Float64
     rivals_m: Float64
@@ -111,8 +108,7 @@ def agree(
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)
     return Agreement(
-        a, b, places_m.mean(axis=0), shift, float(turns[turn]), len(found), score, axis, rivals,
-        alike, doubt,
+        a, b, places_m.mean(axis=0), shift, float(turns[turn]), score, axis, rivals, alike, doubt,
     )  # fmt: skip
 
 

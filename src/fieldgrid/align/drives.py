@@ -58,16 +58,17 @@ def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
     """Sessions with accepted frames by their roles; of those that do not move the part near others
     that do. Sessions of which nothing is near are left out."""
     transforms = {info.name: info.transform for info in universal.sessions()}
-    frames_of = {
-        name: [f for f in universal.frames(name, with_grid=True) if f.accepted] for name in roles
-    }
-    moves = [frame for name in roles if roles[name] is Role.MOVES for frame in frames_of[name]]
-    near = _bounds(moves)
+    moving = [name for name, role in roles.items() if role is Role.MOVES]
+    poses = [f.pose for name in moving for f in universal.frames(name) if f.accepted]
+    reach_m = max(info.grid.reach_m for info in universal.sessions() if info.grid is not None)
+    near = Bounds(
+        min(pose.east_m for pose in poses) - reach_m, min(pose.north_m for pose in poses) - reach_m,
+        max(pose.east_m for pose in poses) + reach_m, max(pose.north_m for pose in poses) + reach_m,
+    )  # fmt: skip
     drives = []
     for name, role in roles.items():
-        frames = frames_of[name]
-        if role is not Role.MOVES:
-            frames = [frame for frame in frames if near.overlaps(_bounds([frame]))]
+        found = universal.frames(name, with_grid=True, near=near)
+        frames = [frame for frame in found if frame.accepted]
         if not frames:
             continue
         submaps = tuple(cut(name, frames))
@@ -90,18 +91,9 @@ def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
 def _sigma_m(frames: Sequence[FrameRecord], transform: Transform, role: Role) -> float:
     """What is open of where a drive lies: what its receiver states, or, of one that was aligned
     and stays so, what that left."""
-    if role is not Role.MOVES and transform.aligned is not None:
-        return max(transform.aligned.sigma_m, LEAST_SIGMA_M)
+    aligned = transform.aligned
+    if role is not Role.MOVES and aligned is not None and aligned.sigma_m is not None:
+        return max(aligned.sigma_m, LEAST_SIGMA_M)
     sigmas = [f.driven.position_sigma_m for f in frames]
     known = [sigma for sigma in sigmas if np.isfinite(sigma)]
     return max(float(np.median(known)), LEAST_SIGMA_M) if known else UNKNOWN_SIGMA_M
-
-
-def _bounds(frames: Sequence[FrameRecord]) -> Bounds:
-    """What frames may have seen."""
-    reach_m = max(frame.spec.reach_m for frame in frames)
-    east = [frame.pose.east_m for frame in frames]
-    north = [frame.pose.north_m for frame in frames]
-    return Bounds(
-        min(east) - reach_m, min(north) - reach_m, max(east) + reach_m, max(north) + reach_m
-    )

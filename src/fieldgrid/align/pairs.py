@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fieldgrid.align.submaps import Picture
 from fieldgrid.array_types import Float64
@@ -48,19 +49,21 @@ class Pair(NamedTuple):
 def overlapping(pictures: Sequence[Sequence[Picture]]) -> Iterator[Pair]:
     """The pairs worth comparing, of different drives and of the same one; `pictures` has those of
     each drive."""
-    for a, of_a in enumerate(pictures):
-        for k, one in enumerate(of_a):
-            best: list[tuple[float, int, int]] = []
-            for b in range(a, len(pictures)):
-                first = k + APART if b == a else 0
-                shared = [
-                    (_shared(one, other), b, l)
-                    for l, other in enumerate(pictures[b])  # noqa: E741
-                    if l >= first
-                ]
-                told = sorted((s for s in shared if s[0] >= LEAST_SHARE), reverse=True)
-                best += told[:MOST_OF_A_DRIVE]
-            for share, b, l in best:  # noqa: E741
+    places = [(n, k) for n, of_one in enumerate(pictures) for k in range(len(of_one))]
+    windows = np.array([pictures[n][k].window for n, k in places], np.float64)
+    middles, reach = windows[:, :2] + windows[:, 2:] / 2.0, np.hypot(*windows[:, 2:].T) / 2.0
+    tree = cKDTree(middles)
+    for (a, k), middle, own_reach in zip(places, middles, reach, strict=True):
+        one = pictures[a][k]
+        shared = defaultdict[int, list[tuple[float, int]]](list)
+        for n in sorted(tree.query_ball_point(middle, own_reach + reach.max())):
+            b, l = places[n]  # noqa: E741
+            if b > a or (b == a and l >= k + APART):
+                share = _shared(one, pictures[b][l])
+                if share >= LEAST_SHARE:
+                    shared[b].append((share, l))
+        for b, told in shared.items():
+            for share, l in sorted(told, reverse=True)[:MOST_OF_A_DRIVE]:  # noqa: E741
                 other = pictures[b][l]
                 yield Pair(a, k, b, l, *_place(one, other), one.facing - other.facing, share)
 

@@ -71,7 +71,9 @@ def cut(session: str, frames: Sequence[FrameRecord]) -> Iterator[Submap]:
         if part:
             last, here = part[-1].driven, frame.driven
             driven_m += float(np.hypot(here.east_m - last.east_m, here.north_m - last.north_m))
-            if driven_m > SUBMAP_M or here.time_ns - last.time_ns > PAUSE_NS:
+            late = here.time_ns - last.time_ns
+            # Frames of one moment stay together: submaps follow each other in time.
+            if late > 0 and (driven_m > SUBMAP_M or late > PAUSE_NS):
                 yield Submap(session, tuple(part))
                 part, driven_m = [], 0.0
         part.append(frame)

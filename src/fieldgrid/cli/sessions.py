@@ -116,10 +116,10 @@ def _shifted(transform: Transform) -> str:
         transform.shift_east_m, transform.shift_north_m, transform.turn_deg,
     )  # fmt: skip
     if (aligned := transform.aligned) is not None:
-        return (
-            f"aligned: {east_m:+.3f} m east, {north_m:+.3f} m north ± {aligned.sigma_m:.3f} m, "
-            f"{turn_deg:+.2f}°"
-        )
+        place = f"aligned: {east_m:+.3f} m east, {north_m:+.3f} m north"
+        if aligned.sigma_m is None:
+            return f"{place}, for poses that have changed since; align it again"
+        return f"{place} ± {aligned.sigma_m:.3f} m, {turn_deg:+.2f}°"
     turn = f", turned {turn_deg:+g}°" if turn_deg else ""
     return f"shifted {east_m:+g} m east, {north_m:+g} m north{turn}"
 

@@ -111,7 +111,7 @@ class Evidence:
             record
             for record in records
             if record.accepted
-            and _reaches(record, near)
+            and reaches(record, near)
             and (frame_filter is None or frame_filter(record))
         ]
 
@@ -208,7 +208,7 @@ def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameReco
     return [frame_record(row, loader(connection, row[0])) for row in rows]
 
 
-def _reaches(record: FrameRecord, near: Bounds) -> bool:
+def reaches(record: FrameRecord, near: Bounds) -> bool:
     """Whether any cell of a frame may lie within bounds."""
     pose, reach_m = record.pose, record.spec.reach_m
     return (

@@ -6,6 +6,7 @@ import math
 import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from fieldgrid.mapfile.blocks import Blocks, read_blocks
 from fieldgrid.mapfile.change import ChangeView
 from fieldgrid.mapfile.codec import EncodedChannel
 from fieldgrid.mapfile.database import reading
-from fieldgrid.mapfile.evidence import Evidence, loader
+from fieldgrid.mapfile.evidence import Evidence, loader, reaches
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
@@ -111,16 +112,26 @@ class MapReader:
             return self._evidence.inputs(name)
 
     def frames(
-        self, session: str | None = None, *, with_grid: bool = False
+        self,
+        session: str | None = None,
+        *,
+        with_grid: bool = False,
+        near: Bounds | None = None,
     ) -> Iterator[FrameRecord]:
         """The frames of one or of all active sessions, rejected ones included, in time order.
 
-        With `with_grid` each carries its compressed local grid, for `FrameRecord.grid`.
+        With `with_grid` each carries its compressed local grid, for `FrameRecord.grid`. With `near`
+        only those of which a cell may lie in these bounds; the grids of others are not read.
         """
         with reading(self._connection, self.path):
             rows = self._evidence.frame_rows(None if session is None else [session])
+        records = ((row, frame_record(row, _no_grid)) for row in rows)
         # The map is not locked between two frames, however long the caller takes.
-        return (frame_record(row, self._channels(row) if with_grid else _no_grid) for row in rows)
+        return (
+            replace(record, load=self._channels(row)) if with_grid else record
+            for row, record in records
+            if near is None or reaches(record, near)
+        )
 
     def trajectory(self, session: str, *, as_driven: bool = False) -> Trajectory:
         """The trajectory of a session as it is placed in the map, or `as_driven`: as it was stored,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,14 @@ def repose(
 ) -> None:
     """Give the frames of a session other poses as driven, within the caller's transaction."""
     session_id, removed, metadata = find(connection, path, header.datum, name)
+    if (aligned := metadata.transform.aligned) is not None:
+        # What the alignment left was said of the poses that are replaced.
+        unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None)
+        metadata = metadata._replace(transform=replace(metadata.transform, aligned=unsure))
+        connection.execute(
+            "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
+            (metadata.transform.to_text(), session_id),
+        )
     if trajectory is not None:
         metadata = metadata._replace(trajectory=trajectory)
         connection.execute(

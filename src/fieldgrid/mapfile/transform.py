@@ -60,15 +60,17 @@ class Wander:
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
-    aligned to, and the transform that the session had before, as it was stored."""
+    aligned to, and the transform that the session had before, as it was stored. The errors are None
+    where the poses have been estimated anew since: it was found for others."""
 
-    sigma_m: float
-    turn_sigma_deg: float
+    sigma_m: float | None
+    turn_sigma_deg: float | None
     to: tuple[str, ...]
     before: str | None = None
 
     def __post_init__(self) -> None:
-        if not (self.sigma_m >= 0.0 and self.turn_sigma_deg >= 0.0):
+        errors = self.sigma_m, self.turn_sigma_deg
+        if not all(error is None or error >= 0.0 for error in errors):
             raise ConfigError(
                 f"An alignment with the errors {self.sigma_m} m and {self.turn_sigma_deg}° cannot "
                 "be; they are numbers from 0."
@@ -147,7 +149,9 @@ class Transform:
     def _sigma_m(self, driven_m: npt.ArrayLike) -> Float64:
         """The errors of places: those of the receiver, or less after alignment."""
         stated = np.asarray(driven_m, np.float64)
-        return stated if self.aligned is None else np.fmin(stated, self.aligned.sigma_m)
+        if self.aligned is None or self.aligned.sigma_m is None:
+            return stated
+        return np.fmin(stated, self.aligned.sigma_m)
 
     def points(
         self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, time_ns: int | Int64
@@ -227,7 +231,7 @@ def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
     sigma_m, turn_sigma_deg, before = (
         stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
     )  # fmt: skip
-    if not (_is_number(sigma_m) and _is_number(turn_sigma_deg)):
+    if not all(error is None or _is_number(error) for error in (sigma_m, turn_sigma_deg)):
         raise TypeError("the errors of its alignment are no numbers")
     if not (before is None or isinstance(before, str)):
         raise TypeError("what it was before is no text")
