@@ -39,6 +39,9 @@ ROAD = SHARED / "kitti_2011_09_30_drive_0020"
 SF1_SIGMA_M = 0.35
 """What displaced drives state."""
 
+AHEAD_M = 7.5
+"""What a frame sees lies about this far ahead of the vehicle."""
+
 ROW_M = np.array([0.8, -0.6]) * 2.8
 """From row to row of the rendered vineyards, east and north."""
 
@@ -207,6 +210,36 @@ def trials(folder: Path, count: int, seed: int) -> None:
         one.close()
 
 
+def appended(folder: Path, count: int, seed: int) -> None:
+    """What `build --append` says of how a drive lies, without fine comparison."""
+    random = np.random.default_rng(seed)
+    universal = open_map(built(folder / "appended.gpkg", {"a": (EXAMPLE, "gnss_rtk.nmea")}))
+    own = frames_of(universal, "a")
+    sigmas, off = [], []
+    for _ in range(count):
+        by = random_transform(random, own)
+        sessions = {"a": at_poses(own[::2], 0.02), "b": displaced(own[1::2], by, SF1_SIGMA_M)}
+        with map_of(folder / "trial.gpkg", universal.datum, sessions) as trial:
+            (pair,) = align_map(trial, ["b"], rounds=0).pairs
+        if pair.doubt is None:
+            away = []
+            for frame in own[1::2]:
+                heading = np.radians(frame.driven.heading_deg)
+                east = frame.driven.east_m + AHEAD_M * np.sin(heading)
+                north = frame.driven.north_m + AHEAD_M * np.cos(heading)
+                placed = by.points(east, north, frame.driven.time_ns)
+                away.append((placed[0] - east, placed[1] - north))
+            off.append(float(np.hypot(*(pair.before_m - np.mean(away, axis=0)))))
+            sigmas.append(pair.sigma_m)
+    within = np.mean(np.array(off) <= 3.0 * np.array(sigmas))
+    print(
+        f"\nappended, without fine comparison: {len(off)} of {count} told, wrong by "
+        f"{100 * np.median(off):.0f} cm at the median, {100 * max(off):.0f} at worst, said "
+        f"{100 * np.median(sigmas):.0f}; within 3 sigma {100 * within:.0f} %"
+    )
+    universal.close()
+
+
 def pose_errors(universal: MapFile, name: str, drive: Path) -> np.ndarray:
     """East, north (m) and heading (°) of placed frames less the truth [n, 3]."""
     origin = json.loads((drive / "session.json").read_text())["ltp_origin"]
@@ -317,7 +350,7 @@ def main() -> None:
     """Print the tables that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("trials", nargs="?", type=int, default=200)
-    parser.add_argument("--only", choices=("real", "trials", "many"))
+    parser.add_argument("--only", choices=("real", "trials", "appended", "many"))
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -325,6 +358,8 @@ def main() -> None:
             real(Path(folder))
         if given.only in (None, "trials"):
             trials(Path(folder), given.trials, given.seed)
+        if given.only in (None, "appended"):
+            appended(Path(folder), max(given.trials // 10, 2), given.seed)
         if given.only in (None, "many"):
             many(Path(folder), 20, 200)
 

@@ -35,6 +35,9 @@ COARSE_M, FINE_M = 0.2, 0.1
 REACH_M = 2.5
 """The largest shift that is believed by default; more is scored, to see what else would fit."""
 
+ROUGH_M = 0.1
+"""What is left in shifts that were compared in coarse cells alone, from pictures as drives lay."""
+
 BEYOND_M = 2.0
 
 FINE_REACH_M = 1.5
@@ -91,7 +94,8 @@ def align_map(
         stage = f"submaps, round {number + 1} of {rounds}"
         matches = run.compare_finely(solution.transforms, believed, stage)
         solution = solve(drives, solution.transforms, matches)
-    return summed_up(drives, before, agreements, matches, solution)
+    rough_m = 0.0 if rounds else ROUGH_M
+    return summed_up(drives, before, agreements, matches, solution, rough_m)
 
 
 MOST_REACH_M = 20.0

@@ -37,10 +37,10 @@ class DriveAlignment(NamedTuple):
 
 
 class PairAlignment(NamedTuple):
-    """How drive `b` lay against drive `a` where both saw the same ground, about `at_m` [2]: metres
-    east and north (of b less of a), and degrees clockwise, as they were placed and as they are
-    after alignment, with the error of the shift. What is left beyond a few sigmas contradicts other
-    pairs. Of a pair with a `doubt` nothing was used.
+    """How drive `b` lay against drive `a` where both saw the same ground, on the mean, about `at_m`
+    [2]: metres east and north (of b less of a), and degrees clockwise, as they were placed and as
+    they are after alignment, with the error of the shift. What is left beyond a few sigmas
+    contradicts other pairs. Of a pair with a `doubt` nothing was used.
 
     What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
     infinite where not at all: there the receivers alone have a say.
@@ -84,8 +84,11 @@ def summed_up(
     agreements: Sequence[Agreement],
     matches: Sequence[Match],
     solution: Solution,
+    rough_m: float,
 ) -> MapAlignment:
-    """The outcome of drives that were placed `before`, from the last matches and what fits them."""
+    """The outcome of drives that were placed `before`, from the last matches and what fits them;
+    `rough_m` is what the way in which they were compared adds to the errors of shifts."""
+    sigma_m = np.hypot(solution.sigma_m, rough_m)
     with_ = defaultdict[int, set[int]](set)
     counts = defaultdict[tuple[int, int], int](int)
     for match in matches:
@@ -102,7 +105,7 @@ def summed_up(
             after = replace(
                 after,
                 aligned=Aligned(
-                    float(solution.sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
+                    float(sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
                 ),
             )
         own = sum(count for pair, count in counts.items() if n in pair)
@@ -111,7 +114,7 @@ def summed_up(
                 drive.name,
                 before[n],
                 after,
-                float(solution.sigma_m[n, n]),
+                float(sigma_m[n, n]),
                 float(solution.turn_sigma_deg[n]),
                 own,
                 drive.role,
@@ -125,6 +128,7 @@ def summed_up(
             one,
             [k for k, match in enumerate(matches) if (match.a, match.b) == (one.a, one.b)],
             matches,
+            float(sigma_m[one.a, one.b]),
         )
         for one in agreements
     ]
@@ -139,17 +143,22 @@ def _pair(
     one: Agreement,
     own: Sequence[int],
     matches: Sequence[Match],
+    sigma_m: float,
 ) -> PairAlignment:
-    """What a pair lay apart is what alignment moved one against the other, for those that agree."""
+    """What a pair lay apart is what alignment moved one against the other where both were seen, on
+    the mean of their matches, for those that agree."""
     a, b = one.a, one.b
     zero = np.zeros(2)
-    moved, turned = zero, 0.0
-    for sign, n in ((1.0, a), (-1.0, b)):
-        drive, now, was = drives[n], solution.transforms[n], before[n]
-        middle = int(np.argmin(np.hypot(*(drive.middle_m - one.at_m).T)))
-        place = *drive.middle_m[middle], int(drive.time_ns[middle])
-        moved = moved + sign * (np.array(now.points(*place)) - np.array(was.points(*place)))
-        turned += sign * (now.turn_deg - was.turn_deg)
+    moves = [
+        _moved(drives[a], before[a], solution.transforms[a], matches[k].k, matches[k].at_m)
+        - _moved(drives[b], before[b], solution.transforms[b], matches[k].l, matches[k].at_m)
+        for k in own
+    ]
+    moved = np.mean(moves, axis=0) if moves else one.shift_m
+    turned = sum(
+        sign * (solution.transforms[n].turn_deg - before[n].turn_deg)
+        for sign, n in ((1.0, a), (-1.0, b))
+    )
     trusted = one.doubt is None
     information = [information_of(matches[k], len(own)) for k in own]
     total = np.sum(information, axis=0) if own else np.zeros((2, 2))
@@ -162,6 +171,17 @@ def _pair(
         drives[a].name, drives[b].name, one.at_m,
         moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
         turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
-        float(solution.sigma_m[a, b]), float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
+        sigma_m, float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
         float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
     )  # fmt: skip
+
+
+def _moved(
+    drive: Drive, before: Transform, after: Transform, submap: int, at_m: Float64
+) -> Float64:
+    """By how much a place [2] that a submap saw is moved, east and north."""
+    time_ns = int(drive.time_ns[submap])
+    east_m, north_m = at_m
+    driven = 2.0 * at_m - np.array(before.points(east_m, north_m, time_ns))
+    now, was = (np.array(t.points(driven[0], driven[1], time_ns)) for t in (after, before))
+    return np.asarray(now - was)

@@ -150,6 +150,8 @@ def command(
         _report(report)
     for pair in lies:
         output.report_line(_said(pair, out))
+    if align and not lies:
+        output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
 
 
