@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -100,14 +101,26 @@ class Datum:
             f"+k_0={self.tangent_scale()!r} +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
         )
 
-    def crs_wkt(self, version: str = "WKT1_GDAL") -> str:
-        """The same reference system as well-known text, full, for files that carry it."""
+    def crs_json(self) -> dict[str, Any]:
+        """The same reference system as PROJJSON."""
         from pyproj import CRS  # late: the mapping itself never needs PROJ
 
         name = f"fieldgrid LTP {self.lat_deg:.9f} {self.lon_deg:.9f} {self.height_m:.3f}"
-        crs = CRS.from_proj4(self.crs_proj4()).to_json_dict()
-        crs["name"] = name
-        return str(CRS.from_json_dict(crs).to_wkt(version))
+        return {**CRS.from_proj4(self.crs_proj4()).to_json_dict(), "name": name}
+
+    def crs_wkt(self, version: str = "WKT1_GDAL") -> str:
+        """The same reference system as well-known text, full, for files that carry it."""
+        from pyproj import CRS
+
+        return str(CRS.from_json_dict(self.crs_json()).to_wkt(version))
+
+    def grid_mapping(self) -> dict[str, Any]:
+        """The same as attributes of a grid mapping by the CF conventions."""
+        from pyproj import CRS
+
+        wkt = self.crs_wkt("WKT2_2019")
+        # GDAL and older programs look for the plane under a name of their own.
+        return {**CRS.from_wkt(wkt).to_cf(), "spatial_ref": wkt}
 
     def is_crs_wkt(self, text: str) -> bool:
         """Whether well-known text says this reference system, in whatever words."""

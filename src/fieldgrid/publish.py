@@ -9,6 +9,7 @@ import mmap
 import os
 import secrets
 import shutil
+import tempfile
 import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
@@ -54,6 +55,15 @@ def replacing(
             draft.publish()
     finally:
         draft.discard()
+
+
+@contextmanager
+def made_elsewhere(draft: Path, name: str) -> Iterator[Path]:
+    """A path of this name, in a folder of its own beside a draft, for a library that makes its
+    file itself, or locks it; what is there when the block ends well becomes the draft's content."""
+    with tempfile.TemporaryDirectory(prefix=draft.name, dir=draft.parent) as folder:
+        yield Path(folder) / name
+        shutil.copyfile(Path(folder) / name, draft)
 
 
 @contextmanager

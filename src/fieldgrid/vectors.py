@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import shutil
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +25,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.geodesy import Datum
-from fieldgrid.publish import mentions, replacing
+from fieldgrid.publish import made_elsewhere, mentions, replacing
 
 _DECIMALS = 9
 _KML = "http://www.opengis.net/kml/2.2"
@@ -201,16 +200,14 @@ def _write_gpkg(path: Path, features: Sequence[Feature], datum: Datum, overwrite
         )
     with (
         _replacing(path, overwrite) as file,
-        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        made_elsewhere(file, "features.gpkg") as written,
     ):
-        written = Path(folder) / "features.gpkg"
         for kind in dict.fromkeys(f.kind for f in features):
             _by_gdal(
                 written, path, [f for f in features if f.kind == kind], kind, "GPKG", datum,
                 append=written.exists(), dataset_options={"VERSION": "1.3"},
                 layer_options={"DESCRIPTION": "found by fieldgrid"},
             )  # fmt: skip
-        shutil.copyfile(written, file)
 
 
 def _write_dxf(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:

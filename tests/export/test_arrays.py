@@ -2,23 +2,44 @@
 
 from __future__ import annotations
 
+import json
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyproj
 import pytest
+import rasterio
+import rioxarray  # noqa: F401 (registers what tests ask of .rio)
 import xarray
 import zarr
 
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
 from fieldgrid.mapfile import MapFile, open_map
-from tests.export.asymmetric import COARSE_M, DATUM, cells, geodetic, write_asymmetric_map
+from tests.export.asymmetric import (
+    COARSE_M,
+    DATUM,
+    Truth,
+    cells,
+    geodetic,
+    write_asymmetric_map,
+)
 
 
 @pytest.fixture(scope="module")
 def universal(tmp_path_factory: pytest.TempPathFactory) -> MapFile:
     return open_map(write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg"))
+
+
+def opened(path: Path) -> Any:
+    engine = {".zarr": "zarr", ".nc": "h5netcdf"}[path.suffix]
+    return xarray.open_dataset(path, engine=engine, decode_coords="all")
+
+
+def unseen_is_nan(true: Truth) -> Any:
+    return np.where(true.observed, true.density, np.float32(np.nan))
 
 
 def test_npz_is_the_truth_without_pickles(universal: MapFile, tmp_path: Path) -> None:
@@ -27,8 +48,9 @@ def test_npz_is_the_truth_without_pickles(universal: MapFile, tmp_path: Path) ->
     with np.load(tmp_path / "map.npz", allow_pickle=False) as arrays:
         np.testing.assert_allclose(arrays["east_m"], east)
         np.testing.assert_allclose(arrays["north_m"], north)
-        np.testing.assert_array_equal(arrays["density"], true.density)
+        np.testing.assert_array_equal(arrays["density"], unseen_is_nan(true))
         np.testing.assert_array_equal(arrays["observed"], true.observed)
+        assert not (arrays["density"] <= 255)[~true.observed].any()  # of no density at all
         np.testing.assert_array_equal(arrays["count"], true.sessions)
         np.testing.assert_allclose(arrays["variance"], true.variance, rtol=1e-6)
         assert arrays["cell_m"] == COARSE_M
@@ -37,16 +59,74 @@ def test_npz_is_the_truth_without_pickles(universal: MapFile, tmp_path: Path) ->
         assert str(arrays["crs_wkt"]).startswith("PROJCRS[")
 
 
-def test_zarr_is_the_truth(universal: MapFile, tmp_path: Path) -> None:
-    export_map(universal, tmp_path / "map.zarr", Selection(cell_m=COARSE_M, layer="persistence"))
+@pytest.mark.parametrize("name", ["map.zarr", "map.nc"])
+def test_a_dataset_is_the_truth(universal: MapFile, tmp_path: Path, name: str) -> None:
+    export_map(universal, tmp_path / name, Selection(cell_m=COARSE_M, layer="persistence"))
     east, north, true = cells(COARSE_M)
-    with xarray.open_zarr(tmp_path / "map.zarr") as dataset:
+    with opened(tmp_path / name) as dataset:
         at = dataset.sel(east_m=east[7], north_m=north[30], method="nearest")
         assert int(at.density) == true.density[30, 7]
         np.testing.assert_allclose(dataset.north_m, north)
-        np.testing.assert_array_equal(dataset.density, true.density)
+        np.testing.assert_array_equal(dataset.density, unseen_is_nan(true))
         np.testing.assert_array_equal(dataset.observed, true.observed)
+        np.testing.assert_array_equal(
+            dataset["count"], np.where(true.observed, true.sessions, np.nan)
+        )
         np.testing.assert_allclose(dataset.persistence, true.persistence)
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # rioxarray of affine
+@pytest.mark.parametrize("name", ["map.zarr", "map.nc"])
+def test_what_nobody_saw_is_no_free_ground_to_rioxarray(
+    universal: MapFile, tmp_path: Path, name: str
+) -> None:
+    export_map(universal, tmp_path / name, Selection(cell_m=COARSE_M, layer="lasting"))
+    _, _, true = cells(COARSE_M)
+    with opened(tmp_path / name) as dataset:
+        for layer in ("density", "lasting", "count"):
+            array = dataset[layer]
+            assert np.isnan(array.rio.nodata if array.rio.nodata is not None else np.nan)
+            assert array.rio.crs.is_projected
+            np.testing.assert_array_equal(np.isnan(array), ~true.observed)
+            array.rio.to_raster(tmp_path / "layer.tif")
+            with rasterio.open(tmp_path / "layer.tif") as raster:
+                seen = raster.read_masks(1) != 0
+                south_up = raster.transform.e > 0
+                np.testing.assert_array_equal(seen if south_up else seen[::-1], true.observed)
+                assert raster.transform.a == COARSE_M
+
+
+def test_gdal_reads_a_netcdf_with_its_mask(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "map.nc", Selection(cell_m=COARSE_M))
+    _, _, true = cells(COARSE_M)
+    with rasterio.open(f"netcdf:{tmp_path / 'map.nc'}:density") as raster:
+        assert raster.nodata == -1
+        np.testing.assert_array_equal(raster.read_masks(1)[::-1] != 0, true.observed)
+        assert raster.crs.to_dict()["lat_0"] == pytest.approx(DATUM.lat_deg, abs=1e-9)
+
+
+def test_a_checker_of_the_conventions_has_nothing_to_say(
+    universal: MapFile, tmp_path: Path
+) -> None:
+    export_map(universal, tmp_path / "map.nc", Selection(cell_m=COARSE_M, layer="ground"))
+    checker = pytest.importorskip("compliance_checker.runner")
+    checker.CheckSuite.load_all_available_checkers()
+    out = tmp_path / "report.json"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        checker.ComplianceChecker.run_checker(
+            str(tmp_path / "map.nc"), ["cf:1.11"], 0, "strict",
+            output_filename=str(out), output_format="json",
+        )  # fmt: skip
+    report = json.loads(out.read_text())["cf:1.11"]
+    found = {
+        one["name"]: one["msgs"]
+        for group in ("high_priorities", "medium_priorities", "low_priorities")
+        for one in report[group]
+        if one["msgs"]
+    }
+    assert found == {}
+    assert report["possible_points"] > 50
 
 
 def test_zarr_places_its_cells_on_earth(universal: MapFile, tmp_path: Path) -> None:

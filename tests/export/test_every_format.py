@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
+import xarray
 import zarr
 from mcap.writer import Writer
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -174,6 +175,8 @@ def written_by_others(path: Path) -> None:
             path.mkdir()
             (path / "TASKDATA.XML").write_text("<a/>")
             (path / "TLG00001.bin").write_text("work")
+        case ".nc":
+            xarray.Dataset({"a": ("x", [1])}).to_netcdf(path, engine="h5netcdf")
         case ".parquet":
             pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), path)
         case _:

@@ -6,6 +6,7 @@ import csv
 import json
 from pathlib import Path
 
+import geopandas
 import numpy as np
 import numpy.typing as npt
 import pyarrow.parquet
@@ -39,7 +40,8 @@ def read_csv(path: Path) -> Columns:
 
 def read_parquet(path: Path) -> Columns:
     table = pyarrow.parquet.read_table(path)
-    return {name: table[name].to_numpy().astype(np.float64) for name in table.column_names}
+    plain = [name for name in table.column_names if name not in ("geometry", "bbox")]
+    return {name: table[name].to_numpy().astype(np.float64) for name in plain}
 
 
 READERS = {".csv": read_csv, ".parquet": read_parquet}
@@ -143,3 +145,19 @@ def test_what_cannot_be_written_leaves_nothing(
         export_map(universal, out)
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     assert out.read_text() == "mine"
+
+
+def test_parquet_is_geoparquet(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "m.parquet", Selection(cell_m=COARSE_M))
+    frame = geopandas.read_parquet(tmp_path / "m.parquet")
+    columns = read_parquet(tmp_path / "m.parquet")
+    np.testing.assert_array_equal(frame.geometry.x, columns["east_m"])
+    np.testing.assert_array_equal(frame.geometry.y, columns["north_m"])
+    degrees = frame.geometry.to_crs("EPSG:4326")
+    np.testing.assert_allclose(degrees.x, columns["lon_deg"], atol=1e-9)
+    np.testing.assert_allclose(degrees.y, columns["lat_deg"], atol=1e-9)
+    geo = json.loads(pyarrow.parquet.read_metadata(tmp_path / "m.parquet").metadata[b"geo"])
+    assert geo["columns"]["geometry"]["bbox"] == pytest.approx(frame.total_bounds.tolist())
+    part = geopandas.read_parquet(tmp_path / "m.parquet", bbox=(0.0, 0.0, 2.0, 2.0))
+    inside = (frame.geometry.x.between(0.0, 2.0)) & (frame.geometry.y.between(0.0, 2.0))
+    assert 0 < len(part) == int(inside.sum()) < len(frame)

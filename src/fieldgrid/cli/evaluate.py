@@ -10,41 +10,152 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.evaluation import Evaluation, Group
+    from fieldgrid.evaluation import Evaluation, Group, SurveyScores
+    from fieldgrid.mapfile import MapFile
 
 
 def command(
     map_: options.MapArgument,
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="A folder with the truth.")],
+    truth: Annotated[
+        Path, typer.Argument(metavar="TRUTH", help="A folder with the truth, or a survey.")
+    ],
     min_pixels: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=1,
             metavar="N",
-            help="A truth cell is observable from N pixels [default: 100].",
-            show_default=False,
+            help="Of a folder: a truth cell is observable from N pixels [default: 100].",
         ),
-    ] = 100,
-    frames: Annotated[bool, typer.Option("--frames", help="Print each frame's errors.")] = False,
+    ] = None,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="Of a folder: print each frame's errors.")
+    ] = False,
+    within: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=10.0,
+            metavar="M",
+            help="Of a survey: how near the map must have a thing [default: 0.3].",
+        ),
+    ] = None,
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Of a survey: what grows in its rows [default: vineyard]."
+        ),
+    ] = None,
+    things: Annotated[
+        bool, typer.Option("--things", help="Of a survey: print each thing's error.")
+    ] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare a map with surveyed or simulated truth: obstacles, free space, poses.
+    """Compare a map with surveyed or simulated truth: obstacles, free space, rows, poses.
 
-    Absolute: nothing is shifted or turned to fit. Example:
+    Absolute: nothing is shifted or turned to fit. TRUTH is a folder with rasters and poses, or a
+    survey of posts, rows and obstacles as GeoJSON or CSV. Examples:
 
         fieldgrid evaluate vineyard.gpkg examples/two_lanes/truth
+
+        fieldgrid evaluate vineyard.gpkg posts.csv --within 0.2
     """
-    from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.mapfile import open_map
 
+    is_survey = truth.is_file()
+    of_other = (
+        {"--min-pixels": min_pixels, "--frames": frames}
+        if is_survey
+        else {"--within": within, "--crop": crop, "--things": things}
+    )
+    for flag, value in of_other.items():
+        if value:
+            what = "a survey" if is_survey else "a folder with the truth"
+            raise typer.BadParameter(f"{truth} is {what}, which does not take it", param_hint=flag)
     with open_map(map_) as universal:
-        result = evaluate(universal, read_truth(truth), observable_pixels=min_pixels)
+        if is_survey:
+            _survey(universal, truth, within, crop, things, as_json)
+            return
+        from fieldgrid.evaluation import evaluate, read_truth
+        from fieldgrid.evaluation.scores import OBSERVABLE_PIXELS
+
+        result = evaluate(
+            universal, read_truth(truth), observable_pixels=min_pixels or OBSERVABLE_PIXELS
+        )
     if as_json:
         output.print_json(result.as_dict())
         return
     _print_scores(result)
     if frames:
         _print_frames(result)
+
+
+def _survey(
+    universal: MapFile,
+    path: Path,
+    within: float | None,
+    crop: str | None,
+    things: bool,
+    as_json: bool,
+) -> None:
+    from fieldgrid.evaluation import evaluate_survey, read_survey
+    from fieldgrid.evaluation.against_survey import WITHIN_M
+
+    result = evaluate_survey(
+        universal,
+        read_survey(path, universal.datum),
+        within_m=WITHIN_M if within is None else within,
+        crop=crop or "vineyard",
+    )
+    if as_json:
+        output.print_json(result.as_dict())
+        return
+    metres = ("error_median_m", "error_p95_m", "error_max_m", "shift_east_m", "shift_north_m")
+    rows = [
+        (
+            kind.kind,
+            *(str(n) for n in (kind.surveyed, kind.not_seen, kind.found, kind.missed)),
+            *(output.number(getattr(kind, name), 3, "m") for name in metres),
+        )
+        for kind in result.kinds
+    ]
+    output.print_table(
+        (
+            "", "surveyed", "not seen", "found", "missed", "error, median", "95 %", "largest",
+            "shift east", "north",
+        ),
+        rows,
+    )  # fmt: skip
+    output.print_line(
+        f"found is what has an obstacle of the map within {result.within_m:g} m; so near to one "
+        f"lies {output.percent(result.by_chance)} of the seen ground about the survey"
+    )
+    false = result.false
+    if false is None:
+        output.print_line(
+            "false ones are not counted: the survey does not say which ground it covers (a polygon "
+            "of the kind area)"
+        )
+    else:
+        rows_too = "" if false.rows is None else f"{false.rows} rows and "
+        output.print_line(
+            f"false, on the ground of the survey: {rows_too}{false.obstacles} groups of obstacle "
+            f"cells, {false.obstacles_m2:.2f} m2 together"
+        )
+    if things:
+        _print_things(result)
+
+
+def _print_things(result: SurveyScores) -> None:
+    rows = [
+        (
+            one.kind,
+            one.id,
+            "found" if one.found else "missed" if one.seen else "not seen",
+            *(output.number(v, 3, "") for v in (one.east_error_m, one.north_error_m, one.error_m)),
+        )
+        for one in result.things
+    ]
+    output.print_table(("kind", "id", "", "dE m", "dN m", "error m"), rows)
 
 
 def _print_scores(result: Evaluation) -> None:

@@ -1,5 +1,12 @@
 """A map against surveyed or simulated truth, absolute: nothing is shifted or turned to fit."""
 
+from fieldgrid.evaluation.against_survey import (
+    FalseScore,
+    KindScore,
+    SurveyScores,
+    ThingScore,
+    evaluate_survey,
+)
 from fieldgrid.evaluation.scores import (
     Evaluation,
     FrameError,
@@ -8,16 +15,25 @@ from fieldgrid.evaluation.scores import (
     PoseErrors,
     evaluate,
 )
+from fieldgrid.evaluation.survey import Survey, Surveyed, read_survey
 from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth
 
 __all__ = [
     "Evaluation",
+    "FalseScore",
     "FrameError",
     "Group",
+    "KindScore",
     "ObstacleScores",
     "PoseErrors",
+    "Survey",
+    "SurveyScores",
+    "Surveyed",
+    "ThingScore",
     "Truth",
     "TruthPose",
     "evaluate",
+    "evaluate_survey",
+    "read_survey",
     "read_truth",
 ]

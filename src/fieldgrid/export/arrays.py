@@ -1,12 +1,15 @@
-"""A map as arrays for scientists: NumPy's NPZ and Zarr.
+"""A map as arrays for scientists: NumPy's NPZ, Zarr and NetCDF.
 
-Both hold the density, the mask of observed cells, how many frames saw each, and the layer that was
+All hold the density, the mask of observed cells, how many frames saw each, and the layer that was
 asked for, over the cells' centres east and north. Rows run to the north: row 0 is in the south.
+A cell that nobody saw is NaN, or has `_FillValue`: no comparison takes it for free ground.
 """
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +18,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import LAYERS, MapFile, MapView, cf_dataset, masked
 from fieldgrid.publish import mentions, replacing, replacing_folder
 from fieldgrid.settings import Settings
 
@@ -32,9 +35,11 @@ def export_npz(
     arrays: dict[str, npt.ArrayLike] = {
         "east_m": east_m,
         "north_m": north_m,
-        "density": view.density,
         "observed": view.observed,
-        **view.layers,
+        **{
+            name: masked(values, view.observed, LAYERS[name].nodata)
+            for name, values in {"density": view.density, **view.layers}.items()
+        },
         "cell_m": np.float64(view.lattice.cell_m),
         "crs_wkt": np.array(view.crs_wkt),
         **{f"datum_{name}": np.float64(value) for name, value in datum_values(view.datum).items()},
@@ -50,23 +55,49 @@ def export_npz(
 def export_zarr(
     universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
-    """Write a Zarr store that xarray opens, with CF's attributes for coordinates and plane.
+    """Write a Zarr store by the CF conventions, which xarray, rioxarray and GDAL open.
 
     Raises ConfigError when xarray or zarr is not installed.
     """
+    view, dataset = _dataset(universal, selection, "Zarr", "zarr")
+    with replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft:
+        # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
+        dataset.to_zarr(draft, mode="w", zarr_format=2, consolidated=True)
+    return Exported((path,), _size(view))
+
+
+def export_netcdf(
+    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
+) -> Exported:
+    """Write NetCDF-4 by the CF conventions, compressed.
+
+    Raises ConfigError when xarray or h5netcdf is not installed.
+    """
+    view, dataset = _dataset(universal, selection, "NetCDF", "h5netcdf", "h5py")
+    packed = {name: {"zlib": True, "complevel": 4} for name in dataset if name != "crs"}
+    with replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file:
+        # In memory: HDF5 ends the program when the disk fills up.
+        file.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=packed))
+    return Exported((path,), _size(view))
+
+
+def _dataset(
+    universal: MapFile, selection: Selection, what: str, *libraries: str
+) -> tuple[MapView, Any]:
     try:
-        import xarray  # noqa: F401 (to_xarray would ask for another extra)
-        import zarr  # noqa: F401
+        for name in ("xarray", *libraries):
+            importlib.import_module(name)
     except ImportError as error:
         raise ConfigError(
-            "Writing Zarr needs zarr and xarray, which are not installed; "
+            f"Writing {what} needs xarray and {' and '.join(libraries)}, which are not installed; "
             "run: pip install 'fieldgrid[tables]'"
         ) from error
     view = selection.view(universal, ("count",))
-    with replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft:
-        # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
-        view.to_xarray().to_zarr(draft, mode="w", zarr_format=2, consolidated=True)
-    return Exported((path,), _size(view))
+    return view, cf_dataset(view)
+
+
+def _is_netcdf(file: Path) -> bool:
+    return mentions(file, b"datum_lat_deg")
 
 
 def _is_npz(file: Path) -> bool:
@@ -93,7 +124,16 @@ register(
         "Zarr store (format 2), a folder",
         export_zarr,
         folder=True,
-        readers="xarray, dask",
+        readers="xarray, rioxarray, dask",
+        extras=("tables",),
+        limits="4·10^8 cells",
+    ),
+    Format(
+        "netcdf",
+        (".nc",),
+        "NetCDF-4 by the CF conventions",
+        export_netcdf,
+        readers="xarray, GDAL, Panoply",
         extras=("tables",),
         limits="4·10^8 cells",
     ),

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray
+from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
@@ -68,7 +68,10 @@ def export_csv(
 def export_parquet(
     universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
-    """Write the observed cells as Parquet. Raises ConfigError when pyarrow is not installed."""
+    """Write the observed cells as GeoParquet 1.1: points in the map's plane, with their bounds.
+
+    Raises ConfigError when pyarrow is not installed.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
@@ -78,6 +81,7 @@ def export_parquet(
             "run: pip install 'fieldgrid[tables]'"
         ) from error
     rows = 0
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
     with (
         replacing(
             path,
@@ -89,7 +93,11 @@ def export_parquet(
     ):
         writer: Any = None
         for table in _tables(universal, selection):
-            batch = pyarrow.table(table)
+            places = np.column_stack([table["east_m"], table["north_m"]])
+            if len(places):
+                low = np.minimum(low, places.min(axis=0))
+                high = np.maximum(high, places.max(axis=0))
+            batch = pyarrow.table({**table, **_geometry(places)})
             if writer is None:
                 about = {"fieldgrid": json.dumps(_about(universal, selection))}
                 schema = batch.schema.with_metadata(about)
@@ -99,7 +107,45 @@ def export_parquet(
             writer.write_table(batch.cast(writer.schema))
             rows += len(batch)
         _refuse_empty(rows, path)
+        geo = _geoparquet(universal.datum, [*low.tolist(), *high.tolist()])
+        writer.add_key_value_metadata({"geo": json.dumps(geo)})
     return Exported((path,), (("cells", str(rows)),))
+
+
+def _geometry(places: Float64) -> dict[str, Any]:
+    """Points east and north [n, 2] as WKB, and the bounds of each, by which readers filter."""
+    import pyarrow
+
+    wkb = np.empty(len(places), dtype=[("order", "u1"), ("type", "<u4"), ("place", "<f8", 2)])
+    wkb["order"], wkb["type"], wkb["place"] = 1, 1, places
+    offsets = np.arange(len(places) + 1, dtype=np.int32) * wkb.itemsize
+    buffers = [None, pyarrow.py_buffer(offsets), pyarrow.py_buffer(wkb.tobytes())]
+    east, north = (pyarrow.array(column) for column in places.T)
+    bounds = dict(xmin=east, ymin=north, xmax=east, ymax=north)
+    return {
+        "geometry": pyarrow.Array.from_buffers(pyarrow.binary(), len(places), buffers),
+        "bbox": pyarrow.StructArray.from_arrays(list(bounds.values()), list(bounds)),
+    }
+
+
+def _geoparquet(datum: Datum, bounds: list[float]) -> dict[str, Any]:
+    """The metadata of a file by GeoParquet 1.1."""
+    return {
+        "version": "1.1.0",
+        "primary_column": "geometry",
+        "columns": {
+            "geometry": {
+                "encoding": "WKB",
+                "geometry_types": ["Point"],
+                "crs": datum.crs_json(),
+                "edges": "planar",
+                "bbox": bounds,
+                "covering": {
+                    "bbox": {side: ["bbox", side] for side in ("xmin", "ymin", "xmax", "ymax")}
+                },
+            }
+        },
+    }
 
 
 def _refuse_empty(rows: int, path: Path) -> None:
@@ -201,9 +247,9 @@ register(
     Format(
         "parquet",
         (".parquet",),
-        "the same as Parquet",
+        "the same as GeoParquet, points",
         export_parquet,
-        readers="pandas, DuckDB",
+        readers="pandas, geopandas, DuckDB",
         extras=("tables",),
     ),
 )

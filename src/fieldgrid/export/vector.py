@@ -6,7 +6,6 @@ asks. All are written by GDAL.
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterable, Sequence
@@ -25,7 +24,7 @@ from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
-from fieldgrid.publish import mentions, replacing, replacing_folder
+from fieldgrid.publish import made_elsewhere, mentions, replacing, replacing_folder
 from fieldgrid.settings import Flag, setting
 from fieldgrid.vectors import FeatureLayer, in_degrees, write_layer
 
@@ -103,10 +102,9 @@ def export_geopackage(
     layers = _layers(universal, selection, options)
     with (
         replacing(path, overwrite=overwrite, ours=_has_datum, what="a GeoPackage") as file,
-        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        # GDAL takes no empty file for a GeoPackage.
+        made_elsewhere(file, "features.gpkg") as written,
     ):
-        # GDAL takes no empty file for a GeoPackage, and a draft is held as long as it is this file.
-        written = Path(folder) / "features.gpkg"
         for layer in layers:
             write_layer(
                 written,
@@ -119,7 +117,6 @@ def export_geopackage(
                 # GDAL 3.6, of Debian stable, warns of newer versions.
                 dataset_options={"VERSION": "1.3"},
             )
-        shutil.copyfile(written, file)
     return Exported((path,), _rows(layers))
 
 

@@ -20,6 +20,7 @@ block ends. One process adds a session at a time, any number read meanwhile.
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile.blocks import Blocks
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
+from fieldgrid.mapfile.dataset import cf_dataset, masked
 from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.merge import Merged, merge_maps
@@ -55,8 +56,10 @@ __all__ = [
     "StageFile",
     "StagedFrame",
     "Transform",
+    "cf_dataset",
     "create_map",
     "in_drive_order",
+    "masked",
     "merge_maps",
     "open_map",
     "read_datum",

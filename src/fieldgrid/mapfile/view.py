@@ -14,6 +14,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.layers import LAYERS
+from fieldgrid.mapfile.dataset import cf_dataset
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.transfer import PaperFold, footprint
 
@@ -92,8 +93,9 @@ class MapView:
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
 
-        Its attributes follow the CF conventions, so that rioxarray and GDAL find the plane. Raises
-        ConfigError when xarray is not installed.
+        What nobody saw is NaN in every layer; a layer of whole numbers is float, and is stored as
+        whole numbers again. Its attributes follow the CF conventions, so that rioxarray and GDAL
+        find the plane. Raises ConfigError when xarray is not installed.
         """
         try:
             import xarray
@@ -102,37 +104,7 @@ class MapView:
                 "A view as Dataset needs xarray, which is not installed; "
                 "run: pip install 'fieldgrid[xarray]'"
             ) from error
-        east_m, north_m = self.lattice.centres(self.window)
-        arrays = {"density": self.density, "observed": self.observed, **self.layers}
-        plane = {"grid_mapping_name": "transverse_mercator", "crs_wkt": self.crs_wkt}
-        return xarray.Dataset(
-            {
-                name: (("north_m", "east_m"), array, {"grid_mapping": "crs"})
-                for name, array in arrays.items()
-            },
-            coords={
-                "north_m": ("north_m", north_m, _axis("y", "north")),
-                "east_m": ("east_m", east_m, _axis("x", "east")),
-                "crs": ((), np.int32(0), plane),
-            },
-            attrs={
-                "Conventions": "CF-1.11",
-                "cell_m": self.lattice.cell_m,
-                "datum_lat_deg": self.datum.lat_deg,
-                "datum_lon_deg": self.datum.lon_deg,
-                "datum_height_m": self.datum.height_m,
-                "crs_wkt": self.crs_wkt,
-            },
-        )
-
-
-def _axis(axis: str, direction: str) -> dict[str, str]:
-    return {
-        "standard_name": f"projection_{axis}_coordinate",
-        "long_name": f"metres {direction} of the datum, centre of the cell",
-        "units": "m",
-        "axis": axis.upper(),
-    }
+        return xarray.decode_cf(cf_dataset(self), decode_coords="all").load()
 
 
 def empty_view(

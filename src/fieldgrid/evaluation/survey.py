@@ -1,0 +1,222 @@
+"""A plain survey: posts, rows and obstacles that somebody measured, from GeoJSON or CSV.
+
+GeoJSON is in longitude and latitude (RFC 7946); the property `kind` says what a feature is. A CSV
+has a line for each point: `kind` and `id`, and either `lat_deg` and `lon_deg` (or `lat`, `lon`) or
+`east_m` and `north_m` in the map's plane, or `wkt_m`, as `fieldgrid rows -o` writes it. Points of
+one row, in their order, have one id. `radius_m` is that of a post, or half the width of a row. A polygon of the kind `area` says what ground the survey
+covers: what the map has there and the survey has not is false.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import TruthError
+from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
+
+ROW, AREA = "row", "area"
+
+MOST_BYTES = 200_000_000
+MOST_FEATURES = 1_000_000
+
+_LATITUDE = ("lat_deg", "lat", "latitude")
+_LONGITUDE = ("lon_deg", "lon", "long", "lng", "longitude")
+_EAST, _NORTH = ("east_m", "east"), ("north_m", "north")
+_RADIUS = "radius_m"
+
+
+class Surveyed(NamedTuple):
+    """One thing that was surveyed: a point, line or polygon, metres east and north of the datum,
+    and how far it reaches around that: the radius of a post, half the width of a row."""
+
+    kind: str
+    id: str
+    shape: Any
+    radius_m: float = 0.0
+
+
+class Survey(NamedTuple):
+    """What was surveyed, and the ground that the survey covers; None where it does not say."""
+
+    things: tuple[Surveyed, ...]
+    area: Any | None
+
+
+def read_survey(path: str | Path, datum: Datum) -> Survey:
+    """Read a survey into the plane of a datum. Every problem is a TruthError that names the file."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise TruthError(
+                f"{path} has over {MOST_BYTES / 1e6:.0f} MB; a survey is a list of posts, rows and "
+                "obstacles."
+            )
+        text = path.read_text(encoding="utf-8-sig")
+        found = list(_geojson(text, datum) if _is_json(path) else _csv(text, datum))
+    except (OSError, UnicodeError) as error:
+        raise TruthError(f"{path} cannot be read as a survey: {error}.") from error
+    except _SurveyError as error:
+        raise TruthError(f"{path}: {error}") from error
+    if len(found) > MOST_FEATURES:
+        raise TruthError(f"{path} has over {MOST_FEATURES} features; cut it to the map.")
+    for thing in found:
+        _check_place(path, thing, datum)
+    areas = [thing.shape for thing in found if thing.kind == AREA]
+    if any(shape.geom_type not in ("Polygon", "MultiPolygon") for shape in areas):
+        raise TruthError(f"{path}: an {AREA} is no polygon; draw the ground that was surveyed.")
+    things = tuple(thing for thing in found if thing.kind != AREA)
+    if not things:
+        raise TruthError(f"{path} has no post, row or obstacle; name at least one.")
+    for thing in things:
+        if thing.kind == ROW and thing.shape.geom_type not in ("LineString", "MultiLineString"):
+            raise TruthError(
+                f"{path}: row {thing.id!r} is a {thing.shape.geom_type}; a row is a line, or two "
+                "points or more with one id."
+            )
+    return Survey(things, shapely.union_all(areas) if areas else None)
+
+
+class _SurveyError(Exception):
+    """What is wrong in a file, without its name."""
+
+
+def _is_json(path: Path) -> bool:
+    return path.suffix.lower() in (".geojson", ".json")
+
+
+def _check_place(path: Path, thing: Surveyed, datum: Datum) -> None:
+    if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
+        raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
+    far_m = float(np.abs(shapely.bounds(thing.shape)).max())
+    if far_m > MAX_DISTANCE_M:
+        raise TruthError(
+            f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's datum "
+            f"{datum.described()}; is it the survey of this field, in longitude and latitude?"
+        )
+
+
+def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
+    try:
+        document = json.loads(text)
+        features = document["features"]
+        for number, feature in enumerate(features, 1):
+            properties = feature.get("properties") or {}
+            shape = shapely.geometry.shape(feature["geometry"])
+            kind = str(properties.get("kind") or "obstacle").strip().lower()
+            name = str(properties.get("id") or feature.get("id") or number)
+            degrees = shapely.get_coordinates(shape)
+            if (np.abs(degrees) > [180.0, 90.0]).any():
+                raise _SurveyError(
+                    f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no longitude "
+                    "and latitude; export it in WGS84, as GeoJSON asks."
+                )
+            yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties))
+    except (TypeError, KeyError, ValueError, AttributeError, RecursionError) as error:
+        raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
+    except shapely.errors.ShapelyError as error:
+        raise _SurveyError(f"it has a broken geometry ({error}).") from error
+
+
+def _in_plane(shape: Any, datum: Datum) -> Any:
+    def turned(degrees: Float64) -> Float64:
+        heights = np.full(len(degrees), datum.height_m)
+        east_m, north_m, _ = datum.to_enu(degrees[:, 1], degrees[:, 0], heights)
+        return np.column_stack([east_m, north_m])
+
+    return shapely.transform(shapely.force_2d(shape), turned)
+
+
+def _radius_m(properties: Mapping[str, Any]) -> float:
+    given = properties.get(_RADIUS)
+    radius_m = 0.0 if given in (None, "") else float(given)  # type: ignore[arg-type]
+    if not 0.0 <= radius_m <= 100.0:  # not a number either
+        raise _SurveyError(f"a {_RADIUS} of {given} cannot be; give metres, 0 to 100.")
+    return radius_m
+
+
+def _csv(text: str, datum: Datum) -> Iterable[Surveyed]:
+    reader = csv.DictReader(text.splitlines())
+    names = {name.strip().lower(): name for name in reader.fieldnames or () if name}
+    rows = list(reader)
+    if "wkt_m" in names:
+        columns: tuple[str, ...] = ("wkt_m",)
+    else:
+        pairs = [_first(names, _LATITUDE), _first(names, _LONGITUDE)]
+        if None in pairs:
+            pairs = [_first(names, _EAST), _first(names, _NORTH)]
+        if None in pairs:
+            raise _SurveyError(
+                f"it has the columns {', '.join(names) or 'none'}, and no position; name them "
+                "lat_deg and lon_deg, or east_m and north_m."
+            )
+        columns = tuple(str(name) for name in pairs)
+    # A receiver's list has one more column: what the points are called, under what they are.
+    others = [name for name in names if name not in (*columns, "kind", "id", _RADIUS)]
+    label = None if "kind" in names or "id" in names or len(others) != 1 else others[0]
+    try:
+        yield from _joined(
+            [
+                _point(number, row, names, columns, label, datum)
+                for number, row in enumerate(rows, 2)
+            ]
+        )
+    except (csv.Error, shapely.errors.ShapelyError) as error:
+        raise _SurveyError(f"it cannot be read ({error}).") from error
+
+
+def _first(names: Mapping[str, str], wanted: Sequence[str]) -> str | None:
+    return next((name for name in wanted if name in names), None)
+
+
+def _point(
+    number: int,
+    row: Mapping[str, str | None],
+    names: Mapping[str, str],
+    columns: tuple[str, ...],
+    label: str | None,
+    datum: Datum,
+) -> Surveyed:
+    cells = {name: (row.get(original) or "").strip() for name, original in names.items()}
+    kind = (cells.get("kind") or label or "post").lower()
+    name = cells.get("id") or (cells[label] if label else "") or str(number)
+    if columns == ("wkt_m",):
+        return Surveyed(kind, name, shapely.from_wkt(cells["wkt_m"]), _radius_m(cells))
+    try:
+        first, second = (float(cells[column]) for column in columns)
+        if columns[0] in _LATITUDE:
+            if not (abs(first) <= 90.0 and abs(second) <= 180.0):
+                raise ValueError(f"{first}, {second} is no latitude and longitude")
+            shape = _in_plane(shapely.Point(second, first), datum)
+        else:
+            shape = shapely.Point(first, second)
+        return Surveyed(kind, name, shape, _radius_m(cells))
+    except ValueError as error:
+        raise _SurveyError(f"line {number} has no position ({error}).") from error
+
+
+def _joined(points: Sequence[Surveyed]) -> Iterable[Surveyed]:
+    """The points of each row as its line, all else as it is."""
+    rows: dict[str, list[Any]] = {}
+    for thing in points:
+        if thing.kind in (ROW, AREA) and thing.shape.geom_type == "Point":
+            rows.setdefault(f"{thing.kind} {thing.id}", []).append(thing)
+        else:
+            yield thing
+    for corners in rows.values():
+        kind, name, _, radius_m = corners[0]
+        least = 2 if kind == ROW else 3
+        if len(corners) < least:
+            raise _SurveyError(
+                f"the {kind} {name!r} has {len(corners)} points; it needs {least}, with one id."
+            )
+        places = [thing.shape for thing in corners]
+        shape = shapely.LineString(places) if kind == ROW else shapely.Polygon(places)
+        yield Surveyed(kind, name, shape, radius_m)
