@@ -19,7 +19,7 @@ from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.trajectory import Pose
 from tests.export.asymmetric import DATUM, geodetic
 
-# Rows at -3, 0 and 3 m east, posts, and something that no survey names; from 8 m on nothing is seen.
+# Rows at -3, 0 and 3 m east, a post, and what no survey names; from 8 m on nothing is seen.
 ROWS = {f"r{k}": ((east, 2.0), (east, 18.0)) for k, east in enumerate((-3.0, 0.0, 3.0))}
 POST, STRANGER, MISSING, UNSEEN = (6.0, 10.0), (6.0, 5.0), (6.0, 14.0), (9.0, 10.0)
 SPEC = GridSpec(20.0, 20.0, 0.05)

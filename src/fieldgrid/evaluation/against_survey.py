@@ -1,11 +1,12 @@
 """A map against a plain survey: what it found, what it missed, and how far off it lies.
 
 A thing is *seen* when the map observed half of the ground within `within_m` of it, or has an
-obstacle there; what was not seen is not missed. A thing is *found* when an obstacle cell lies within
-`within_m` of it; a row when a row of the map runs within that distance along half of its seen
-length. The error of a thing is the mean way from it to those cells; that of a row is how far the
-row of the map lies off it, RMS. The same way for all things is a shift of the map. A post in a canopy is among obstacles anyhow, and says nothing
-along the row, so `by_chance` is the share of the seen ground that would count as found.
+obstacle there; what was not seen is not missed. A thing is *found* when an obstacle cell lies
+within `within_m` of it; a row when a row of the map runs within that distance along half of its
+seen length. The error of a thing is the mean way from it to those cells; that of a row is how far
+the row of the map lies off it, RMS. The same way for all things is a shift of the map. A post in a
+canopy is among obstacles anyhow, and says nothing along the row, so `by_chance` is the share of the
+seen ground that would count as found.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 GeoJSON is in longitude and latitude (RFC 7946); the property `kind` says what a feature is. A CSV
 has a line for each point: `kind` and `id`, and either `lat_deg` and `lon_deg` (or `lat`, `lon`) or
 `east_m` and `north_m` in the map's plane, or `wkt_m`, as `fieldgrid rows -o` writes it. Points of
-one row, in their order, have one id. `radius_m` is that of a post, or half the width of a row. A polygon of the kind `area` says what ground the survey
-covers: what the map has there and the survey has not is false.
+one row, in their order, have one id. `radius_m` is that of a post, or half the width of a row. A
+polygon of the kind `area` says what ground the survey covers: what the map has there and the survey
+has not is false.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Survey(NamedTuple):
 
 
 def read_survey(path: str | Path, datum: Datum) -> Survey:
-    """Read a survey into the plane of a datum. Every problem is a TruthError that names the file."""
+    """Read a survey into the plane of a datum; a problem is a TruthError that names the file."""
     path = Path(path)
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -115,8 +116,8 @@ def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
             degrees = shapely.get_coordinates(shape)
             if (np.abs(degrees) > [180.0, 90.0]).any():
                 raise _SurveyError(
-                    f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no longitude "
-                    "and latitude; export it in WGS84, as GeoJSON asks."
+                    f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no "
+                    "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
             yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties))
     except (TypeError, KeyError, ValueError, AttributeError, RecursionError) as error:
@@ -136,7 +137,7 @@ def _in_plane(shape: Any, datum: Datum) -> Any:
 
 def _radius_m(properties: Mapping[str, Any]) -> float:
     given = properties.get(_RADIUS)
-    radius_m = 0.0 if given in (None, "") else float(given)  # type: ignore[arg-type]
+    radius_m = 0.0 if given in (None, "") else float(given)
     if not 0.0 <= radius_m <= 100.0:  # not a number either
         raise _SurveyError(f"a {_RADIUS} of {given} cannot be; give metres, 0 to 100.")
     return radius_m

@@ -121,7 +121,7 @@ def _geometry(places: Float64) -> dict[str, Any]:
     offsets = np.arange(len(places) + 1, dtype=np.int32) * wkb.itemsize
     buffers = [None, pyarrow.py_buffer(offsets), pyarrow.py_buffer(wkb.tobytes())]
     east, north = (pyarrow.array(column) for column in places.T)
-    bounds = dict(xmin=east, ymin=north, xmax=east, ymax=north)
+    bounds = {"xmin": east, "ymin": north, "xmax": east, "ymax": north}
     return {
         "geometry": pyarrow.Array.from_buffers(pyarrow.binary(), len(places), buffers),
         "bbox": pyarrow.StructArray.from_arrays(list(bounds.values()), list(bounds)),
