@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from fieldgrid import CostCurve, Costmap
+from fieldgrid.cost import LETHAL
 from fieldgrid.costmap import MAX_CELLS
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapFile, MapView, open_map
+from fieldgrid.mapfile import MapFile, MapView, Mark, MarkKind, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,
@@ -248,3 +250,30 @@ def test_far_from_the_datum_the_height_of_a_point_matters() -> None:
     lat, lon, height = geodetic(20_000.1, 0.1, 3000.0)
     assert costmap.at_latlon(lat, lon, height).cost == 254
     assert costmap.at_latlon(lat, lon).cost == 255
+
+
+def test_marks_count_and_are_evidence_of_nothing(tmp_path: Path) -> None:
+    """A keep-out costs as an obstacle does, and a correction takes its place, at any cell size."""
+    path = write_asymmetric_map(tmp_path / "f.gpkg")
+    with open_map(path, writable=True) as universal:
+        plain = Costmap.from_map(universal)
+        cells = np.argwhere(plain.costs == LETHAL)
+        j, i = cells[len(cells) // 2]
+        east, north = plain.lattice.centres(plain.window)
+        half = 2.0 * universal.cell_m
+        ring = [(-half, -half), (half, -half), (half, half), (-half, half)]
+
+        def around(kind: MarkKind, e: float, n: float) -> Mark:
+            return Mark(kind, tuple((e + a, n + b) for a, b in ring))
+
+        bad = float(east[i]), float(north[j])
+        j, i = np.argwhere(plain.costs == 0)[0]
+        good = float(east[i]), float(north[j])
+        universal.add_marks([around(MarkKind.FREE, *bad), around(MarkKind.KEEPOUT, *good)])
+        for cell_m in (None, 3 * universal.cell_m):
+            marked = Costmap.from_map(universal, cell_m=cell_m)
+            assert marked.cost(*good) == LETHAL
+            assert marked.clearance_m(*good) == 0.0
+        assert Costmap.from_map(universal).cost(*bad) == 0
+        universal.remove_marks([1, 2])
+        np.testing.assert_array_equal(Costmap.from_map(universal).costs, plain.costs)

@@ -73,16 +73,18 @@ class CostCurve:
         free, occupied = density <= self.free_up_to, density > self.obstacle_above
         return np.select([free, occupied], [0, OCCUPIED], doubt).astype(np.int8)
 
-    def occupancy(self, density: UInt8, seen: Bool | Float32) -> npt.NDArray[np.int8]:
-        """0..100, -1 where unknown, int8 of the arrays' shape.
+    def occupancy(
+        self, density: UInt8, seen: Bool | Float32, keepout: Bool | None = None
+    ) -> npt.NDArray[np.int8]:
+        """0..100, -1 where unknown, int8 of the arrays' shape; 100 where `keepout`.
 
         `density` is the highest of the map's own cells in each cell, and `seen` the share of them
         that was observed (`MapView.peak` and `seen_share`); where cells are the map's own, their
-        density and whether they were observed.
+        density and whether they were observed. All three are `MapView.decision`.
         """
-        return self._looked_up(self.table(), density, seen, UNKNOWN_OCCUPANCY)
+        return self._looked_up(self.table(), density, seen, keepout, UNKNOWN_OCCUPANCY, OCCUPIED)
 
-    def cost(self, density: UInt8, seen: Bool | Float32) -> UInt8:
+    def cost(self, density: UInt8, seen: Bool | Float32, keepout: Bool | None = None) -> UInt8:
         """What Nav2's static layer makes of the occupancy, uint8 of the arrays' shape.
 
         0 free, up to 251 in doubt, 254 an obstacle, 255 unknown: that layer with
@@ -90,12 +92,20 @@ class CostCurve:
         """
         occupancy = self.table().astype(np.int64)
         costs = (occupancy * LETHAL // OCCUPIED).astype(np.uint8)
-        return self._looked_up(costs, density, seen, UNKNOWN_COST)
+        return self._looked_up(costs, density, seen, keepout, UNKNOWN_COST, LETHAL)
 
     def _looked_up(
-        self, table: AnyArray, density: UInt8, seen: Bool | Float32, unknown: int
+        self,
+        table: AnyArray,
+        density: UInt8,
+        seen: Bool | Float32,
+        keepout: Bool | None,
+        unknown: int,
+        lethal: int,
     ) -> AnyArray:
         values = table[density]
         enough = np.where(density > self.obstacle_above, seen > 0.0, seen >= self.least_seen)
         values[~enough] = unknown
+        if keepout is not None:
+            values[keepout] = lethal
         return values

@@ -133,7 +133,7 @@ class Costmap:
     def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation, layer: str) -> Self:
         _check_size(view)
         costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
-        costs[1:-1, 1:-1] = curve.cost(view.worst(layer), view.seen_share)
+        costs[1:-1, 1:-1] = curve.cost(*view.decision(layer))
         to_obstacle = _distance_cells(costs != LETHAL)
         to_unknown = _distance_cells(costs != UNKNOWN_COST)
         _inflate(costs, to_obstacle, inflation, view.lattice)

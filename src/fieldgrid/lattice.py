@@ -108,6 +108,15 @@ def tile_window(tile: TileIndex) -> Window:
     return Window(tile.tx * TILE_CELLS, tile.ty * TILE_CELLS, TILE_CELLS, TILE_CELLS)
 
 
+def squares(window: Window, side: int) -> Iterator[Window]:
+    """The window cut into squares of at most `side` cells."""
+    for j0 in range(window.j0, window.j0 + window.height, side):
+        for i0 in range(window.i0, window.i0 + window.width, side):
+            block = window.intersect(Window(i0, j0, side, side))
+            assert block is not None
+            yield block
+
+
 @dataclass(frozen=True, slots=True)
 class Lattice:
     """Square cells of side `cell_m` (L_U in the paper), anchored at the datum."""

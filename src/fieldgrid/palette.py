@@ -88,16 +88,19 @@ CHANGED = {
 }
 """What became of an object between two moments."""
 
+MARKS = {"keepout": "#8e0152", "free": "#1d6fd1", "obstacle": "#d02020", "place": "#222222"}
+"""What people said of places."""
+
 FEATURES = {
     "row": "#006b2f",
     "lane": "#ffc800",
     "gap": "#ff0000",
     "headland": "#ffa500",
     "block": "#808080",
-    "obstacle": "#d02020",
     "trajectory": "#ffa500",
     "route": ROUTE,
     **CHANGED,
+    **MARKS,
 }
 """By kinds of features, on pictures from above."""
 

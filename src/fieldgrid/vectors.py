@@ -143,6 +143,15 @@ def _write_kml(path: Path, features: Sequence[Feature], datum: Datum, overwrite:
     root = ElementTree.Element("kml", xmlns=_KML)
     document = ElementTree.SubElement(root, "Document", id="fieldgrid")
     ElementTree.SubElement(document, "name").text = path.stem
+    add_placemarks(document, features, datum)
+    with _replacing(path, overwrite) as file:
+        ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
+
+
+def add_placemarks(
+    document: ElementTree.Element, features: Sequence[Feature], datum: Datum
+) -> None:
+    """Add features to a document of KML: a style and a folder for each kind."""
     kinds = list(dict.fromkeys(f.kind for f in features))
     for kind in kinds:
         style = ElementTree.SubElement(document, "Style", id=kind)
@@ -158,13 +167,11 @@ def _write_kml(path: Path, features: Sequence[Feature], datum: Datum, overwrite:
         for feature in features:
             if feature.kind == kind:
                 _placemark(folder, feature, datum)
-    with _replacing(path, overwrite) as file:
-        ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
 
 
 def _placemark(folder: ElementTree.Element, feature: Feature, datum: Datum) -> None:
     mark = ElementTree.SubElement(folder, "Placemark")
-    name = feature.properties.get("id", "")
+    name = feature.properties.get("name") or feature.properties.get("id", "")
     ElementTree.SubElement(mark, "name").text = str(name)
     ElementTree.SubElement(mark, "styleUrl").text = f"#{feature.kind}"
     extended = ElementTree.SubElement(mark, "ExtendedData")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from benchmarks.routes import Task, random_task
 from fieldgrid.cost import CostCurve
 from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import MapView, Mark, MarkKind
+from fieldgrid.mapfile.decision import MarkedCells, marked_cells
 from fieldgrid.route import Route, Vehicle, route_in_view
 from fieldgrid.route.ground import Ground
 from fieldgrid.route.verify import find_fault
@@ -242,6 +244,22 @@ def test_cells_are_decided_by_the_map_s_own_cells_in_them() -> None:
     peak[:, 50] = 101
     with pytest.raises(NoRouteError, match="an obstacle"):
         route_in_view(view, at(2, 5, 90), at(17, 5, 90), SMALL)
+
+
+def test_no_route_leads_through_a_keep_out() -> None:
+    """Not over free ground, and not over unseen ground beside the map, where that may be driven."""
+    box = tuple(at(*corner) for corner in ((9, -3), (10, -3), (10, 8), (9, 8)))
+    pond = Mark(MarkKind.KEEPOUT, box)
+    flags = marked_cells([pond], Lattice(CELL_M), field().window)
+    view = replace(field(), marks=(pond,), marked=MarkedCells(flags, ()))
+    route = route_in_view(view, at(2, 4, 90), at(17, 4, 90), SMALL)
+    assert not shapely.intersects(footprints(route), pond.geometry).any()
+    assert route.length_m > 15.5
+    high = replace(view, marks=(pond._replace(corners=(*box[:2], at(10, 10), at(9, 10))),))
+    with pytest.raises(NoRouteError, match="stopped by a keep-out mark"):
+        route_in_view(high, at(2, 4, 90), at(17, 4, 90), SMALL)
+    around = route_in_view(high, at(2, 4, 90), at(17, 4, 90), SMALL, allow_unknown=True)
+    assert not shapely.intersects(footprints(around), high.marks[0].geometry).any()
 
 
 @pytest.mark.parametrize(

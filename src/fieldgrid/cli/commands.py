@@ -33,6 +33,7 @@ COMMANDS: dict[str, Entry] = {
     "convert": Entry(_DRIVES, "Write a recording as one standard MCAP file."),
     "build": Entry(_MAPS, "Make a map from recordings, or append them to one."),
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
+    "mark": Entry(_MAPS, "Draw keep-outs, corrections and places on a map; undo them."),
     "align": Entry(_MAPS, "Make the drives of a map coincide."),
     "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
     "show": Entry(_USE, "Draw a map."),

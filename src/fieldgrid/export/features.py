@@ -15,12 +15,12 @@ from fieldgrid.export.obstacles import trace_obstacles
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import FrameRecord, MapFile
+from fieldgrid.mapfile import FrameRecord, MapFile, Mark
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
 from fieldgrid.vectors import FeatureLayer
 
-LAYERS = ("footprint", "obstacle", "trajectory", "pose")
+LAYERS = ("footprint", "obstacle", "mark", "trajectory", "pose")
 """The layers of features there are, as they are to be drawn: footprints lie under obstacles."""
 
 
@@ -41,6 +41,7 @@ def feature_layers(
     sessions, area = selection.sessions(universal), selection.area(universal)
     drives = trajectories(universal, selection)
     make: dict[str, Callable[[], FeatureLayer]] = {
+        "mark": lambda: _within(_marks(universal), area),
         "obstacle": lambda: _obstacles(universal, selection, options),
         "trajectory": lambda: _lines(drives, area),
         "pose": lambda: _within(_poses(drives), area),
@@ -64,10 +65,29 @@ def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
     if area is None or not len(layer.geometry):
         return layer
     cut = shapely.intersection(layer.geometry, shapely.box(*area))
-    points = layer.geometry_type == "Point"
-    kept = ~shapely.is_empty(cut) if points else shapely.area(cut) > 0.0
+    # What only touches the area is not in it.
+    points = shapely.get_dimensions(layer.geometry) == 0
+    kept = np.where(points, ~shapely.is_empty(cut), shapely.area(cut) > 0.0)
     columns = {name: values[kept] for name, values in layer.columns.items()}
     return layer._replace(geometry=cut[kept], columns=columns)
+
+
+def marks_within(universal: MapFile, area: Bounds | None) -> list[Mark]:
+    """The marks that lie in an area, with any part of them."""
+    import shapely
+
+    box = None if area is None else shapely.box(*area)
+    return [mark for mark in universal.marks() if box is None or box.intersects(mark.geometry)]
+
+
+def _marks(universal: MapFile) -> FeatureLayer:
+    """What people said of places; it stands beside what the drives saw."""
+    marks = universal.marks()
+    texts = {
+        key: _texts([getattr(mark, key) for mark in marks])
+        for key in ("kind", "name", "note", "author", "created")
+    }
+    return FeatureLayer("mark", "Unknown", _objects([mark.geometry for mark in marks]), texts)
 
 
 def _obstacles(

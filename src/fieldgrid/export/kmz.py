@@ -21,13 +21,16 @@ from fieldgrid import palette
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
+from fieldgrid.export.features import marks_within
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.mapfile.marks import features
 from fieldgrid.publish import replacing
 from fieldgrid.settings import Settings
+from fieldgrid.vectors import add_placemarks
 
 PICTURE_PX = 2048
 """Side of a picture; larger ones are scaled down by older graphics."""
@@ -51,7 +54,7 @@ class _Place(NamedTuple):
 def export_kmz(
     universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
-    """Write the density, or `max`, as overlays, with the drive of each session as a line.
+    """Write the density, or `max`, as overlays, with each session's drive as a line, and the marks.
 
     Grey is the value, and what was not observed is transparent. Both lie on the terrain of the
     viewer; the datum is in the description and, as data, in the document. Raises ConfigError for
@@ -79,12 +82,14 @@ def export_kmz(
             _overlay(folder, name, _place(universal.datum, view), alone=len(windows) == 1)
             count += 1
         lines = _lines(document, universal, selection)
+        marks = marks_within(universal, selection.area(universal))
+        add_placemarks(document[0], features(marks), universal.datum)
         text = ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
         archive.writestr("doc.kml", text)
     rows = (
         ("layer", f"{selection.layer}: {LAYERS[selection.layer].meaning}"),
         ("cells", f"{whole.width} x {whole.height} of {lattice.cell_m:g} m"),
-        ("pictures, lines", f"{count}, {lines}"),
+        ("pictures, lines, marks", f"{count}, {lines}, {len(marks)}"),
         ("datum", universal.datum.described()),
     )
     return Exported((path,), rows)
@@ -250,7 +255,7 @@ register(
     Format(
         "kmz",
         (".kmz",),
-        "overlay, and the drives as lines",
+        "overlay, the drives as lines, marks",
         export_kmz,
         holds=Holds.GREY,
         readers="Google Earth",

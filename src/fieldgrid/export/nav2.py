@@ -74,11 +74,14 @@ def export_nav2(
     *,
     overwrite: bool,
 ) -> Exported:
-    """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`.
+    """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`, and
+    the keep-outs as a mask for Nav2's keepout filter: `OUT.keepout.yaml` with its picture.
 
     The curve of the options makes an occupancy of the density. `trinary` keeps free and obstacle;
     doubt is read back as unknown. `scale` and `raw` keep each of 0..100 and unknown exactly. The
     picture's first row is the northernmost; x is east, y is north, in metres from the datum.
+    Keep-outs are occupied in both: in the map for who loads no mask, in the mask for who plans on
+    another map.
 
     The files appear when all are complete, the YAML file last. Raises ConfigError for what cannot
     be asked, MapExistsError, MapWriteError.
@@ -87,7 +90,12 @@ def export_nav2(
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
     mode, kind, curve = options.mode, options.picture(), options.curve()
     view = selection.view(universal, universal.deciding(selection.cell_m))
-    occupancy = curve.occupancy(view.worst(selection.layer), view.seen_share)
+    decision = view.decision(selection.layer)
+    occupancy = curve.occupancy(*decision)
+    keepout = np.zeros(view.window.shape, np.int8)
+    if decision.keepout is not None:
+        keepout[decision.keepout] = OCCUPIED
+    mask, mask_picture = path.with_suffix(".keepout.yaml"), path.with_suffix(".keepout.pgm")
     picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
     about = {**georeference(view), "image": picture.name, "mode": mode, "layer": selection.layer}
     about["cost_curve"] = {
@@ -99,6 +107,8 @@ def export_nav2(
     paths = write_together(
         {
             picture: _picture_writer(occupancy, mode, kind),
+            mask_picture: _picture_writer(keepout, "trinary", "pgm"),
+            mask: _text_writer(_yaml(view, mask_picture.name, "trinary")),
             georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
             path: _text_writer(_yaml(view, picture.name, mode)),
         },
@@ -106,7 +116,7 @@ def export_nav2(
         ours=lambda file: mentions(file.with_suffix(".georef.json"), b'"fieldgrid_georeference"'),
         what="a Nav2 map",
     )
-    return Exported((paths[-1], *paths[:-1]), (("mode", mode), *_counted(view, occupancy)))
+    return Exported((paths[-1], *paths[:-1]), (("mode", mode), *_counted(view, occupancy, keepout)))
 
 
 def greys(mode: str) -> UInt8:
@@ -164,7 +174,9 @@ def _text_writer(text: str) -> Callable[[Path], None]:
     return write
 
 
-def _counted(view: MapView, occupancy: npt.NDArray[np.int8]) -> tuple[tuple[str, str], ...]:
+def _counted(
+    view: MapView, occupancy: npt.NDArray[np.int8], keepout: npt.NDArray[np.int8]
+) -> tuple[tuple[str, str], ...]:
     free, occupied, unknown = (
         int(np.count_nonzero(occupancy == value)) for value in (0, OCCUPIED, UNKNOWN_OCCUPANCY)
     )
@@ -172,6 +184,7 @@ def _counted(view: MapView, occupancy: npt.NDArray[np.int8]) -> tuple[tuple[str,
     return (
         ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
         ("free, in doubt, obstacle, unknown", f"{free}, {doubt}, {occupied}, {unknown}"),
+        ("kept out of", f"{np.count_nonzero(keepout)}"),
     )
 
 
@@ -179,7 +192,7 @@ register(
     Format(
         "nav2",
         _ENDINGS,
-        "Nav2 map: YAML, picture, georeference",
+        "Nav2 map and keep-out mask: YAML, pictures",
         export_nav2,
         Nav2Options,
         Holds.OCCUPANCY,

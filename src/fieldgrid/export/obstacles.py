@@ -90,7 +90,8 @@ def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice | None, _Cel
     rows, columns, densities, total = [], [], [], 0
     for view in views:
         lattice = view.lattice
-        j, i = np.nonzero((view.peak > above) & (view.seen_share > 0.0))
+        worst, seen, _ = view.decision()
+        j, i = np.nonzero((worst > above) & (seen > 0.0))
         total += len(i)
         if total > MAX_CELLS:
             raise ConfigError(

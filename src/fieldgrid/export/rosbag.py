@@ -68,7 +68,7 @@ def export_mcap(
     """Write a part of a map as one `.mcap` file for Foxglove.
 
     It holds what `export_rosbag2` writes, and two of Foxglove's own messages: a coloured grid and
-    the obstacles and trajectories as GeoJSON. Raises ConfigError for a part of more than 25
+    the obstacles, trajectories and marks as GeoJSON. Raises ConfigError for a part of more than 25
     million cells, and when the schemas of Foxglove, pyogrio or shapely are not installed.
     """
     foxglove_messages.check_installed()
@@ -79,7 +79,10 @@ def export_mcap(
         universal,
         path,
         Selection(selection.bounds, selection.cell_m, at=selection.at),
-        FeatureOptions(features="obstacle,trajectory", obstacle_above=options.obstacle_above),
+        FeatureOptions(
+            features="obstacle,trajectory" + (",mark" if universal.marks() else ""),
+            obstacle_above=options.obstacle_above,
+        ),
     )
     with McapWriter(path, overwrite=overwrite) as writer:
         for topic, raw in (
@@ -179,7 +182,7 @@ def _messages(
     yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(view), ensure_ascii=False)
     yield _Stamped("/georeference", text(about), start_ns, True)
-    occupancy = curve.occupancy(view.worst(layer), view.seen_share)
+    occupancy = curve.occupancy(*view.decision(layer))
     grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
     yield _Stamped("/map", grid, start_ns, True)
     del occupancy, grid

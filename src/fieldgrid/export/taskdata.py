@@ -18,13 +18,14 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.features import feature_layers
+from fieldgrid.export.features import feature_layers, marks_within
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import MapFile, MapView, MarkKind
 from fieldgrid.publish import replacing_folder
 from fieldgrid.trajectory import Status
 from fieldgrid.vectors import FeatureLayer
@@ -62,7 +63,8 @@ UNSEEN = Zone(0, "not observed")
 FREE = Zone(1, "free")
 DOUBT = Zone(2, "in doubt")
 OBSTACLE = Zone(3, "obstacle")
-ZONES = (UNSEEN, FREE, DOUBT, OBSTACLE)
+KEEPOUT = Zone(4, "keep-out")
+ZONES = (UNSEEN, FREE, DOUBT, OBSTACLE, KEEPOUT)
 
 
 def export_taskdata(
@@ -83,7 +85,7 @@ def export_taskdata(
     obstacles, drives, footprints = layers
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
-    field = _field(universal, obstacles, drives, footprints)
+    field = _field(universal, selection.area(universal), obstacles, drives, footprints)
     with replacing_folder(
         path, overwrite=overwrite, ours=_is_taskdata, what="exported task data"
     ) as draft:
@@ -162,14 +164,19 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
     return ZoneGrid(zones, south, west, step_north, step_east)
 
 
-_BY_SEVERITY = np.array([FREE.code, UNSEEN.code, DOUBT.code, OBSTACLE.code], dtype=np.uint8)
+_BY_SEVERITY = np.array(
+    [zone.code for zone in (FREE, UNSEEN, DOUBT, OBSTACLE, KEEPOUT)], dtype=np.uint8
+)
 
 
 def _severity(view: MapView, obstacle_above: int) -> UInt8:
-    """0 free, 1 not observed, 2 in doubt, 3 obstacle."""
-    found = np.where(view.peak > FREE_UP_TO, np.uint8(2), np.uint8(0))
-    found[~(view.seen_share >= LEAST_SEEN)] = 1  # NaN where nothing was seen
-    found[(view.peak > obstacle_above) & (view.seen_share > 0.0)] = 3
+    """0 free, 1 not observed, 2 in doubt, 3 obstacle, 4 keep-out."""
+    worst, seen, keepout = view.decision()
+    found = np.where(worst > FREE_UP_TO, np.uint8(2), np.uint8(0))
+    found[~(seen >= LEAST_SEEN)] = 1  # NaN where nothing was seen
+    found[(worst > obstacle_above) & (seen > 0.0)] = 3
+    if keepout is not None:
+        found[keepout] = 4
     return found
 
 
@@ -191,7 +198,11 @@ def _sampled(
 
 
 def _field(
-    universal: MapFile, obstacles: FeatureLayer, drives: FeatureLayer, footprints: FeatureLayer
+    universal: MapFile,
+    area: Bounds | None,
+    obstacles: FeatureLayer,
+    drives: FeatureLayer,
+    footprints: FeatureLayer,
 ) -> Any:
     """The field as the library's value."""
     import shapely
@@ -211,13 +222,23 @@ def _field(
         )
         for part in _parts(outline)
     ]
+    keepouts, flags = [], []
+    for mark in marks_within(universal, area):
+        if mark.kind is MarkKind.PLACE:
+            at = mark.geometry.representative_point()
+            flags += _points(at, datum, [iso.PointType.Flag], mark.name)
+        elif mark.kind is MarkKind.KEEPOUT:
+            says = f"keep-out {mark.name}".rstrip()
+            shape = mark.geometry.buffer(0.5 * universal.cell_m if mark.is_point else 0.0)
+            keepouts.append(_polygon(shape, iso.PolygonType.Obstacle, says, datum))
     curves = _curves(drives, datum)
     groups = [iso.GuidanceGroup(id="GGP1", designator="drives", guidance_patterns=curves)]
     return iso.Partfield(
         id="PFD1",
         designator=universal.path.stem[:_NAME],
         area=round(mapped.area),
-        polygons=[*boundary, *shapes],
+        polygons=[*boundary, *shapes, *keepouts],
+        points=flags,
         guidance_groups=groups if curves else [],
     )
 
@@ -281,13 +302,15 @@ def _curves(drives: FeatureLayer, datum: Datum) -> list[Any]:
     return curves
 
 
-def _points(line: Any, datum: Datum, kinds: Sequence[Any]) -> list[Any]:
+def _points(line: Any, datum: Datum, kinds: Sequence[Any], says: str = "") -> list[Any]:
     from isoxml.models.base import v4 as iso
 
     places = np.asarray(line.coords)[:, :2]
     lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
     return [
-        iso.Point(type=kind, north=_decimal(lat), east=_decimal(lon))
+        iso.Point(
+            type=kind, designator=says[:_NAME] or None, north=_decimal(lat), east=_decimal(lon)
+        )
         for kind, lat, lon in zip(kinds, lat_deg.tolist(), lon_deg.tolist(), strict=True)
     ]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -151,7 +151,7 @@ def export_shapefile(
 def _write_shapefiles(
     folder: Path, target: Path, layers: Sequence[FeatureLayer], datum: Datum
 ) -> None:
-    for layer in layers:
+    for layer in (part for whole in layers for part in _by_type(whole)):
         short = {_SHAPEFILE_NAMES.get(key, key): v for key, v in layer.columns.items()}
         write_layer(
             folder / f"{layer.name}.shp",
@@ -160,6 +160,21 @@ def _write_shapefiles(
             "ESRI Shapefile",
             datum.crs_wkt("WKT1_GDAL"),
         )
+
+
+def _by_type(layer: FeatureLayer) -> Iterator[FeatureLayer]:
+    """A layer of one type of geometry, which is all that a shapefile can hold, or two of them."""
+    import shapely
+
+    if layer.geometry_type != "Unknown":
+        yield layer
+        return
+    points = shapely.get_dimensions(layer.geometry) == 0
+    for name, kind, rows in (
+        (layer.name, "Polygon", ~points), (f"{layer.name}_point", "Point", points)
+    ):  # fmt: skip
+        columns = {key: values[rows] for key, values in layer.columns.items()}
+        yield FeatureLayer(name, kind, layer.geometry[rows], columns)
 
 
 def _has_datum(file: Path) -> bool:
@@ -181,7 +196,7 @@ def _is_shapefiles(folder: Path) -> bool:
 def _is_shapefile(parts: Iterable[Path]) -> bool:
     endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
     # Shapefiles of other names are somebody's own.
-    return all(part.stem in LAYERS and part.suffix in endings for part in parts)
+    return all(part.stem in (*LAYERS, "mark_point") and part.suffix in endings for part in parts)
 
 
 def _layers(
@@ -195,7 +210,8 @@ def _layers(
             "Writing features needs pyogrio and shapely, which are not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
-    names = tuple(name.strip() for name in (options.features or ",".join(LAYERS)).split(","))
+    usual = ",".join(name for name in LAYERS if name != "mark" or universal.marks())
+    names = tuple(name.strip() for name in (options.features or usual).split(","))
     return feature_layers(universal, selection, options, names)
 
 
@@ -248,7 +264,7 @@ register(
     Format(
         "geojson",
         (".geojson", ".json"),
-        "obstacles, drives, poses, footprints in WGS84",
+        "obstacles, marks, drives, poses, footprints in WGS84",
         export_geojson,
         readers="GIS, web maps",
         **_SHARED,

@@ -16,6 +16,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import Float64
 from fieldgrid.changes import ChangedObject
 from fieldgrid.figures.drives import Drive
+from fieldgrid.figures.marks import draw_marks
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
 from fieldgrid.figures.relief import draw_relief
 from fieldgrid.lattice import Bounds
@@ -37,8 +38,9 @@ def universal_grid(
     """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14);
     heights with shades and contours.
 
-    With `drives`, the positions of their local grids are marked, a colour a session. `layer` is
-    one that the view was read with; `route` is drawn over it, [n, 2] metres east and north.
+    With `drives`, the positions of their local grids are marked, a colour a session; what people
+    said of places is drawn over all. `layer` is one that the view was read with; `route` is drawn
+    over it, [n, 2] metres east and north.
     """
     width_in, height_in = size_of(view.bounds)
     beside_in, below_in = (1.0, 2.4) if is_wide(view.bounds) else (2.2, 1.4)
@@ -89,6 +91,7 @@ def draw_grid(
         # A route that leaves the part that is drawn does not widen it.
         axes.set_xlim(bounds.west_m, bounds.east_m)
         axes.set_ylim(bounds.south_m, bounds.north_m)
+    draw_marks(axes, view.marks, bounds)
     cells = f"cells of {view.lattice.cell_m * 100:g} cm"
     name_axes(axes, title or f"universal grid, {cells}")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)

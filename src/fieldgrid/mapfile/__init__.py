@@ -23,6 +23,7 @@ from fieldgrid.mapfile.change import MEANING, Change, ChangeView
 from fieldgrid.mapfile.dataset import cf_dataset, masked
 from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.map_file import MapFile
+from fieldgrid.mapfile.marks import Mark, MarkKind
 from fieldgrid.mapfile.merge import Merged, merge_maps
 from fieldgrid.mapfile.metadata import SessionMetadata
 from fieldgrid.mapfile.overviews import OverviewBlock
@@ -47,6 +48,8 @@ __all__ = [
     "HealthReport",
     "MapFile",
     "MapView",
+    "Mark",
+    "MarkKind",
     "Merged",
     "OverviewBlock",
     "Provenance",

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from fieldgrid.array_types import Int64, UInt8, UInt64
+from fieldgrid.array_types import Bool, Float32, Int64, UInt8, UInt64
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import Cells, ChannelGroup, Combine
 from fieldgrid.layers.window import coarser
@@ -45,6 +45,11 @@ class Multiple(NamedTuple):
         """The highest value in each cell of a window, from those of the map's own under it."""
         blocks = (window.height, self.factor, window.width, self.factor)
         return np.asarray(values.reshape(blocks).max(axis=(1, 3)))
+
+    def share(self, true: Bool, window: Window) -> Float32:
+        """The share of each cell of a window, 0..1, in which the map's own under it are true."""
+        blocks = (window.height, self.factor, window.width, self.factor)
+        return np.asarray(true.reshape(blocks).mean(axis=(1, 3), dtype=np.float32))
 
 
 class Touching(NamedTuple):
@@ -82,6 +87,11 @@ class Touching(NamedTuple):
     def highest(self, values: UInt8, window: Window) -> UInt8:
         """See `Multiple`."""
         return _highest(values, *self._touched(window))
+
+    def share(self, true: Bool, window: Window) -> Float32:
+        """See `Multiple`."""
+        parts = _area(true.astype(np.uint64), *self._touched(window))
+        return (parts / (PARTS * PARTS)).astype(np.float32)
 
     def _touched(self, window: Window) -> tuple[list[_Touched], list[_Touched]]:
         """What the rows and the columns of a window touch."""

@@ -25,7 +25,8 @@ class Blocks(NamedTuple):
     """The cells that were asked for, and the views that cover those that were observed.
 
     The views come from the north to the south, and from the west to the east; each begins and
-    ends where tiles do, or at the window's edge. There is none where nothing was observed.
+    ends where tiles do, or at the window's edge. There is none where nothing was observed or
+    marked.
     """
 
     lattice: Lattice
@@ -42,7 +43,11 @@ def read_blocks(evidence: Evidence, header: Header, request: Request) -> Blocks:
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
     views = (read_view(evidence, header, request._replace(window=w)) for w in windows(window))
-    return Blocks(request.lattice, window, (view for view in views if view.observed.any()))
+    return Blocks(
+        request.lattice,
+        window,
+        (view for view in views if view.marked is not None or view.observed.any()),
+    )
 
 
 def windows(whole: Window) -> Iterator[Window]:

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Iterator
 
 from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.marks import has_marks
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -121,8 +122,10 @@ def renew_file(connection: sqlite3.Connection) -> None:
 
 
 def _empty(subject: Subject) -> sqlite3.Connection:
-    """A new map without sessions; to be closed."""
+    """A new map without sessions or marks, with the tables that the map has; to be closed."""
     made = sqlite3.connect("", isolation_level=None)
     matrices = TileMatrixSet(subject.header.lattice)
     schema.create(made, subject.header.datum, matrices, subject.header.transfer, ())
+    if has_marks(subject.connection):
+        schema.create_marks(made)
     return made

@@ -39,3 +39,17 @@ def encode_polygon(corners: Sequence[tuple[float, float]]) -> bytes | None:
             *(struct.pack("<dd", *corner) for corner in ring),
         )
     )
+
+
+def decode_corners(blob: bytes) -> tuple[tuple[float, float], ...]:
+    """The corners of a blob that `encode_point` or `encode_polygon` made: one, or those of the
+    outline without the first one again. ValueError for any other."""
+    point = len(blob) == _HEADER.size + _POINT.size
+    start = _HEADER.size + (_POINT.size - 16 if point else _ENVELOPE.size + _POLYGON.size)
+    if len(blob) < start or (len(blob) - start) % 16:
+        raise ValueError("its geometry has an odd length")
+    corners = tuple(struct.iter_unpack("<dd", blob[start:]))
+    made = encode_point(*corners[0]) if point else encode_polygon(corners[:-1])
+    if made != blob:
+        raise ValueError("its geometry is neither a point nor a plain polygon")
+    return corners if point else corners[:-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ from fieldgrid.mapfile.database import clear_journal, reading, writing
 from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.map_reader import MapReader
+from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.mapfile.records import sessions_html
 from fieldgrid.mapfile.root import check_root, seal
@@ -152,6 +153,28 @@ class MapFile(MapReader):
         """Put back a session that was removed: the map is as if it had never been."""
         with self._changing():
             revision.restore(self._connection, self.path, self._header, name)
+
+    def add_marks(self, marks: Iterable[Mark]) -> tuple[int, ...]:
+        """Add what somebody says of places, all of it or nothing; returns their numbers.
+
+        A mark without a time gets that of now; numbers that the marks had elsewhere are not kept.
+        Raises ConfigError for one that cannot be.
+        """
+        with self._changing():
+            return insert_marks(self._connection, list(marks))
+
+    def remove_marks(self, numbers: Iterable[int]) -> None:
+        """Take marks out, all or none: the map is as if it had never had them. Their rows are kept.
+
+        Raises ConfigError when there is none of that number, or it is removed already.
+        """
+        with self._changing():
+            set_removed(self._connection, self.path, numbers, removed=True)
+
+    def restore_marks(self, numbers: Iterable[int]) -> None:
+        """Put back marks that were removed: the map is as if they had never been."""
+        with self._changing():
+            set_removed(self._connection, self.path, numbers, removed=False)
 
     def rename_session(self, name: str, to: str) -> None:
         """Give a session another name; nothing else changes, its digest included.

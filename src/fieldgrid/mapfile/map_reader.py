@@ -21,6 +21,7 @@ from fieldgrid.mapfile.codec import EncodedChannel
 from fieldgrid.mapfile.database import reading
 from fieldgrid.mapfile.evidence import Evidence, loader, reaches
 from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
 from fieldgrid.mapfile.provenance import Provenance, trace
@@ -74,6 +75,12 @@ class MapReader:
         with reading(self._connection, self.path):
             return self._evidence.sessions()
 
+    def marks(self, *, removed: bool = False) -> tuple[Mark, ...]:
+        """What people said of places, in the order in which it was added: what is in force, and
+        with `removed` what was taken out, too."""
+        with reading(self._connection, self.path):
+            return read_marks(self._connection, removed=removed)
+
     def metadata(self, name: str) -> SessionMetadata:
         """All that is kept of a session beside its frames, for `add_session_of` of another map."""
         with reading(self._connection, self.path):
@@ -85,7 +92,7 @@ class MapReader:
 
     @property
     def root_sha256(self) -> str:
-        """The root digest: of settings, plane and sessions, and so of all evidence."""
+        """The root digest: of settings, plane, sessions and marks, and so of all evidence."""
         with reading(self._connection, self.path):
             return read_root(self._connection).of_content
 

@@ -38,13 +38,14 @@ def merge_maps(
     transfer: Transfer | None = None,
     overwrite: bool = False,
 ) -> list[Merged]:
-    """Make the map `out` of all active sessions of some maps; with one, a copy.
+    """Make the map `out` of all active sessions and marks of some maps; with one, a copy.
 
     The cells and the rule are those of the first map unless given: every frame is folded anew.
     Sessions that are the same drive, bit for bit, are taken once; different ones of one name get
-    the name of their file behind it. Removed sessions stay behind. The new map appears when it
-    is complete; it cannot take the place of one of them. Raises DatumError when the maps differ in
-    their datum, ConfigError when they have one drive in two places.
+    the name of their file behind it. Marks that are alike are taken once, too. What was removed
+    stays behind. The new map appears when it is complete; it cannot take the place of one of them.
+    Raises DatumError when the maps differ in their datum, ConfigError when they have one drive in
+    two places.
     """
     paths = [Path(source) for source in sources]
     if not paths:
@@ -70,6 +71,10 @@ def merge_maps(
                     merged.append(_take(universal, info, target, taken))
         if not merged:
             raise ConfigError(f"{paths[0]} has no session to copy; restore or add one first.")
+        # The same words of the same person at the same time are one mark.
+        marks = dict.fromkeys(mark._replace(id=0) for one in maps for mark in one.marks())
+        if marks:
+            target.add_marks(marks)
         return merged
 
 

@@ -8,20 +8,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray
+from fieldgrid.array_types import AnyArray, Bool
+from fieldgrid.cost import DENSITIES
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, ChannelGroup, Layer, groups_of
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome, unseen
+from fieldgrid.mapfile.decision import (
+    FREE,
+    KEEPOUT,
+    OBSTACLE,
+    MarkedCells,
+    Partly,
+    cells_under,
+    deciding,
+    marked_cells,
+)
 from fieldgrid.mapfile.evidence import Evidence
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.history import during, until
+from fieldgrid.mapfile.marks import read_marks
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
@@ -61,7 +75,54 @@ class Request(NamedTuple):
 
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
-    """The view, by the shortest way that gives the same bits."""
+    """The view, with the marks that are in force."""
+    view = _read(evidence, header, request)
+    marks = read_marks(evidence.connection)
+    windows = []
+    for mark in deciding(marks):
+        touched = header.lattice.bounds(cells_under(mark, header.lattice))
+        if part := request.lattice.window(touched).intersect(request.window):
+            windows.append(part)
+    if not windows:
+        return replace(view, marks=marks)
+    by = enlarged((), header.lattice, request.lattice)
+    flags, partly = np.zeros(request.window.shape, np.uint8), []
+    for chunk in chunks(reduce(Window.union, windows), by.factor):
+        base = marked_cells(marks, header.lattice, by.under(chunk))
+        found = flags[request.window.slices_of(chunk)]
+        for flag in (KEEPOUT, OBSTACLE):
+            found |= by.highest(base & np.uint8(flag), chunk)
+        free = (base & FREE) > 0
+        some, rest = (by.highest(one.view(np.uint8), chunk) > 0 for one in (free, ~free))
+        found[some & ~rest] |= np.uint8(FREE)
+        if (some & rest).any() and "seen_share" in request.layers:
+            partly.append(_partly_free(evidence, header, request, chunk, some & rest))
+    return replace(view, marks=marks, marked=MarkedCells(flags, tuple(partly)))
+
+
+def _partly_free(
+    evidence: Evidence, header: Header, request: Request, chunk: Window, cells: Bool
+) -> Partly:
+    """What the map's own cells say of those larger ones of which a part is marked as free."""
+    j, i = np.nonzero(cells)
+    i0, j0 = int(i.min()), int(j.min())
+    part = Window(chunk.i0 + i0, chunk.j0 + j0, int(i.max()) - i0 + 1, int(j.max()) - j0 + 1)
+    by = enlarged((), header.lattice, request.lattice)
+    names = tuple(name for name in DENSITIES if name in request.layers)
+    own = request._replace(lattice=header.lattice, window=by.under(part), layers=names)
+    base = _read(evidence, header, own)
+    free = (marked_cells(read_marks(evidence.connection), own.lattice, own.window) & FREE) > 0
+    inside = j - j0, i - i0
+    place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
+    worst = {}
+    for name in dict.fromkeys(("density", *names)):
+        values = np.where(base.observed & ~free, base.layer(name), np.uint8(0))
+        worst[name] = by.highest(values, part)[inside]
+    return Partly(*place, worst, by.share(base.observed | free, part)[inside])
+
+
+def _read(evidence: Evidence, header: Header, request: Request) -> MapView:
+    """What the drives saw, by the shortest way that gives the same bits."""
     view = empty_view(
         request.lattice,
         request.window,

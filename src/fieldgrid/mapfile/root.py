@@ -1,4 +1,4 @@
-"""The root digest: one SHA-256 of a map's settings, its plane and its sessions, and so of all.
+"""The root digest: one SHA-256 of a map's settings, its plane, sessions and marks, and so of all.
 
 It covers the digests of the sessions, which cover those of their frames, which cover their cells.
 It is kept in two places, and changes with each commit; a note of it elsewhere tells whether a map
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from fieldgrid.errors import MapError
 from fieldgrid.mapfile.digest import as_json
+from fieldgrid.mapfile.marks import has_marks
 from fieldgrid.mapfile.schema import SRS_ID
 
 _KEY = "root_sha256"
@@ -54,6 +55,10 @@ def read_root(connection: sqlite3.Connection) -> Root:
         for row in connection.execute(query):
             hashed.update(as_json([_plain(value) for value in row]))
         hashed.update(b"\n")
+    if has_marks(connection):
+        for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
+            hashed.update(as_json([_plain(value) for value in row]))
+        hashed.update(b"\n")
     meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = ?", (_KEY,)).fetchone()
     contents = connection.execute(
         "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
@@ -80,9 +85,9 @@ def check_root(connection: sqlite3.Connection, path: Path) -> None:
     """Raise MapError when a map is not as it was left: a change would hide that for good."""
     if not read_root(connection).trusted:
         raise MapError(
-            f"{path} is not as it was written: its settings, its plane or its list of sessions "
-            "have changed since. Nothing was written; see `fieldgrid verify`, try `fieldgrid "
-            "repair`, or restore the map from a copy."
+            f"{path} is not as it was written: its settings, its plane, its list of sessions "
+            "or its marks have changed since. Nothing was written; see `fieldgrid verify`, try "
+            "`fieldgrid repair`, or restore the map from a copy."
         )
 
 

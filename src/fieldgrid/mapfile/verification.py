@@ -31,6 +31,7 @@ from fieldgrid.mapfile.file_check import (
     renew_file,
 )
 from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.marks import has_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
 from fieldgrid.mapfile.root import check_root, read_root
@@ -67,7 +68,10 @@ def verify(
     subject = Subject(connection, path, header, jobs)
     problems, notes = list[str](), list[str]()
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
-    checks = (check_file, check_layout, check_types, _root, _evidence, check_features, check_tiles)
+    checks = (
+        *(check_file, check_layout, check_types, _root, _marks),
+        *(_evidence, check_features, check_tiles),
+    )
     if header.version < schema.FORMAT_VERSION:
         checks = (check_file, check_features, _upgraded)
         notes.append(
@@ -109,11 +113,24 @@ def _root(subject: Subject) -> Iterator[str]:
     root = read_root(subject.connection)
     if not root.trusted:
         yield (
-            "The settings, the plane or the list of sessions are not as they were written: their "
-            f"root digest is {root.of_content}, and {root.in_meta} was kept."
+            "The settings, the plane, the list of sessions or the marks are not as they were "
+            f"written: their root digest is {root.of_content}, and {root.in_meta} was kept."
         )
     elif not root.sound:
         yield "One of the two copies of the root digest is damaged; repair the map."
+
+
+def _marks(subject: Subject) -> Iterator[str]:
+    """Every mark, and whether a GIS is told of them."""
+    connection = subject.connection
+    read_marks(connection, removed=True)
+    listed = connection.execute(
+        "SELECT data_type, c.srs_id, column_name, geometry_type_name, g.srs_id FROM gpkg_contents "
+        "AS c JOIN gpkg_geometry_columns AS g USING (table_name) WHERE table_name = 'mark'"
+    ).fetchall()
+    srs_id = schema.SRS_ID
+    if has_marks(connection) and listed != [("features", srs_id, "geom", "GEOMETRY", srs_id)]:
+        yield "The layer mark is not listed as it should be; repair the map."
 
 
 def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
@@ -228,6 +245,9 @@ def repair(
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
+    if has_marks(connection):
+        read_marks(connection, removed=True)
+        schema.announce_marks(connection)
     derived.rebuild(connection, path, header, stored_groups(), jobs)
     renew_file(connection)
     return stored_groups()

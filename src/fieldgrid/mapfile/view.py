@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,9 +12,11 @@ from fieldgrid import notebook
 from fieldgrid.array_types import AnyArray, Bool, Float32, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.lattice import Bounds, Lattice, Window, squares
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile.dataset import cf_dataset
+from fieldgrid.mapfile.decision import Decision, MarkedCells
+from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.transfer import PaperFold, footprint
 
@@ -34,7 +36,8 @@ class MapView:
 
     0 with `observed` is free ground; without, nothing is known of the cell. `layers` has what
     else was asked for, by name, in arrays of the same shape. `is_base` when the cells are the
-    map's own.
+    map's own. All of these are what drives saw; `marks` are what people said of the map, and
+    `decision` is what follows from both.
     """
 
     lattice: Lattice
@@ -44,6 +47,8 @@ class MapView:
     datum: Datum
     layers: Mapping[str, AnyArray] = field(default_factory=dict)
     is_base: bool = False
+    marks: tuple[Mark, ...] = ()
+    marked: MarkedCells | None = None
 
     @property
     def bounds(self) -> Bounds:
@@ -89,6 +94,14 @@ class MapView:
     def worst(self, layer: str = "density") -> AnyArray:
         """What a layer says at its worst in each cell: of the density `peak`."""
         return self.peak if layer == "density" else self.layer(layer)
+
+    def decision(self, layer: str = "density") -> Decision:
+        """What the cells count as for a planner, with the marks; `layer` is one of densities. Where
+        cells are larger than the map's own it needs `DECISION_LAYERS`."""
+        worst, seen = self.worst(layer), self.seen_share
+        if self.marked is None:
+            return Decision(worst, seen, None)
+        return self.marked.decide(layer, worst, seen)
 
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.
@@ -148,12 +161,3 @@ def fold_as_the_paper(view: MapView, frames: Sequence[FrameRecord]) -> None:
                 fold.add(frame.grid(), frame.pose)
             place = view.window.slices_of(block)
             view.density[place], view.observed[place] = fold.density()
-
-
-def squares(window: Window, side: int) -> Iterator[Window]:
-    """The window cut into squares of at most `side` cells."""
-    for j0 in range(window.j0, window.j0 + window.height, side):
-        for i0 in range(window.i0, window.i0 + window.width, side):
-            block = window.intersect(Window(i0, j0, side, side))
-            assert block is not None
-            yield block

@@ -12,9 +12,9 @@ import shapely
 from fieldgrid.array_types import Float32, Float64, UInt8
 from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import MapView, decision
 
-FREE, OBSTACLE, UNSEEN, BEYOND = 0, 1, 2, 3
+FREE, OBSTACLE, UNSEEN, BEYOND, KEEPOUT = 0, 1, 2, 3, 4
 """Classes of cells; `BEYOND` is outside the part that a vehicle is confined to."""
 
 MAX_CELLS = 100_000_000
@@ -26,6 +26,7 @@ _NAMES = {
     OBSTACLE: "an obstacle",
     UNSEEN: "ground that was not seen",
     BEYOND: "the side of the lane",
+    KEEPOUT: "a keep-out mark",
 }
 
 
@@ -48,8 +49,8 @@ class Ground:
     @classmethod
     def of(cls, view: MapView, curve: CostCurve, *, allow_unknown: bool, margin_m: float) -> Ground:
         """The ground of a view, decided as a costmap decides, with `margin_m` of unseen cells
-        around it. Unseen cells are blocked but for `allow_unknown`. Raises ConfigError for more
-        than 100 million cells, or 40000 along a side."""
+        around it, but for what is marked there. Unseen cells are blocked but for `allow_unknown`.
+        Raises ConfigError for more than 100 million cells, or 40000 along a side."""
         cell_m = 1.0 / view.lattice.cells_per_m
         margin = math.ceil(margin_m / cell_m)
         height, width = view.density.shape
@@ -58,11 +59,19 @@ class Ground:
         inner = cells[margin : margin + height, margin : margin + width]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
-        peak, share = view.peak, view.seen_share
+        worst, share, keepout = view.decision()
         for first in range(0, height, _BLOCK_ROWS):
             rows = slice(first, first + _BLOCK_ROWS)
-            inner[rows] = classes[curve.cost(peak[rows], share[rows])]
-        blocked = cells == OBSTACLE if allow_unknown else cells != FREE
+            inner[rows] = classes[curve.cost(worst[rows], share[rows])]
+        if view.marks:
+            said = decision.marked_cells(view.marks, view.lattice, view.window.grown(margin))
+            cells[(said & decision.OBSTACLE) > 0] = OBSTACLE
+            cells[(said & decision.KEEPOUT) > 0] = KEEPOUT
+        if keepout is not None:
+            inner[keepout] = KEEPOUT
+        blocked = cells != FREE
+        if allow_unknown:
+            blocked &= cells != UNSEEN
         bounds = view.bounds
         return cls(
             bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,

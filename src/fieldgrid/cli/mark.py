@@ -1,0 +1,179 @@
+"""`fieldgrid mark`: what people say of places in a map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import options, output
+
+if TYPE_CHECKING:
+    from fieldgrid.mapfile import Mark
+
+_ADD, _UNDO = "Add", "Undo"
+_KINDS = "keepout|free|obstacle|place"
+_MAX_BYTES = 16 << 20
+
+
+def command(
+    map_: options.MapArgument,
+    add: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.geojson",
+            help="Its points and polygons, with their kind, name, note and author.",
+            rich_help_panel=_ADD,
+        ),
+    ] = None,
+    polygon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="E,N;E,N;E,N...",
+            help="A polygon by its corners, metres of the map.",
+            rich_help_panel=_ADD,
+        ),
+    ] = None,
+    point: Annotated[
+        str | None,
+        typer.Option(metavar="E,N", help="A point: the cell it lies in.", rich_help_panel=_ADD),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar=_KINDS, help="What it says.", rich_help_panel=_ADD)
+    ] = None,
+    name: Annotated[str, typer.Option(help="What it is called.", rich_help_panel=_ADD)] = "",
+    note: Annotated[str, typer.Option(help="Why it is there.", rich_help_panel=_ADD)] = "",
+    author: Annotated[str, typer.Option(help="Who says so.", rich_help_panel=_ADD)] = "",
+    remove: Annotated[
+        list[int] | None,
+        typer.Option(metavar="ID", help="Take a mark out; it is kept.", rich_help_panel=_UNDO),
+    ] = None,
+    restore: Annotated[
+        list[int] | None,
+        typer.Option(metavar="ID", help="Put a removed mark back.", rich_help_panel=_UNDO),
+    ] = None,
+    out: Annotated[
+        Path | None, options.out_file(".geojson, .gpkg, .csv, .kml or .dxf with the marks in force")
+    ] = None,
+    overwrite: options.Overwrite = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """List the marks of a map; add, remove or restore some.
+
+    A keepout is never driven into; free and obstacle correct what the drives saw; a place has a
+    name. All planners, routes and exports follow them, and the density stays what the drives saw.
+
+    Examples:
+
+        fieldgrid mark vineyard.gpkg --polygon "-14,50;-12,50;-12,53" --kind keepout --name pond
+
+        fieldgrid mark vineyard.gpkg --point 2.1,53.4 --kind free --author Ana --note "tall grass"
+
+        fieldgrid mark vineyard.gpkg --add drawn.geojson --kind keepout
+
+        fieldgrid mark vineyard.gpkg --remove 1
+
+        fieldgrid mark vineyard.gpkg --restore 1 -o marks.geojson
+    """
+    given = {
+        "--add": add, "--polygon": polygon, "--point": point,
+        "--remove": remove, "--restore": restore,
+    }  # fmt: skip
+    changes = [flag for flag, value in given.items() if value]
+    if len(changes) > 1:
+        raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
+    is_new = bool(changes) and changes[0] in ("--add", "--polygon", "--point")
+    for flag, value in (("--kind", kind), ("--name", name), ("--note", note), ("--author", author)):
+        if value and not is_new:
+            raise typer.BadParameter("it is for a new mark only", param_hint=flag)
+    from fieldgrid.mapfile import MarkKind, open_map
+    from fieldgrid.mapfile.marks import Mark, features, marks_of_geojson
+    from fieldgrid.publish import refuse_input
+    from fieldgrid.vectors import write_features
+
+    if kind is not None and kind not in set(MarkKind):
+        raise typer.BadParameter(f"{kind!r} is none of {_KINDS}", param_hint="--kind")
+    if kind is None and (polygon or point):
+        raise typer.BadParameter(f"it is needed: one of {_KINDS}", param_hint="--kind")
+    places = _corners("--polygon", polygon) if polygon else _corners("--point", point or "")
+    document = None if add is None else _read(add)
+    if out is not None:
+        refuse_input(out, [map_, *([add] if add else [])])
+    with open_map(map_, writable=bool(changes)) as universal:
+        if document is not None:
+            usual = {"kind": kind or "", "name": name, "note": note, "author": author}
+            universal.add_marks(marks_of_geojson(document, universal.datum, usual))
+        if places:
+            universal.add_marks([Mark(MarkKind(str(kind)), places, name, note, author)])
+        if remove:
+            universal.remove_marks(remove)
+        if restore:
+            universal.restore_marks(restore)
+        marks, datum = universal.marks(removed=True), universal.datum
+        root = universal.root_sha256
+    if out is not None:
+        write_features(
+            out, features(mark for mark in marks if mark.active), datum, overwrite=overwrite
+        )
+    if as_json:
+        listed = [_as_dict(mark) for mark in marks]
+        output.print_json({"map": str(map_), "root_sha256": root, "marks": listed})
+        return
+    header = ("id", "kind", "name", "where, m", "area", "author", "created", "note", "")
+    output.print_table(header, [_row(mark) for mark in marks])
+    if out is not None:
+        output.print_line(f"{out}")
+
+
+def _corners(flag: str, text: str) -> tuple[tuple[float, float], ...]:
+    """The corners in the text of a flag; a usage error for too few or too many."""
+    if not text:
+        return ()
+    parts = [part for part in text.split(";") if part.strip()]
+    found = [options.numbers(flag, part, ",", "E,N", "-14,50.5") for part in parts]
+    if (flag == "--point") != (len(found) == 1) or len(found) == 2:
+        raise typer.BadParameter(
+            f"{len(found)} corners are no {flag[2:]}; give --point E,N, or --polygon with three or "
+            "more corners, as in '0,0;2,0;2,3'",
+            param_hint=flag,
+        )
+    return tuple((east, north) for east, north in found)
+
+
+def _read(path: Path) -> Any:
+    """A GeoJSON as Python has it."""
+    from fieldgrid.errors import ConfigError
+
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ConfigError(f"{path} is over {_MAX_BYTES >> 20} MB; give fewer marks at a time.")
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is no GeoJSON ({error}); check the file.") from error
+
+
+def _row(mark: Mark) -> tuple[str, ...]:
+    east_m, north_m = mark.geometry.representative_point().coords[0]
+    return (
+        str(mark.id),
+        mark.kind.value,
+        mark.name,
+        f"{east_m:.2f},{north_m:.2f}",
+        "-" if mark.is_point else output.number(mark.geometry.area, 2, "m²"),
+        mark.author,
+        mark.created[:16].replace("T", " "),
+        mark.note,
+        "" if mark.active else "removed",
+    )
+
+
+def _as_dict(mark: Mark) -> dict[str, Any]:
+    return {
+        **{key: value for key, value in mark._asdict().items() if key != "corners"},
+        "corners_m": [list(corner) for corner in mark.corners],
+        "area_m2": mark.geometry.area,
+    }

@@ -1,0 +1,142 @@
+"""What cells count as, for whoever plans: free, obstacle or unseen, and where nobody may go.
+
+This is the one place where marks change that. It is decided on the map's own cells, from what the
+drives saw: a cell that an obstacle mark touches is an obstacle, one that lies in a free mark with
+all of itself is free, unless an obstacle mark touches it, too; one that a keep-out touches is kept
+out of, whatever it is. A point marks the cell in which it lies. Larger cells follow from these by
+the rule of all larger cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float32, Float64, Int64, UInt8
+from fieldgrid.lattice import Lattice, Window, squares
+from fieldgrid.mapfile.marks import Mark, MarkKind
+
+KEEPOUT, OBSTACLE, FREE = 1, 2, 4
+"""Flags of cells."""
+
+_FLAGS = {MarkKind.KEEPOUT: KEEPOUT, MarkKind.OBSTACLE: OBSTACLE, MarkKind.FREE: FREE}
+
+_ROUNDING = 1e-6
+"""An outline that enters a cell by less than this share of its side does not touch it."""
+
+_BAND = 2048
+"""Side of the squares of cells that an outline is laid over at a time."""
+
+
+class Decision(NamedTuple):
+    """What a cost or an occupancy is made of, arrays of the view's shape: the highest density of
+    the map's own cells in each cell, the share of them that was seen or is marked (0..1, NaN for
+    none; 1 where an obstacle mark is), and where no vehicle may go (None for nowhere)."""
+
+    worst: UInt8
+    seen: Float32
+    keepout: Bool | None
+
+
+class Partly(NamedTuple):
+    """Cells of a view of which only a part is marked as free [n]: their rows and columns, the worst
+    that the rest of them holds by layer, and the share that was seen, what is marked included."""
+
+    rows: Int64
+    columns: Int64
+    worst: Mapping[str, UInt8]
+    seen: Float32
+
+
+class MarkedCells(NamedTuple):
+    """The flags of a view's cells, `FREE` only where all of a cell is, and those partly free."""
+
+    flags: UInt8
+    partly: tuple[Partly, ...]
+
+    def decide(self, layer: str, worst: UInt8, seen: Float32) -> Decision:
+        """What the drives saw, with what people said put in its place."""
+        worst, seen = worst.copy(), seen.copy()
+        for part in self.partly:
+            worst[part.rows, part.columns] = part.worst[layer]
+            seen[part.rows, part.columns] = part.seen
+        for flag, density in ((FREE, 0), (OBSTACLE, 255)):
+            said = (self.flags & flag) > 0
+            worst[said], seen[said] = density, 1.0
+        return Decision(worst, seen, (self.flags & KEEPOUT) > 0)
+
+
+def deciding(marks: Iterable[Mark]) -> list[Mark]:
+    """The marks that change what cells count as."""
+    return [mark for mark in marks if mark.kind in _FLAGS]
+
+
+def cells_under(mark: Mark, lattice: Lattice) -> Window:
+    """The cells that a mark may touch."""
+    west, south, east, north = (value * lattice.cells_per_m for value in mark.bounds)
+    i0, j0 = math.floor(west + _ROUNDING), math.floor(south + _ROUNDING)
+    i1, j1 = math.ceil(east - _ROUNDING), math.ceil(north - _ROUNDING)
+    return Window(i0, j0, max(i1 - i0, 1), max(j1 - j0, 1))
+
+
+def marked_cells(marks: Iterable[Mark], lattice: Lattice, window: Window) -> UInt8:
+    """The flags of the cells of a window, uint8 [rows north, columns east]."""
+    flags = np.zeros(window.shape, dtype=np.uint8)
+    for mark in deciding(marks):
+        flag, part = np.uint8(_FLAGS[mark.kind]), cells_under(mark, lattice).intersect(window)
+        if part is None:
+            continue
+        if mark.is_point:
+            flags[window.slices_of(part)] |= flag
+            continue
+        for band in squares(part, _BAND):
+            corners = np.array(mark.corners) * lattice.cells_per_m - (band.i0, band.j0)
+            inside, edge = _inside(corners, band.shape), _crossed(corners, band.shape)
+            covered = inside & ~edge if mark.kind is MarkKind.FREE else inside | edge
+            flags[window.slices_of(band)][covered] |= flag
+    return flags
+
+
+def _edges(corners: Float64) -> Iterable[Sequence[Float64]]:
+    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
+
+
+def _inside(corners: Float64, shape: tuple[int, int]) -> Bool:
+    """Whether the middles of cells lie inside: a line to the east crosses the outline, in cells, an
+    odd number of times."""
+    height, width = shape
+    y = np.arange(height) + 0.5
+    crossings = np.zeros((height, width + 1), dtype=np.uint8)
+    for (x0, y0), (x1, y1) in _edges(corners):
+        row = np.flatnonzero((y0 <= y) != (y1 <= y))
+        if row.size:
+            x = x0 + (y[row] - y0) * ((x1 - x0) / (y1 - y0))
+            crossings[row, np.clip(np.ceil(x - 0.5), 0, width).astype(np.intp)] ^= 1
+    inside: Bool = np.bitwise_xor.accumulate(crossings, axis=1)[:, :-1].astype(np.bool_)
+    return inside
+
+
+def _crossed(corners: Float64, shape: tuple[int, int]) -> Bool:
+    """Which cells the outline enters."""
+    height, width = shape
+    steps = np.zeros((height, width + 1), dtype=np.int32)
+    for start, end in _edges(corners):
+        (x0, y0), (x1, y1) = (start, end) if start[1] <= end[1] else (end, start)
+        first, last = math.floor(y0 + _ROUNDING), math.ceil(y1 - _ROUNDING)
+        row = np.arange(max(first, 0), min(last, height))
+        if y1 - y0 < _ROUNDING:
+            low, high = np.full(row.size, min(x0, x1)), np.full(row.size, max(x0, x1))
+        else:
+            slope = (x1 - x0) / (y1 - y0)
+            ends = x0 + slope * (np.clip([row, row + 1], y0, y1) - y0)
+            low, high = ends.min(axis=0), ends.max(axis=0)
+        column = np.clip(np.floor(low + _ROUNDING), 0, width).astype(np.intp)
+        beyond = np.clip(np.ceil(high - _ROUNDING), 0, width).astype(np.intp)
+        entered = column < beyond
+        np.add.at(steps, (row[entered], column[entered]), 1)
+        np.add.at(steps, (row[entered], beyond[entered]), -1)
+    crossed: Bool = steps.cumsum(axis=1)[:, :-1] > 0
+    return crossed
