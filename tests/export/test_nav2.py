@@ -254,7 +254,8 @@ def test_existing_files_are_replaced_only_when_asked(universal: MapFile, tmp_pat
     assert [file.name for file in tmp_path.iterdir()] == ["f.georef.json"]
     for mode in ("trinary", "raw"):
         export_nav2(universal, tmp_path / "f.yaml", overwrite=True, mode=mode)
-        assert {file.name for file in tmp_path.iterdir()} == {"f.georef.json", "f.pgm", "f.yaml"}
+        written = {"f.georef.json", "f.pgm", "f.yaml", "f.keepout.pgm", "f.keepout.yaml"}
+        assert {file.name for file in tmp_path.iterdir()} == written
         assert yaml.safe_load((tmp_path / "f.yaml").read_text())["mode"] == mode
 
 
@@ -331,6 +332,8 @@ def test_it_is_a_format_by_its_ending(universal: MapFile, tmp_path: Path) -> Non
     assert [path.name for path in done.paths] == [
         "f.nav2.yaml",
         "f.nav2.pgm",
+        "f.nav2.keepout.pgm",
+        "f.nav2.keepout.yaml",
         "f.nav2.georef.json",
     ]
     assert load(done.paths[0]).at(np.array([0.5]), np.array([-0.5])).tolist() == [7]

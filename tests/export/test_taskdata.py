@@ -75,6 +75,7 @@ def read(folder: Path) -> TaskData:
     content = (folder / f"{grid.get('G')}.bin").read_bytes()
     assert len(content) == int(grid.get("H"))
     named = {zone.get("B"): int(zone.get("A")) for zone in task.findall("TZN")}
+    assert named.pop("keep-out") == 4
     assert named == {"not observed": UNSEEN, "free": FREE, "in doubt": DOUBT, "obstacle": OBSTACLE}
     assert {task.get(key) for key in "HIJ"} == {str(UNSEEN)}
     return TaskData(

@@ -36,8 +36,10 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
         if mark.is_point:
             axes.plot(*zip(*mark.corners, strict=True), marker="D", markersize=6, color=colour)
         else:
-            outline = {"edgecolor": colour, "linewidth": 1.8, "hatch": _HATCH.get(mark.kind)}
-            axes.add_patch(Polygon(mark.corners, fill=False, **outline))
+            hatch = _HATCH.get(mark.kind)
+            axes.add_patch(
+                Polygon(mark.corners, fill=False, edgecolor=colour, linewidth=1.8, hatch=hatch)
+            )
         if mark.name:
             place = mark.geometry.representative_point().coords[0]
             axes.annotate(
