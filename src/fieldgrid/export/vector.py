@@ -264,7 +264,7 @@ register(
     Format(
         "geojson",
         (".geojson", ".json"),
-        "obstacles, marks, drives, poses, footprints in WGS84",
+        "obstacles, marks, drives, poses in WGS84",
         export_geojson,
         readers="GIS, web maps",
         **_SHARED,
