@@ -28,6 +28,23 @@ export interface Session {
   last_ms: number | null;
 }
 
+export type MarkKind = "keepout" | "free" | "obstacle" | "place";
+
+/** What somebody said of a place: a point of one corner, or a polygon. */
+export interface NewMark {
+  kind: MarkKind;
+  corners: [east: number, north: number][];
+  name: string;
+  note: string;
+  author: string;
+}
+
+export interface Mark extends NewMark {
+  id: number;
+  created: string;
+  removed: string | null;
+}
+
 export interface MapAbout {
   number: number;
   name: string;
@@ -38,7 +55,8 @@ export interface MapAbout {
   bounds: Bounds | null;
   layers: Layer[];
   changes: { name: string; says: string; colour: string }[];
-  colours: { unseen: string; gears: Record<string, string>; rejected: string };
+  colours: { unseen: string; gears: Record<string, string>; rejected: string; marks: Record<MarkKind, string> };
+  marks: Mark[];
   sessions: Session[];
   order: number[];
 }
@@ -137,6 +155,8 @@ export interface ExportAsked {
 /** What may be done with a map besides looking at it. */
 export interface Actions {
   changeSession(map: MapAbout, action: "remove" | "restore", session: string): Promise<void>;
+  addMark(map: MapAbout, mark: NewMark): Promise<void>;
+  changeMark(map: MapAbout, action: "remove" | "restore", mark: number): Promise<void>;
   export(map: MapAbout, asked: ExportAsked): Promise<{ blob: Blob; name: string }>;
 }
 
@@ -231,6 +251,12 @@ export class Server implements Source {
   readonly actions: Actions = {
     changeSession: async (map, action, session) => {
       await this.post(`api/maps/${map.number}/sessions`, { version: map.version, action, session });
+    },
+    addMark: async (map, mark) => {
+      await this.post(`api/maps/${map.number}/marks`, { version: map.version, ...mark });
+    },
+    changeMark: async (map, action, mark) => {
+      await this.post(`api/maps/${map.number}/marks/change`, { version: map.version, action, mark });
     },
     export: async (map, asked) => {
       const answer = await this.post(`api/maps/${map.number}/export`, asked);

@@ -12,6 +12,7 @@ import VectorSource from "ol/source/Vector";
 import { Circle, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
 
 import type { Bounds, Cell, FeatureTable, Frames, SeenBy, Track } from "./data";
+import { markStyle, outline } from "./marks";
 import { announce } from "./dom";
 import type { Overlay, Store } from "./state";
 import { type Row, type Tracks, isHole, usualStep } from "./tracks";
@@ -25,7 +26,7 @@ export class Drawn {
   private tracks!: Tracks;
 
   constructor(private readonly map: OlMap, private readonly store: Store) {
-    for (const [k, name] of ["footprints", "features", "tracks", "headings", "frames", "selected", "hover"].entries()) {
+    for (const [k, name] of ["footprints", "features", "marks", "tracks", "headings", "frames", "selected", "hover"].entries()) {
       const layer = new VectorLayer({ source: new VectorSource({ wrapX: false }), zIndex: 10 + k });
       this.layers.set(name, layer);
       map.addLayer(layer);
@@ -43,6 +44,7 @@ export class Drawn {
     this.frames = null;
     for (const layer of this.layers.values()) layer.getSource()!.clear();
     this.redraw();
+    this.drawMarks();
     for (const session of this.store.state.map.sessions) {
       if (session.active) {
         tracks.load(session.number).then(() => this.redraw(), (error) => announce(error.message, "error"));
@@ -61,7 +63,7 @@ export class Drawn {
 
   private redraw(): void {
     const { visible } = this.store.state;
-    for (const name of ["tracks", "headings", "frames", "footprints", "features"] as Overlay[]) {
+    for (const name of ["tracks", "headings", "frames", "footprints", "features", "marks"] as Overlay[]) {
       this.layers.get(name)!.setVisible(visible[name]);
     }
     this.drawTracks();
@@ -218,6 +220,15 @@ export class Drawn {
       hitTolerance: 4,
     });
     return feature && this.frames ? { frames: this.frames, frame: feature.get("frame") as number } : null;
+  }
+
+  private drawMarks(): void {
+    const { marks, colours } = this.store.state.map;
+    for (const mark of marks.filter((one) => !one.removed)) {
+      const feature = new Feature(outline(mark));
+      feature.setStyle(markStyle(mark.kind, colours.marks[mark.kind], mark.name));
+      this.source("marks").addFeature(feature);
+    }
   }
 
   private drawFeatures(tables: FeatureTable[]): void {

@@ -12,6 +12,8 @@ import { Measure } from "./measure";
 import { EvidencePanel } from "./panels/evidence";
 import { exportDialog } from "./panels/export";
 import { layersPanel } from "./panels/layers";
+import { Drawing, marksAt } from "./marks";
+import { marksPanel } from "./panels/marks";
 import { comparePanel, sessionsPanel } from "./panels/sessions";
 import { Store, initial } from "./state";
 import { Timeline } from "./timeline";
@@ -44,7 +46,7 @@ function build(about: About, source: Source): void {
   const readout = el("output", { id: "readout", "aria-label": "Position" });
   const target = el("div", { id: "map", tabindex: 0, role: "application", "aria-label": "Map. Arrow keys move it, plus and minus zoom, Enter asks why the cell in the middle has its value." });
   const tool = el("output", { id: "tool-says", "aria-live": "polite" });
-  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), source.cell && comparePanel(store));
+  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), marksPanel(store, about.writable ? again : null, draw, (bounds) => view.fit(bounds)), source.cell && comparePanel(store));
   const evidence = new EvidencePanel(store);
   let tracks: MapView;
   const timeline = new Timeline(store, () => tracks.tracks);
@@ -63,6 +65,8 @@ function build(about: About, source: Source): void {
   });
   const length = button("measure-length", "Distance", () => toggleMeasure("LineString"));
   const area = button("measure-area", "Area", () => toggleMeasure("Polygon"));
+  const finish = el("button", { id: "finish", type: "button", hidden: true, click: () => drawing.finish() }, "Finish");
+  const cancel = el("button", { id: "cancel", type: "button", hidden: true, click: () => drawing.stop() }, "Cancel");
   const fit = el("button", { id: "fit", type: "button", click: () => view.fit(store.state.map.bounds) }, "Whole field");
   const saving = el("button", { id: "export", type: "button", click: () => void exportDialog(store, view, about.formats) }, "Export");
   const theme = el("button", { id: "theme", type: "button", "aria-label": "Light or dark", click: () => changeTheme() }, "◐");
@@ -71,7 +75,7 @@ function build(about: About, source: Source): void {
   document.body.append(
     el("header", {}, el("h1", {}, "fieldgrid"), about.maps.length > 1 ? choice : el("span", { class: "name" }, about.maps[0].name),
       el("div", { class: "buttons" }, showPanels, showTimeline, length, area, fit, source.actions && saving, theme)),
-    el("main", {}, panels, el("div", { id: "stage" }, target, tool, readout), evidence.element),
+    el("main", {}, panels, el("div", { id: "stage" }, target, el("div", { id: "tool" }, tool, finish, cancel), readout), evidence.element),
     timeline.element,
   );
   setPanels(!matchMedia("(max-width: 700px)").matches);
@@ -81,6 +85,7 @@ function build(about: About, source: Source): void {
   const measure = new Measure(view.map, (text) => {
     tool.textContent = text;
   });
+  const drawing = new Drawing(view.map);
   let cell: Cell | null = null;
   let asked = 0;
 
@@ -92,7 +97,7 @@ function build(about: About, source: Source): void {
     target.focus();
   };
   view.map.on("singleclick", (event) => {
-    if (!measure.active) void ask(event.coordinate, event.pixel);
+    if (!measure.active && !drawing.active) void ask(event.coordinate, event.pixel);
   });
   view.map.on("pointermove", (event) => {
     if (event.dragging || !timeline.shown) return;
@@ -102,14 +107,18 @@ function build(about: About, source: Source): void {
     if (row) view.drawn.mark(row);
   });
   target.addEventListener("keydown", (event) => {
-    if (event.key === "Enter") {
+    if (drawing.active) {
+      if (event.key === "Enter") drawing.corner(view.map.getView().getCenter()!);
+      if (event.key === "Backspace") drawing.back();
+    } else if (event.key === "Enter") {
       const size = view.map.getSize()!;
       void ask(view.map.getView().getCenter()!, [size[0] / 2, size[1] / 2]);
     }
   });
   document.addEventListener("keydown", (event) => {
     if (event.key !== "Escape") return;
-    if (measure.active) endMeasure();
+    if (drawing.active) drawing.stop();
+    else if (measure.active) endMeasure();
     else if (!evidence.element.hidden) evidence.close();
   });
   store.on(["sessions", "compare"], () => {
@@ -128,6 +137,7 @@ function build(about: About, source: Source): void {
         view.drawn.select(cell);
         evidence.show(cell);
       } else evidence.showValue(value);
+      evidence.showMarks(marksAt(store.state.map, east, north));
       requestAnimationFrame(() => view.reveal([east, north], evidence.element));
       const frame = pixel && view.drawn.frameAt(pixel);
       if (frame) {
@@ -162,10 +172,28 @@ function build(about: About, source: Source): void {
     showPanels.setAttribute("aria-pressed", String(shown));
   }
 
+  /** Lets a point or a polygon be drawn; null where that was given up. */
+  async function draw(kind: "Point" | "Polygon"): Promise<[number, number][] | null> {
+    endMeasure();
+    drawing.stop();
+    if (matchMedia("(max-width: 700px)").matches) setPanels(false);
+    tool.textContent = kind === "Point"
+      ? "Click or tap the place; or move the map and press Enter for its middle."
+      : "Click or tap around the area, then Finish; or move the map and press Enter for its middle.";
+    finish.hidden = kind === "Point";
+    cancel.hidden = false;
+    target.focus();
+    const corners = await drawing.start(kind);
+    tool.textContent = "";
+    finish.hidden = cancel.hidden = true;
+    return corners;
+  }
+
   function toggleMeasure(kind: "LineString" | "Polygon"): void {
     const on = kind === "LineString" ? length : area;
     const was = on.getAttribute("aria-pressed") === "true";
     endMeasure();
+    drawing.stop();
     if (was) return;
     on.setAttribute("aria-pressed", "true");
     measure.start(kind);

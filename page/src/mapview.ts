@@ -1,6 +1,7 @@
 // The map: cells, what is drawn over them, where the pointer is, and the ways to move about.
 
 import OlMap from "ol/Map";
+import type MapEvent from "ol/MapEvent";
 import View from "ol/View";
 import ScaleLine from "ol/control/ScaleLine";
 import Zoom from "ol/control/Zoom";
@@ -19,6 +20,16 @@ import { Tracks } from "./tracks";
 
 const plane = new Projection({ code: "fieldgrid-plane", units: "m", extent: [-60_000, -60_000, 60_000, 60_000] });
 
+/** A scale in metres or centimetres: OpenLayers says 1000 mm for a metre. */
+class ScaleBar extends ScaleLine {
+  override render(event: MapEvent): void {
+    super.render(event);
+    const says = this.element?.querySelector(".ol-scale-line-inner");
+    const mm = Number(says?.textContent?.match(/^(\d+) mm$/)?.[1] ?? 0);
+    if (says && mm >= 10) says.textContent = mm >= 1000 ? `${mm / 1000} m` : `${mm / 10} cm`;
+  }
+}
+
 export class MapView {
   readonly map: OlMap;
   readonly drawn: Drawn;
@@ -31,7 +42,7 @@ export class MapView {
     this.map = new OlMap({
       target,
       layers: [this.cells, this.compared],
-      controls: [new Zoom({ zoomInTipLabel: "Zoom in", zoomOutTipLabel: "Zoom out" }), new ScaleLine({ bar: false, minWidth: 80 })],
+      controls: [new Zoom({ zoomInTipLabel: "Zoom in", zoomOutTipLabel: "Zoom out" }), new ScaleBar({ minWidth: 80 })],
       interactions: interactions({ altShiftDragRotate: false, pinchRotate: false }),
       keyboardEventTarget: target,
     });

@@ -19,7 +19,7 @@ export interface State {
   visible: Record<Overlay, boolean>;
 }
 
-export type Overlay = "tracks" | "headings" | "frames" | "footprints" | "features";
+export type Overlay = "tracks" | "headings" | "frames" | "footprints" | "features" | "marks";
 
 export type Topic = "map" | "layer" | "sessions" | "compare" | "share" | "overlays";
 
@@ -67,6 +67,6 @@ export function initial(map: MapAbout): State {
     after: map.order[map.order.length - 1] ?? 0,
     share: 0.5,
     colourBy: map.order.length > 1 ? "session" : "gear",
-    visible: { tracks: true, headings: false, frames: false, footprints: false, features: true },
+    visible: { tracks: true, headings: false, frames: false, footprints: false, features: true, marks: true },
   };
 }

@@ -1,7 +1,8 @@
 // Why a cell has its value: what the layers say, and the frames that saw it with their images.
 
-import type { Bounds, Cell, SeenBy } from "../data";
+import type { Bounds, Cell, Mark, SeenBy } from "../data";
 import { el, moment, number, plural, swatch } from "../dom";
+import { described } from "../marks";
 import type { Store } from "../state";
 import { QUALITIES, type Row, type Tracks } from "../tracks";
 import { poseInWords } from "../timeline";
@@ -28,6 +29,13 @@ export class EvidencePanel {
 
   fail(message: string): void {
     this.begin(el("p", { class: "error" }, message));
+  }
+
+  /** What people said of the place. */
+  showMarks(marks: Mark[]): void {
+    if (!marks.length) return;
+    const list = el("ul", { id: "marked" }, ...marks.map((mark) => el("li", {}, described(mark))));
+    this.element.querySelector("#verdict")?.after(el("p", {}, "The drives say so; people marked it as:"), list);
   }
 
   showPose(row: Row, tracks: Tracks): void {

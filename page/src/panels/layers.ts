@@ -12,6 +12,7 @@ const OVERLAYS: Record<Overlay, string> = {
   frames: "Frames",
   footprints: "Footprints (when near)",
   features: "Rows, routes and other features",
+  marks: "Keep-outs, corrections, places",
 };
 
 export function layersPanel(store: Store): HTMLElement {

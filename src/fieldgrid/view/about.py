@@ -12,7 +12,7 @@ from fieldgrid.view.maps import ShownMap
 
 
 def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
-    """Name, datum, extent, zoom levels, layers and sessions."""
+    """Name, datum, extent, zoom levels, layers, sessions and marks."""
     version = shown.version()
     with pyramid.stored(shown.path) as connection:
         levels = pyramid.read_levels(connection)
@@ -37,7 +37,9 @@ def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
                 "unseen": palette.UNSEEN,
                 "gears": {str(gear): colour for gear, colour in palette.GEARS.items()},
                 "rejected": palette.REJECTED,
+                "marks": palette.MARKS,
             },
+            "marks": [mark._asdict() for mark in universal.marks(removed=True)],
             "sessions": [_session(k, info) for k, info in enumerate(infos)],
             "order": [infos.index(info) for info in in_drive_order(infos)],
         }

@@ -1,4 +1,4 @@
-"""What the page may have done: sessions taken out and put back, exports.
+"""What the page may have done: sessions taken out and put back, marks, exports.
 
 Each change of a map is one transaction, and is refused where the map is no longer the one that the
 user saw when saying yes.
@@ -18,11 +18,14 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection
 from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import Mark, MarkKind
+from fieldgrid.mapfile.marks import MAX_CORNERS, MAX_TEXT
 from fieldgrid.view.exports import write_export
 from fieldgrid.view.maps import ShownMap
 
 Asked = TypeVar("Asked", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=200)]
+Words = Annotated[str, Field(max_length=MAX_TEXT)]
 Metres = Annotated[float, Field(gt=-1e6, lt=1e6)]
 
 
@@ -36,6 +39,25 @@ class SessionChange(_Strict):
     version: Text
     action: Literal["remove", "restore"]
     session: Text
+
+
+class MarkDrawn(_Strict):
+    """Add a mark: a point of one corner or a polygon; `version` is that of the map as seen."""
+
+    version: Text
+    kind: Literal["keepout", "free", "obstacle", "place"]
+    corners: Annotated[list[tuple[Metres, Metres]], Field(min_length=1, max_length=MAX_CORNERS)]
+    name: Words
+    note: Words
+    author: Words
+
+
+class MarkChange(_Strict):
+    """Take a mark out of the map, or put it back; `version` is that of the map as seen."""
+
+    version: Text
+    action: Literal["remove", "restore"]
+    mark: Annotated[int, Field(ge=1)]
 
 
 class Export(_Strict):
@@ -55,6 +77,25 @@ def change_session(shown: ShownMap, asked: SessionChange) -> Response:
             universal.remove_session(asked.session)
         else:
             universal.restore_session(asked.session)
+    return JSONResponse({})
+
+
+def add_mark(shown: ShownMap, asked: MarkDrawn) -> Response:
+    """Add a mark; says its number."""
+    texts = asked.name.strip(), asked.note.strip(), asked.author.strip()
+    with shown.open(writable=True) as universal:
+        shown.check_version(asked.version)
+        mark = Mark(MarkKind(asked.kind), tuple(asked.corners), *texts)
+        (number,) = universal.add_marks([mark])
+    return JSONResponse({"id": number})
+
+
+def change_mark(shown: ShownMap, asked: MarkChange) -> Response:
+    """Remove or restore a mark."""
+    with shown.open(writable=True) as universal:
+        shown.check_version(asked.version)
+        change = universal.remove_marks if asked.action == "remove" else universal.restore_marks
+        change([asked.mark])
     return JSONResponse({})
 
 

@@ -153,9 +153,11 @@ def make_app(viewer: Viewer) -> Starlette:
         _post(f"{one}/export", actions.Export, actions.export, viewer),
     ]
     if viewer.writable:
-        routes.append(
-            _post(f"{one}/sessions", actions.SessionChange, actions.change_session, viewer)
-        )
+        routes += [
+            _post(f"{one}/sessions", actions.SessionChange, actions.change_session, viewer),
+            _post(f"{one}/marks", actions.MarkDrawn, actions.add_mark, viewer),
+            _post(f"{one}/marks/change", actions.MarkChange, actions.change_mark, viewer),
+        ]
     return Starlette(
         routes=routes,
         middleware=[Middleware(Guard, access=viewer.access)],

@@ -1,7 +1,7 @@
 """Features that others put into the map file: rows, routes, and whatever else has a geometry.
 
 Any table that the GeoPackage announces as features in the map's plane is shown; those that this
-package keeps of each drive come from `drives`.
+package keeps of each drive come from `drives`, and marks with the map itself.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def read_features(connection: sqlite3.Connection) -> list[dict[str, Any]]:
     return [
         {"table": table, "says": says or "", **_read_table(connection, table, column)}
         for table, column, says in tables
-        if table not in schema.LAYERS
+        if table not in (*schema.LAYERS, "mark")
     ]
 
 
