@@ -17,7 +17,7 @@ import pytest
 import rasterio
 import shapely
 
-from fieldgrid.mapfile import Change, open_map
+from fieldgrid.mapfile import Change, open_map, read_datum
 from fieldgrid.palette import CHANGED, rgb
 from tests.changes.worlds import Box, Drive, lane, world_map
 from tests.cli.conftest import Run
@@ -175,7 +175,10 @@ def test_another_datum_is_refused_with_the_way_out(
     other = tmp_path / "other.gpkg"
     fieldgrid("build", make_drive(), "-o", other, "--datum", "41.6501,-4.72,787.4").output()
     sentence = fieldgrid("merge", path, other, "-o", tmp_path / "farm.gpkg").sentence()
-    assert f"build one of them again with --datum-from {path}" in sentence
+    assert f"--datum-from {path}" in sentence
+    farm = tmp_path / "farm.gpkg"
+    fieldgrid("merge", path, other, "-o", farm, "--datum-from", path).output()
+    assert read_datum(farm) == read_datum(path)
     flags = ["--append", "--name", "b", "--datum", "41.6501,-4.72,787.4"]
     sentence = fieldgrid("build", make_drive("b"), "-o", path, *flags).sentence()
     assert f"--datum-from {path}" in sentence

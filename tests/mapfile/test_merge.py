@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import create_map, merge_maps, open_map
+from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, track, write_map, write_session
@@ -116,3 +118,85 @@ def test_one_drive_in_two_places_is_not_merged(north: Path, tmp_path: Path) -> N
     with open_map(north, writable=True) as universal:
         universal.set_transform("1", 0.5, 0.0)
     assert [one.twin for one in merge_maps(maps, tmp_path / "farm.gpkg")] == [None, None, "0", "1"]
+
+
+FAR = Datum(DATUM.lat_deg + 0.02, DATUM.lon_deg - 0.05, DATUM.height_m - 31.0)
+"""Some kilometres from `DATUM`."""
+
+
+def test_a_map_in_the_plane_of_another_datum(north: Path, tmp_path: Path) -> None:
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", 0.5, -0.25, turn_deg=1.0)
+    out = tmp_path / "far.gpkg"
+    merge_maps([north], out, datum=FAR)
+    with open_map(north) as old, open_map(out) as new:
+        assert new.datum == FAR
+        pairs = list(zip(old.frames(), new.frames(), strict=True))
+        assert pairs
+        for was, now in pairs:
+            assert was.cells_sha256 == now.cells_sha256  # the evidence keeps its bits
+            # By PROJ, the same point on Earth, and the same direction.
+            for ahead_m in (0.0, 10.0):
+                places = [
+                    geodetic(
+                        datum,
+                        record.pose.east_m
+                        + ahead_m * math.sin(math.radians(record.pose.heading_deg)),
+                        record.pose.north_m
+                        + ahead_m * math.cos(math.radians(record.pose.heading_deg)),
+                        record.pose.up_m,
+                    )
+                    for record, datum in ((was, DATUM), (now, FAR))
+                ]
+                metres = np.subtract(*places) * (111_000.0, 85_000.0, 1.0)
+                level = 1e-4 if ahead_m == 0.0 else 0.001
+                np.testing.assert_allclose(metres[:2], 0.0, atol=level)
+                # The planes lean to each other by 1 mrad: 1 cm in 10 m.
+                np.testing.assert_allclose(metres[2], 0.0, atol=1e-3 + 0.0012 * ahead_m)
+        track_was, track_now = old.trajectory("0"), new.trajectory("0")
+        assert track_now.datum == FAR
+        assert track_now.heading_deg[2] != pytest.approx(track_was.heading_deg[2], abs=0.01)
+        assert new.verify().sound
+    # And back again.
+    merge_maps([out], tmp_path / "back.gpkg", datum=DATUM)
+    with open_map(north) as old, open_map(tmp_path / "back.gpkg") as back:
+        for was, now in zip(old.frames(), back.frames(), strict=True):
+            assert (now.pose.east_m, now.pose.north_m, now.pose.heading_deg) == pytest.approx(
+                (was.pose.east_m, was.pose.north_m, was.pose.heading_deg), abs=1e-4
+            )
+
+
+def test_maps_of_two_datums_merge_in_one_plane_and_a_drive_once(
+    north: Path, tmp_path: Path
+) -> None:
+    with open_map(north, writable=True) as universal:
+        universal.add_marks([Mark(MarkKind.KEEPOUT, ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)))])
+    merge_maps([north], tmp_path / "far.gpkg", datum=FAR)
+    with open_map(tmp_path / "far.gpkg") as far:
+        (mark,) = far.marks()
+        for (east, north_m), (far_east, far_north) in zip(
+            ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), mark.corners, strict=True
+        ):
+            here = geodetic(DATUM, east, north_m, 0.7)
+            there = geodetic(FAR, far_east, far_north, far.datum.to_enu(*here)[2])
+            np.testing.assert_allclose(there[:2], here[:2], atol=1e-9)
+    for maps in ([north, tmp_path / "far.gpkg"], [tmp_path / "far.gpkg", north]):
+        merged = merge_maps(maps, tmp_path / "both.gpkg", datum=DATUM, overwrite=True)
+        assert [one.twin for one in merged] == [None, None, "0", "1"]
+        with open_map(tmp_path / "both.gpkg") as both:
+            assert len(both.marks()) == 1
+    with open_map(tmp_path / "far.gpkg", writable=True) as universal:
+        universal.set_transform("1", 0.5, 0.0)
+    with pytest.raises(ConfigError, match="it lies in another place"):
+        merge_maps([north, tmp_path / "far.gpkg"], tmp_path / "other.gpkg", datum=DATUM)
+
+
+def geodetic(datum: Datum, east_m: float, north_m: float, up_m: float) -> tuple[float, ...]:
+    """Latitude, longitude and height by PROJ."""
+    pipeline = (
+        f"+proj=pipeline +step +inv +proj=topocentric +lat_0={datum.lat_deg} "
+        f"+lon_0={datum.lon_deg} +h_0={datum.height_m} +ellps=WGS84 "
+        "+step +inv +proj=cart +ellps=WGS84"
+    )
+    lon, lat, height = pyproj.Transformer.from_pipeline(pipeline).transform(east_m, north_m, up_m)
+    return lat, lon, height

@@ -17,7 +17,6 @@ from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
-    from fieldgrid.geodesy import Datum
 
 _SESSION = "Session and map file"
 
@@ -130,7 +129,7 @@ def command(
                 out,
                 resolve(config, settings),
                 replace(drive.options(), poses=source),
-                datum=_datum(datum, datum_from),
+                datum=options.datum_or_from(datum, datum_from),
                 append=append,
                 overwrite=overwrite,
                 name=name,
@@ -225,18 +224,6 @@ def _repose(
 
 def _change(values: tuple[float, float] | None, decimals: int, unit: str) -> str:
     return "-" if values is None else f"{values[0]:.{decimals}f} / {values[1]:.{decimals}f} {unit}"
-
-
-def _datum(text: str | None, other: Path | None) -> Datum | None:
-    if text is not None and other is not None:
-        raise typer.BadParameter(
-            "--datum and --datum-from exclude each other", param_hint="--datum-from"
-        )
-    if other is None:
-        return options.datum(text)
-    from fieldgrid.mapfile import read_datum
-
-    return read_datum(other)
 
 
 def _report(report: SessionReport) -> None:

@@ -1,4 +1,4 @@
-"""`fieldgrid merge`: several maps of one datum as one, or a copy of one."""
+"""`fieldgrid merge`: several maps as one, or a copy of one, also in the plane of another datum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from fieldgrid.cli import options, output
 
 
 def command(
-    maps: Annotated[list[Path], typer.Argument(metavar="MAP.gpkg...", help="Maps of one datum.")],
+    maps: Annotated[
+        list[Path],
+        typer.Argument(metavar="MAP.gpkg...", help="Maps of one datum, or of any with --datum."),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="NEW.gpkg", help="The new map.")],
     cell: Annotated[
         float | None, typer.Option(metavar="M", help="Universal cell [default: the first map's].")
@@ -22,6 +25,17 @@ def command(
         typer.Option(
             metavar="centre|area", help="How values go to cells [default: as in the first map]."
         ),
+    ] = None,
+    datum: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON,HEIGHT",
+            help="Lay all maps into the plane of this datum [default: that which they have].",
+        ),
+    ] = None,
+    datum_from: Annotated[
+        Path | None,
+        typer.Option("--datum-from", metavar="MAP.gpkg", help="The same, as another map has it."),
     ] = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
@@ -33,6 +47,8 @@ def command(
         fieldgrid merge north.gpkg south.gpkg -o farm.gpkg
 
         fieldgrid merge vineyard.gpkg -o coarse.gpkg --cell 0.25
+
+        fieldgrid merge vineyard.gpkg -o there.gpkg --datum-from farm.gpkg
     """
     from fieldgrid.mapfile import merge_maps
     from fieldgrid.transfer import Transfer
@@ -42,7 +58,14 @@ def command(
             f"{transfer!r} is neither centre nor area", param_hint="--transfer"
         )
     rule = None if transfer is None else Transfer(transfer)
-    done = merge_maps(maps, out, cell_m=cell, transfer=rule, overwrite=overwrite)
+    done = merge_maps(
+        maps,
+        out,
+        cell_m=cell,
+        transfer=rule,
+        datum=options.datum_or_from(datum, datum_from),
+        overwrite=overwrite,
+    )
     if as_json:
         sessions = [{**asdict(one), "source": str(one.source)} for one in done]
         output.print_json({"map": str(out), "sessions": sessions})

@@ -127,6 +127,19 @@ def datum(text: str | None) -> Datum | None:
     return Datum(*numbers("--datum", text, ",", "LAT,LON,HEIGHT", "41.65,-4.72,787.4"))
 
 
+def datum_or_from(text: str | None, other: Path | None) -> Datum | None:
+    """A datum as text or as a map has it; None where neither is given."""
+    if text is not None and other is not None:
+        raise typer.BadParameter(
+            "--datum and --datum-from exclude each other", param_hint="--datum-from"
+        )
+    if other is None:
+        return datum(text)
+    from fieldgrid.mapfile import read_datum
+
+    return read_datum(other)
+
+
 def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
     """West, south, east, north in metres."""
     if values is None:

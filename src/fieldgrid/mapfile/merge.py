@@ -1,18 +1,31 @@
-"""Copying maps and bringing several of one datum together, as one new map."""
+"""Copying maps and bringing several together as one new map, in the plane of one datum."""
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from fieldgrid.errors import ConfigError, DatumError
+from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile.map_file import MapFile
+from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import SessionInfo
+from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.store import create_map, open_map
+from fieldgrid.mapfile.transform import Transform
 from fieldgrid.publish import refuse_input
+from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
+
+SAME_PLACE_M = 0.02
+"""What came from another plane is in the same place when it is as near."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +49,7 @@ def merge_maps(
     *,
     cell_m: float | None = None,
     transfer: Transfer | None = None,
+    datum: Datum | None = None,
     overwrite: bool = False,
 ) -> list[Merged]:
     """Make the map `out` of all active sessions and marks of some maps; with one, a copy.
@@ -44,8 +58,9 @@ def merge_maps(
     Sessions that are the same drive, bit for bit, are taken once; different ones of one name get
     the name of their file behind it. Marks that are alike are taken once, too. What was removed
     stays behind. The new map appears when it is complete; it cannot take the place of one of them.
-    Raises DatumError when the maps differ in their datum, ConfigError when they have one drive in
-    two places.
+    With a `datum` all maps are laid into its plane, as `Redatum` says, and may have datums of their
+    own. Raises DatumError when the maps differ in their datum, ConfigError when they have one drive
+    in two places.
     """
     paths = [Path(source) for source in sources]
     if not paths:
@@ -53,49 +68,121 @@ def merge_maps(
     refuse_input(Path(out), paths)
     with ExitStack() as opened:
         maps = [opened.enter_context(open_map(path)) for path in paths]
-        _check_datum(maps)
+        if datum is None:
+            _check_datum(maps)
         target = opened.enter_context(
             create_map(
                 out,
-                maps[0].datum,
+                datum or maps[0].datum,
                 cell_m=maps[0].cell_m if cell_m is None else cell_m,
                 transfer=transfer or maps[0].transfer,
                 overwrite=overwrite,
             )
         )
         merged: list[Merged] = []
-        taken: dict[str, str] = {}
+        taken: list[_Taken] = []
         for universal in maps:
             for info in universal.sessions():
                 if info.active:
                     merged.append(_take(universal, info, target, taken))
         if not merged:
             raise ConfigError(f"{paths[0]} has no session to copy; restore or add one first.")
-        # The same words of the same person at the same time are one mark.
-        marks = dict.fromkeys(mark._replace(id=0) for one in maps for mark in one.marks())
+        marks = _marks(maps, target.datum)
         if marks:
             target.add_marks(marks)
         return merged
 
 
-def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: dict[str, str]) -> Merged:
-    """Copy one session; `taken` has the names of the new map by digest."""
-    if info.digest in taken:
-        twin = taken[info.digest]
-        if target.transform(twin) != info.transform:
+def _marks(maps: Sequence[MapFile], datum: Datum) -> list[Mark]:
+    """The marks in the plane of a datum; the same words of the same person at the same time and
+    place are one."""
+    found: list[Mark] = []
+    alike: defaultdict[Mark, list[Mark]] = defaultdict(list)
+    for universal in maps:
+        moved = None if universal.has_datum(datum) else Redatum(universal.datum, datum)
+        # On the ground that was driven, not on the plane.
+        up_m = next((frame.driven.up_m for frame in universal.frames()), 0.0)
+        for mark in universal.marks():
+            if moved is not None:
+                east, north = np.transpose(mark.corners)
+                places = moved.places(east, north, np.full(len(east), np.nan_to_num(up_m)))[:2]
+                mark = mark._replace(corners=tuple(map(tuple, np.transpose(places).tolist())))
+            others = alike[mark._replace(id=0, corners=())]
+            if not any(_same_corners(mark, other) for other in others):
+                others.append(mark)
+                found.append(mark._replace(id=0))
+    return found
+
+
+def _same_corners(one: Mark, other: Mark) -> bool:
+    return len(one.corners) == len(other.corners) and bool(
+        np.hypot(*np.transpose(np.subtract(one.corners, other.corners))).max() <= SAME_PLACE_M
+    )
+
+
+class _Taken(NamedTuple):
+    """A session of the new map: its name and digests, of all evidence and of what its frames saw;
+    its transform, its first frame as driven, and whether it comes from another plane."""
+
+    name: str
+    digest: str
+    seen: str
+    transform: Transform
+    first: Pose | None
+    moved: bool
+
+    def is_drive(self, other: _Taken) -> bool:
+        """Whether the two are one drive. Those of two planes are when they saw the same from the
+        same place: the same images may have other poses."""
+        if self.digest == other.digest:
+            return True
+        comparable = (self.moved or other.moved) and self.seen == other.seen
+        return comparable and _apart_m(self.first, other.first) <= SAME_PLACE_M
+
+    def lies_with(self, other: _Taken) -> bool:
+        """Whether the transforms put the same drive into the same place."""
+        if self.transform == other.transform:
+            return True
+        if not (self.moved or other.moved) or self.first is None or other.first is None:
+            return False
+        placed = self.transform.pose(self.first), other.transform.pose(other.first)
+        return _apart_m(*placed) <= SAME_PLACE_M
+
+
+def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: list[_Taken]) -> Merged:
+    """Copy one session, unless it is among those of the new map."""
+    frames = list(universal.frames(info.name))
+    first = frames[0].driven if frames else None
+    metadata, moved = universal.metadata(info.name), None
+    if not universal.has_datum(target.datum):
+        moved = Redatum(universal.datum, target.datum)
+        if first is not None:
+            metadata = moved.metadata(metadata, first)
+            first = moved.pose(first)
+    seen = " ".join(f"{frame.pose.time_ns} {frame.cells_sha256}" for frame in frames)
+    name = _free_name(info.name, universal.path.stem, {one.name for one in taken})
+    new = _Taken(name, info.digest, seen, metadata.transform, first, moved is not None)
+    twin = next((one for one in taken if one.is_drive(new)), None)
+    if twin is not None:
+        if not twin.lies_with(new):
             raise ConfigError(
-                f"Session {info.name!r} of {universal.path} is the same drive as {twin!r}, which "
-                "comes from before it, but it lies in another place; shift one of them with "
+                f"Session {info.name!r} of {universal.path} is the same drive as {twin.name!r}, "
+                "which comes from before it, but it lies in another place; shift one of them with "
                 "`fieldgrid sessions --shift` to where the other is, or remove it, and merge again."
             )
-        return Merged(universal.path, info.name, twin, twin=twin)
-    name = _free_name(info.name, universal.path.stem, set(taken.values()))
-    metadata = universal.metadata(info.name)._replace(name=name)
-    with target.add_session_of(metadata) as session:
+        return Merged(universal.path, info.name, twin.name, twin=twin.name)
+    with target.add_session_of(metadata._replace(name=name)) as session:
         for frame in universal.frames(info.name, with_grid=True):
-            session.add_staged(frame.staged(), frame.driven, quality=frame.quality)
-    taken[info.digest] = name
+            driven = frame.driven if moved is None else moved.pose(frame.driven)
+            session.add_staged(frame.staged(), driven, quality=frame.quality)
+    taken.append(new)
     return Merged(universal.path, info.name, name)
+
+
+def _apart_m(one: Pose | None, other: Pose | None) -> float:
+    if one is None or other is None:
+        return math.inf
+    return math.hypot(one.east_m - other.east_m, one.north_m - other.north_m)
 
 
 def _free_name(name: str, stem: str, taken: set[str]) -> str:
@@ -115,6 +202,6 @@ def _check_datum(maps: Sequence[MapFile]) -> None:
         if not first.has_datum(other.datum):
             raise DatumError(
                 f"{other.path} has the datum {other.datum.described()} and {first.path} has "
-                f"{first.datum.described()}, so their cells do not coincide; build one of them "
-                f"again with --datum-from {first.path}."
+                f"{first.datum.described()}, so their cells do not coincide; bring them into "
+                f"one plane with --datum-from {first.path}."
             )
