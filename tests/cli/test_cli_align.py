@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from fieldgrid.mapfile import Transform, open_map
-from tests.align.field import Field, write_field
+from fieldgrid.rows import find_rows
+from fieldgrid.rows.report import block_quality
+from tests.align.field import SPACING_M, Field, write_field
 from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
 
@@ -77,6 +79,24 @@ def test_drives_are_moved_told_of_and_put_back(fieldgrid: Run, path: Path) -> No
     assert fieldgrid("align", path, "--undo").output() == "june, july: as before alignment\n"
     assert root(path) == before
     assert "No session of" in fieldgrid("align", path, "--undo").sentence()
+
+
+def test_rows_before_and_after_are_a_check_that_needs_no_truth(fieldgrid: Run, path: Path) -> None:
+    """Plants that two drives saw a metre apart stand in no rows."""
+    text = fieldgrid("align", path, "--dry-run", "--rows").output()
+    assert "no rows of plants before" in text
+    assert "after" not in text
+    found = json.loads(fieldgrid("align", path, "--rows", "--json").output())["rows"]
+    assert found["before"] == []
+    (after,) = found["after"]
+    with open_map(path) as universal:
+        (block,) = block_quality(find_rows(universal))
+    assert after["spacing_m"] == pytest.approx(block.spacing_m)
+    assert after["spacing_m"] == pytest.approx(SPACING_M, abs=0.35)
+    table = fieldgrid("align", path, "--dry-run", "--rows").output().splitlines()
+    header = next(k for k, line in enumerate(table) if line.startswith("rows "))
+    assert table[header].split()[:5] == ["rows", "block", "rows", "lanes", "heading"]
+    assert table[header + 1].split()[:4] == ["before", "B1", "2", "1"]
 
 
 def test_who_moves_and_who_holds(fieldgrid: Run, path: Path) -> None:

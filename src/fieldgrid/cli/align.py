@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output, progress
+from fieldgrid.cli.rows import BLOCK_COLUMNS, block_rows, blocks_as_dict
 
 if TYPE_CHECKING:
     from fieldgrid.align import DriveAlignment, MapAlignment, PairAlignment
     from fieldgrid.mapfile import Transform
+    from fieldgrid.rows import Planting
 
 
 _UNTOLD_M = 0.5
@@ -43,6 +45,12 @@ def command(
     undo: Annotated[
         bool, typer.Option("--undo", help="Put aligned sessions back where they were.")
     ] = False,
+    rows: Annotated[
+        bool,
+        typer.Option(
+            "--rows", help="Find rows before and after: a check that no receiver has a say in."
+        ),
+    ] = False,
     figure: options.Figure = None,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
@@ -59,6 +67,8 @@ def command(
 
         fieldgrid align vineyard.gpkg --session june-17 --to june-03
 
+        fieldgrid align vineyard.gpkg --rows
+
         fieldgrid align vineyard.gpkg --undo
     """
     if undo:
@@ -67,7 +77,9 @@ def command(
     options.check_figure(figure)
     from fieldgrid.align import align_map, undo_alignment
     from fieldgrid.mapfile import open_map
+    from fieldgrid.rows import find_rows
 
+    plantings: dict[str, Planting] = {}
     with open_map(map_, writable=not dry_run) as universal:
         if undo:
             names = undo_alignment(universal, session)
@@ -81,16 +93,29 @@ def command(
                 universal, session, to=to or (), datum_from=datum_from, reach_m=reach,
                 progress=show, jobs=jobs,
             )  # fmt: skip
+        if rows:
+            plantings["before" if found.transforms else "now"] = find_rows(universal)
         if not dry_run and found.transforms:
             universal.set_transforms(found.transforms)
+            if rows:
+                plantings["after"] = find_rows(universal)
     if figure is not None:
         from fieldgrid.figures import alignment_scores, save
 
         save(alignment_scores(found), figure)
     if as_json:
-        output.print_json(_as_dict(map_, found, applied=not dry_run))
+        value = _as_dict(map_, found, applied=not dry_run)
+        if rows:
+            value["rows"] = {when: blocks_as_dict(p) for when, p in plantings.items()}
+        output.print_json(value)
         return
     _print(found)
+    blocks = [(when, *row) for when, p in plantings.items() for row in block_rows(p)]
+    if blocks:
+        output.print_table(("rows", *BLOCK_COLUMNS), blocks)
+    for when, planting in plantings.items():
+        if not planting.rows:
+            output.print_line(f"no rows of plants {when}")
     if dry_run:
         output.print_line("nothing was changed (--dry-run)")
     if figure is not None:

@@ -123,8 +123,52 @@ def command(
             output.print_line(f"{written}")
 
 
+BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "its sd", "parallel to", "bend")
+
+
+def block_rows(planting: Planting) -> list[tuple[str, ...]]:
+    """What a table of blocks says of them: their rows as a check of quality."""
+    from fieldgrid.rows.report import block_quality
+
+    return [
+        (
+            b.id,
+            str(b.rows),
+            str(b.lanes),
+            _text(b.heading_deg, 1, "°"),
+            _text(q.spacing_m, 3, "m"),
+            _text(q.spacing_sd_m, 3, "m"),
+            _text(q.parallel_deg, 2, "°"),
+            _text(q.bend_m, 3, "m"),
+        )
+        for b, q in zip(planting.blocks, block_quality(planting), strict=True)
+    ]
+
+
+def blocks_as_dict(planting: Planting) -> list[dict[str, Any]]:
+    """The same as numbers."""
+    from fieldgrid.rows.report import block_quality
+
+    return [
+        {
+            **{name: getattr(block, name) for name in ("rows", "lanes")},
+            "heading_deg": output.known(block.heading_deg),
+            **{name: value if name == "block" else output.known(value) for name, value in quality},
+        }
+        for block, quality in zip(
+            planting.blocks,
+            (q._asdict().items() for q in block_quality(planting)),
+            strict=True,
+        )
+    ]
+
+
+def _text(value: float, digits: int, unit: str) -> str:
+    return output.number(output.known(value), digits, unit)
+
+
 def _print(planting: Planting) -> None:
-    from fieldgrid.rows.report import block_quality, row_quality
+    from fieldgrid.rows.report import row_quality
 
     if not planting.rows:
         output.print_line(
@@ -133,38 +177,20 @@ def _print(planting: Planting) -> None:
         )
         return
 
-    def text(value: float, digits: int, unit: str) -> str:
-        return output.number(output.known(value), digits, unit)
-
-    output.print_table(
-        ("block", "rows", "lanes", "heading", "spacing", "its sd", "parallel to", "bend"),
-        [
-            (
-                b.id,
-                str(b.rows),
-                str(b.lanes),
-                text(b.heading_deg, 1, "°"),
-                text(q.spacing_m, 3, "m"),
-                text(q.spacing_sd_m, 3, "m"),
-                text(q.parallel_deg, 2, "°"),
-                text(q.bend_m, 3, "m"),
-            )
-            for b, q in zip(planting.blocks, block_quality(planting), strict=True)
-        ],
-    )
+    output.print_table(BLOCK_COLUMNS, block_rows(planting))
     quality = {q.row: q for q in row_quality(planting)}
     output.print_table(
         ("row", "length", "sigma", "spacing", "half width", "sides", "bend", "turn", "gaps"),
         [
             (
                 r.id,
-                text(r.length_m, 1, "m"),
-                text(r.sigma_m, 3, "m"),
-                text(r.spacing_m, 2, "m"),
-                text(r.half_width_m, 2, "m"),
-                text(r.sides, 1, ""),
-                text(quality[r.id].bend_m, 3, "m"),
-                text(quality[r.id].turn_deg, 2, "°"),
+                _text(r.length_m, 1, "m"),
+                _text(r.sigma_m, 3, "m"),
+                _text(r.spacing_m, 2, "m"),
+                _text(r.half_width_m, 2, "m"),
+                _text(r.sides, 1, ""),
+                _text(quality[r.id].bend_m, 3, "m"),
+                _text(quality[r.id].turn_deg, 2, "°"),
                 str(sum(gap.row == r.id for gap in planting.gaps)),
             )
             for r in planting.rows
@@ -176,8 +202,8 @@ def _print(planting: Planting) -> None:
             (
                 lane.id,
                 " ".join(lane.rows),
-                text(lane.length_m, 1, "m"),
-                text(lane.free_width_m, 2, "m"),
+                _text(lane.length_m, 1, "m"),
+                _text(lane.free_width_m, 2, "m"),
                 output.percent(lane.known, 0),
                 "yes" if lane.driven else "no",
                 str(sum(o.lane == lane.id for o in planting.obstacles)),
