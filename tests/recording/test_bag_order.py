@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fieldgrid.errors import RecordingError
@@ -120,6 +120,8 @@ increasing = st.lists(st.integers(0, 2000), max_size=60, unique=True).map(
 )
 
 
+@example(times(0, 71, 80), times(0, 80, 81))
+@example(times(0, 80, 81), times(0, 71, 80))
 @given(increasing, increasing)
 def test_pairs_never_cross_and_are_within_the_tolerance(
     left: np.ndarray, right: np.ndarray

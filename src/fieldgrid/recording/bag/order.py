@@ -112,15 +112,12 @@ def pair(left_ns: Int64, right_ns: Int64) -> Paired:
     rest_left = np.setdiff1d(np.arange(len(left_ns)), left)
     rest_right = np.setdiff1d(np.arange(len(right_ns)), right)
     near = _nearest(left_ns[rest_left], right_ns[rest_right], _tolerance_ns(left_ns, right_ns))
-    left = np.concatenate([left, rest_left[near[0]]])
-    right = np.concatenate([right, rest_right[near[1]]])
-    order = np.argsort(left)
-    left, right = left[order], right[order]
-    # Two neighbours cannot cross: each would be the nearer one of the other's partner.
-    forward = np.ones(len(right), dtype=np.bool_)
-    if len(right):
-        forward[1:] = right[1:] > np.maximum.accumulate(right)[:-1]
-    left, right = left[forward], right[forward]
+    near_left, near_right = rest_left[near[0]], rest_right[near[1]]
+    # Of the rest, two pairs cannot cross: each would be the nearer one of the other's partner. One
+    # that crosses an equal pair is none.
+    ahead = np.searchsorted(left, near_left) == np.searchsorted(right, near_right)
+    left = np.sort(np.concatenate([left, near_left[ahead]]))
+    right = np.sort(np.concatenate([right, near_right[ahead]]))
     apart = np.abs(left_ns[left] - right_ns[right])
     return Paired(
         left,
