@@ -10,7 +10,7 @@ SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check docs page dist bench crash accuracy heading fuzz format lock clean
+.PHONY: help demo test long check docs page dist bench crash accuracy heading fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -23,6 +23,9 @@ demo: .venv/installed ## Map the example drive, draw the map and compare it with
 
 test: .venv/installed ## Run the tests
 	$(PY) -m pytest -n auto --dist worksteal
+
+long: .venv/installed ## Run the tests that take long: more cases, and real drives
+	$(PY) -m pytest -n auto --dist worksteal -m long
 
 check: .venv/installed ## Check style, types, and the code and commands in the documentation
 	$(BIN)/ruff check $(SOURCES)

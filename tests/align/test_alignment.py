@@ -173,7 +173,7 @@ def test_a_slip_by_one_row_is_never_believed_in_silence(
         assert np.hypot(*(off[1] - off[0])) < 0.5
 
 
-@pytest.mark.parametrize("sigma_m", [0.02, 0.35])
+@pytest.mark.parametrize("sigma_m", [0.02, pytest.param(0.35, marks=pytest.mark.long)])
 def test_a_receiver_that_states_too_little_is_told_by_what_was_seen(
     tmp_path: Path, sigma_m: float
 ) -> None:

@@ -154,6 +154,7 @@ def test_with_the_rough_log_every_frame_is_mapped_where_it_was(tmp_path: Path) -
     assert any("damaged sentences" in note for note in report.notes)
 
 
+@pytest.mark.long
 def test_with_the_rough_log_and_the_paper_s_heading_no_pose_is_silently_wrong(
     tmp_path: Path,
 ) -> None:
@@ -192,6 +193,7 @@ def shares(universal: MapFile, *bounds: float) -> tuple[float, float, float]:
     )
 
 
+@pytest.mark.long
 def test_a_real_drive_shows_the_parked_car_and_the_free_road(
     shared_data: SharedData, tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_swapped_sides_are_refused_and_named(
     assert sorted(tmp_path.iterdir()) == [drive]
 
 
+@pytest.mark.long
 def test_swapped_sides_of_a_kitti_drive_are_refused(
     shared_data: SharedData, tmp_path: Path
 ) -> None:

@@ -120,8 +120,14 @@ class LongDrive:
         self.close()
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 4])
-@pytest.mark.parametrize("odometry", [True, False])
+@pytest.mark.parametrize(
+    ("jobs", "odometry"),
+    [
+        pytest.param(n, follows, marks=() if follows == (n > 1) and n != 2 else pytest.mark.long)
+        for n in (1, 2, 4)
+        for follows in (True, False)
+    ],
+)
 def test_few_frames_are_in_memory_however_long_the_drive(
     jobs: int, odometry: bool, tmp_path: Path
 ) -> None:

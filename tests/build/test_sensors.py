@@ -85,7 +85,7 @@ def obstacles(out: Path) -> ObstacleScores:
         return evaluate(universal, read_truth(TWO_LANES / "truth")).groups[0].obstacles
 
 
-@pytest.mark.parametrize("kind", ["depth", "disparity"])
+@pytest.mark.parametrize("kind", ["depth", pytest.param("disparity", marks=pytest.mark.long)])
 def test_a_map_of_depths_is_that_of_the_pairs(
     kind: str, drives: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -501,7 +501,14 @@ LIMIT = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
 
 
 @pytest.mark.parametrize(
-    ("mode", "room"), [("new", 0), ("new", 60_000), ("new", 250_000), ("append", 0), ("append", 1)]
+    ("mode", "room"),
+    [
+        pytest.param("new", 0, marks=pytest.mark.long),
+        pytest.param("new", 60_000, marks=pytest.mark.long),
+        ("new", 250_000),
+        pytest.param("append", 0, marks=pytest.mark.long),
+        ("append", 1),
+    ],
 )
 def test_a_disk_with_too_little_room(
     mode: str,

@@ -154,7 +154,14 @@ def test_the_map_itself_is_safe(fieldgrid: Run, f_map: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x.tif", "x.png", "x.kmz"])
-@pytest.mark.parametrize("limit", [0, 500, 5_000, 100_000, 524_600, 600_000])
+@pytest.mark.parametrize(
+    "limit",
+    [
+        500,
+        524_600,
+        *(pytest.param(n, marks=pytest.mark.long) for n in (0, 5_000, 100_000, 600_000)),
+    ],
+)
 def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(
     name: str, limit: int, fieldgrid_process: Run, f_map: Path, tmp_path: Path
 ) -> None:

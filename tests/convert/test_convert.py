@@ -334,7 +334,14 @@ def content(path: Path) -> tuple[list[Any], Any]:
         return [universal.datum, *frames], inputs
 
 
-@pytest.mark.parametrize("settings_file", ["", DATUM, OFFSET], ids=["plain", "datum", "offset"])
+@pytest.mark.parametrize(
+    "settings_file",
+    [
+        pytest.param("", id="plain", marks=pytest.mark.long),
+        pytest.param(DATUM, id="datum"),
+        pytest.param(OFFSET, id="offset", marks=pytest.mark.long),
+    ],
+)
 def test_a_converted_drive_gives_the_map_of_the_original(
     settings_file: str, make_drive: MakeDrive, tmp_path: Path
 ) -> None:
@@ -391,7 +398,7 @@ def test_every_field_of_a_fix_comes_back(fixes: list[Fix]) -> None:
     "name",
     [
         "gnss/lawn_tractor_5hz",
-        "gnss/isoxml_harvester/csv",
+        pytest.param("gnss/isoxml_harvester/csv", marks=pytest.mark.long),
         "vineyard_two_lanes/gnss",
         "gnss/gpsd_corpus",
     ],

@@ -25,6 +25,7 @@ def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(tmp_path: 
     assert hit.total() == 12
 
 
+@pytest.mark.long
 def test_no_call_that_fails_or_is_the_last_tears_a_map() -> None:
     if shutil.which("cc") is None and shutil.which("gcc") is None:
         pytest.skip("there is no C compiler (cc) to make calls fail with")

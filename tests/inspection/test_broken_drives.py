@@ -93,6 +93,7 @@ def test_a_drive_none_of_whose_poses_is_good_enough(drive: Make) -> None:
     assert "images-without-fix" not in codes(found)
 
 
+@pytest.mark.long
 def test_kitti_is_sound_but_for_its_first_fixes(shared_data: Callable[[str], Path]) -> None:
     found = inspect_recording(shared_data("kitti_2011_09_30_drive_0020"))
     assert found.builds
@@ -108,7 +109,9 @@ def test_kitti_is_sound_but_for_its_first_fixes(shared_data: Callable[[str], Pat
 # --- clocks
 
 
-@pytest.mark.parametrize(("moved_s", "log"), [(-0.03, RTK), (0.03, SF1)])
+@pytest.mark.parametrize(
+    ("moved_s", "log"), [(-0.03, RTK), pytest.param(0.03, SF1, marks=pytest.mark.long)]
+)
 def test_thirty_milliseconds(drive: Make, moved_s: float, log: str) -> None:
     found = inspect_recording(drive(moved_s=moved_s, log=log))
     assert found.builds
@@ -138,7 +141,9 @@ def test_the_remedy_mends_it(drive: Make) -> None:
     assert found.declared_offset_s == -2.0
 
 
-@pytest.mark.parametrize(("moved_s", "gps"), [(-15.0, "fixes"), (18.0, "images")])
+@pytest.mark.parametrize(
+    ("moved_s", "gps"), [(-15.0, "fixes"), pytest.param(18.0, "images", marks=pytest.mark.long)]
+)
 def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
     found = inspect_recording(drive(moved_s=moved_s))
     assert not found.builds
@@ -148,6 +153,7 @@ def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
     assert f"--time-offset {-moved_s:.3f}" in remedy
 
 
+@pytest.mark.long
 def test_fixes_alone_in_gps_time(drive: Make) -> None:
     """The gyro shows that it is the fixes: moving the images would not mend it."""
     folder = drive()
@@ -208,7 +214,7 @@ def test_swapped_cameras(drive: Make) -> None:
     assert "exchange the two folders" in finding(found, "cameras-swapped")[1].lower()
 
 
-@pytest.mark.parametrize("baseline_m", [0.20, 0.17])
+@pytest.mark.parametrize("baseline_m", [0.20, pytest.param(0.17, marks=pytest.mark.long)])
 def test_a_wrong_baseline(drive: Make, baseline_m: float) -> None:
     folder = drive()
     change_calibration(folder, scaled_baseline(baseline_m / 0.18))
@@ -391,7 +397,16 @@ def test_an_absurd_height(drive: Make) -> None:
 # --- beside a build
 
 
-FAULTS = ["none", "swapped", "zone", "truncated", "height", "gps", "clock", "rows"]
+FAULTS = [
+    "none",
+    "swapped",
+    "zone",
+    "truncated",
+    "height",
+    "gps",
+    pytest.param("clock", marks=pytest.mark.long),
+    "rows",
+]
 ACCEPTED = {
     "clock": "clock-offset",
     "gps": "clock-offset",

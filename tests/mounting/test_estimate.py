@@ -42,7 +42,10 @@ def check(estimate: MountEstimate, mount: Mount) -> None:
         assert measured.sigma < most
 
 
-@pytest.mark.parametrize(("mount", "drive"), CASES)
+@pytest.mark.parametrize(
+    ("mount", "drive"),
+    [*CASES[:2], *(pytest.param(*case, marks=pytest.mark.long) for case in CASES[2:])],
+)
 def test_the_mount_of_a_rendered_drive_is_found(mount: Mount, drive: dict[str, float]) -> None:
     estimate = estimate_mount(rendered(mount, **drive))  # type: ignore[arg-type]
     check(estimate, mount)
@@ -147,6 +150,7 @@ def test_the_estimate_as_json(two_lanes: MountEstimate) -> None:
     assert stated["disagrees"] is False
 
 
+@pytest.mark.long
 def test_kitti_above_the_road(shared_data: Callable[[str], Path]) -> None:
     """The INS of the drive leans forward by 0.56° of the road, and the camera by 0.49° of the INS.
 

@@ -69,7 +69,7 @@ def test_a_scale_is_taken_out(commands: list[Command], size: float) -> None:
 
 @pytest.mark.parametrize("with_steps", [False, True])
 @pytest.mark.parametrize("size", [-1.0, 180.0 / np.pi, 0.3])
-@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, pytest.param(ROWS, marks=pytest.mark.long)])
 def test_a_gyro_with_wrong_axes_or_units_is_not_used(
     commands: list[Command], size: float, with_steps: bool
 ) -> None:

@@ -122,7 +122,10 @@ def test_every_container_tells_what_the_folder_tells(
             assert hashes == [[s.sha256() for s in f.sources] for f in folder.frames()]
 
 
-@pytest.mark.parametrize(("container", "compressed"), [("bag", True), ("mcap", False)])
+@pytest.mark.parametrize(
+    ("container", "compressed"),
+    [pytest.param("bag", True, marks=pytest.mark.long), ("mcap", False)],
+)
 def test_a_map_has_the_same_bits(
     container: Container, compressed: bool, drive: Path, tmp_path: Path
 ) -> None:
@@ -153,8 +156,14 @@ def test_all_frames_of_the_example_are_the_same_in_a_bag(tmp_path: Path) -> None
         assert all(same_images(recording, folder))
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.parametrize(
+    ("container", "compressed"),
+    [
+        pytest.param(c, packed, marks=() if (c, packed) == ("mcap", True) else pytest.mark.long)
+        for c in CONTAINERS
+        for packed in (False, True)
+    ],
+)
 def test_a_kitti_drive_with_covariances_is_that_of_a_table_with_sigmas(
     container: Container, compressed: bool, shared_data: SharedData, tmp_path: Path
 ) -> None:

@@ -146,7 +146,9 @@ def content(path: Path) -> tuple[list[Any], Any]:
         return frames, inputs
 
 
-@pytest.mark.parametrize("R_flu_imu", [FORWARD_LEFT_UP, AS_EUROC])
+@pytest.mark.parametrize(
+    "R_flu_imu", [pytest.param(FORWARD_LEFT_UP, marks=pytest.mark.long), AS_EUROC]
+)
 def test_the_same_drive_gives_the_same_bits(
     R_flu_imu: Float64, drive: Path, tmp_path: Path
 ) -> None:

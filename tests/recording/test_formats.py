@@ -225,7 +225,13 @@ def images_of(source: FrameSource, start: int, stop: int) -> list[tuple[str, byt
     ]
 
 
-@pytest.mark.parametrize("container", [None, *bags.CONTAINERS])
+@pytest.mark.parametrize(
+    "container",
+    [
+        None,
+        *(c if c == "mcap" else pytest.param(c, marks=pytest.mark.long) for c in bags.CONTAINERS),
+    ],
+)
 def test_another_process_reads_its_share(
     container: bags.Container | None, make_drive: MakeDrive, tmp_path: Path
 ) -> None:

@@ -17,6 +17,7 @@ from tests.conftest import TWO_LANES
 SharedData = Callable[[str], Path]
 
 
+@pytest.mark.long
 def test_maps_of_raw_pairs_are_as_good_as_of_rectified_ones(shared_data: SharedData) -> None:
     shared_data("vineyard_two_lanes/raw_left")
     reference, scores = islice(compare(), 2)  # the third is for reading

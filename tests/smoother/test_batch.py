@@ -152,7 +152,7 @@ def test_a_forgotten_lever_is_seen_in_the_heading() -> None:
 
 
 @pytest.mark.parametrize("name", DRIVES)
-@pytest.mark.parametrize("noise_m", [0.02, 0.1])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.02, marks=pytest.mark.long), 0.1])
 def test_sigmas_are_honest(name: str, noise_m: float) -> None:
     drive = simulate(DRIVES[name], -60.0).every(0.2)
     inside, turned, moved = [], [], []
@@ -555,7 +555,7 @@ def test_a_long_drive_is_known_by_some_stretches() -> None:
     assert error.max() < 4.0
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("gyro", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_long_way_without_a_fix_can_be_solved(gyro: bool) -> None:
     """Also when one of the stretches that stand for the drive has none."""
     drive = simulate(LONG, 10.0, speed_mps=1.5).every(0.2)
