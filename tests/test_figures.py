@@ -21,6 +21,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.patches import Polygon
 from matplotlib.quiver import Quiver
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -31,7 +32,7 @@ from fieldgrid.figures.relief import contour_levels, hillshade
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import FrameRecord, MapView, open_map
+from fieldgrid.mapfile import FrameRecord, MapView, Mark, MarkKind, open_map
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
 DATUM = Datum(41.65, -4.72, 787.4)
@@ -162,6 +163,24 @@ def test_unseen_is_tinted_and_free_is_pale(tmp_path: Path) -> None:
         palette.rgb(palette.DENSITY[0].colour)
     }
     assert max(UNSEEN_RGB) - min(UNSEEN_RGB) > 15  # a tint, no grey: no density looks like it
+
+
+def test_marks_are_drawn_with_their_names_and_a_legend() -> None:
+    corners = ((5.0, 0.0), (7.0, 0.0), (7.0, 2.0))
+    marks = (
+        Mark(MarkKind.KEEPOUT, corners, "pond"),
+        Mark(MarkKind.PLACE, ((10.0, 1.0),), "gate"),
+        Mark(MarkKind.FREE, ((40.0, 1.0), (45.0, 1.0), (45.0, 9.0)), "of another field"),
+    )
+    axes = figures.universal_grid(dataclasses.replace(view(), marks=marks)).axes[0]
+    (outline,) = (patch for patch in axes.patches if isinstance(patch, Polygon))
+    assert outline.get_xy()[:3].tolist() == [list(corner) for corner in corners]
+    assert outline.get_edgecolor()[:3] == matplotlib.colors.to_rgb(palette.MARKS["keepout"])
+    assert {text.get_text() for text in axes.texts} >= {"pond", "gate"}
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["keep out", "place"]
+    assert axes.get_xlim() == pytest.approx((4.0, 12.0))
 
 
 def test_the_image_lies_at_its_bounds() -> None:

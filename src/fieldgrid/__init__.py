@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.inspection import inspect_recording
     from fieldgrid.lattice import Bounds
-    from fieldgrid.mapfile import merge_maps, open_map
+    from fieldgrid.mapfile import Mark, MarkKind, merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
     from fieldgrid.recording import DriveOptions, open_drive, open_recording
     from fieldgrid.route import Route, Vehicle, plan_route, read_vehicle
@@ -53,6 +53,8 @@ _HOMES = {
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
+    "Mark": "mapfile",
+    "MarkKind": "mapfile",
     "Planting": "rows",
     "Pose": "trajectory",
     "Route": "route",
@@ -99,6 +101,8 @@ __all__ = [
     "FieldgridError",
     "GridSpec",
     "LocalGrid",
+    "Mark",
+    "MarkKind",
     "Planting",
     "Pose",
     "Route",

@@ -15,12 +15,12 @@ from fieldgrid.array_types import Float64
 from fieldgrid.coverage import Coverage, coverage_in_view
 from fieldgrid.coverage.passes import drive_lane
 from fieldgrid.errors import ConfigError, NoRouteError
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import MapView, Mark, MarkKind
 from fieldgrid.polyline import project
 from fieldgrid.route import Vehicle
 from fieldgrid.route.plan import searcher_of
 from fieldgrid.rows import Lane, Planting
-from tests.route.test_plan import DATUM, SMALL, assert_holds, at, field
+from tests.route.test_plan import DATUM, SMALL, assert_holds, at, field, footprints
 
 FORWARD = Vehicle(0.8, 0.4, 0.6, turning_radius_m=1.0, reverse=False, clearance_m=0.1)
 
@@ -110,6 +110,18 @@ def test_a_lane_that_is_blocked_is_left_out_with_the_place() -> None:
     assert (left_out.east_m, left_out.north_m) == pytest.approx(at(8.9, 11.2), abs=1.1)
     with pytest.raises(NoRouteError, match="None of 1 lanes can be covered; of B1-L2"):
         coverage_in_view(view, planting, SMALL, lanes=["B1-L2"])
+
+
+def test_a_lane_with_a_keep_out_across_it_is_left_out_and_none_is_entered() -> None:
+    view, planting = planted()
+    corners = tuple(at(*place) for place in ((7.8, 10.0), (10.0, 10.0), (10.0, 11.0), (7.8, 11.0)))
+    pond = Mark(MarkKind.KEEPOUT, corners)
+    view = replace(view, marks=(pond,))
+    coverage = coverage_in_view(view, planting, SMALL)
+    (left,) = coverage.left_out
+    assert left.lane == "B1-L2"
+    assert "a keep-out mark" in left.reason
+    assert not shapely.intersects(footprints(coverage.route), pond.geometry).any()
 
 
 def test_things_on_either_side_are_passed_inside_the_lane() -> None:

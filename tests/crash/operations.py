@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.mapfile import create_map, merge_maps, open_map
+from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
 from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_session
 
 State = dict[str, tuple[bool, float, float]]
@@ -84,6 +84,19 @@ def shift(name: str, east_m: float) -> Step:
     return Step(f"shift {name}", run, lambda s: {**s, name: (*s[name][:2], east_m)})
 
 
+def mark(east_m: float) -> Step:
+    """A mark, and as many taken out or put back; the sessions are not changed."""
+
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            corners = ((east_m, 0.0), (east_m + 1.0, 0.0), (east_m, 1.0))
+            (number,) = universal.add_marks([Mark(MarkKind.KEEPOUT, corners, "pond")])
+            universal.remove_marks([number])
+            universal.restore_marks([number])
+
+    return Step("mark", run, lambda state: state)
+
+
 def repair() -> Step:
     def run(path: Path) -> None:
         with open_map(path, writable=True) as universal:
@@ -116,6 +129,7 @@ def random_step(random: np.random.Generator, state: State, number: int) -> Step:
         add(f"s{number}", heading_deg, int(random.integers(1, 9))),
         repose(str(random.choice(sorted(state))), heading_deg),
         shift(str(random.choice(sorted(state))), round(heading_deg / 100.0, 2)),
+        mark(heading_deg),
         repair(),
     ]
     if len(active) > 1:

@@ -134,7 +134,9 @@ def test_cells_of_no_whole_multiple_are_the_worst_of_all_that_they_touch(field: 
         coarse = universal.read(cell_m=0.27, layers=DECISION_LAYERS)
         base = universal.read()
     found, fine = coarse.decision(), base.decision()
-    north, east = np.nonzero((base.marked.flags & (OBSTACLE | KEEPOUT)) > 0)
+    north, east = np.nonzero(
+        marked_cells(base.marks, base.lattice, base.window) & (OBSTACLE | KEEPOUT)
+    )
     easts, norths = base.lattice.centres(base.window)
     i, j = coarse.lattice.index(easts[east], norths[north])
     at = j - coarse.window.j0, i - coarse.window.i0

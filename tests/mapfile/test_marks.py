@@ -104,6 +104,16 @@ def test_a_map_that_never_had_a_mark_has_no_table_for_them(field: Path) -> None:
         assert universal.verify().sound
 
 
+def test_a_map_of_format_2_is_upgraded_by_its_first_mark(tmp_path: Path) -> None:
+    old = Path(shutil.copy(Path(__file__).with_name("format2.gpkg"), tmp_path / "old.gpkg"))
+    with open_map(old) as universal:
+        assert universal.marks() == ()
+    add(old, POND)
+    with open_map(old) as universal:
+        assert [mark.name for mark in universal.marks()] == ["pond"]
+        assert universal.verify().sound
+
+
 def test_marks_of_several_maps_go_along_once(field: Path, tmp_path: Path) -> None:
     add(field, POND, GATE)
     other = write_map(tmp_path / "other.gpkg", [drive(2, heading_deg=10.0)])

@@ -46,7 +46,7 @@ def read_blocks(evidence: Evidence, header: Header, request: Request) -> Blocks:
     return Blocks(
         request.lattice,
         window,
-        (view for view in views if view.marked is not None or view.observed.any()),
+        (view for view in views if view.observed.any() or view.is_marked),
     )
 
 

@@ -38,7 +38,7 @@ class Decision(NamedTuple):
 
     worst: UInt8
     seen: Float32
-    keepout: Bool | None
+    keepout: Bool | None = None
 
 
 class Partly(NamedTuple):
@@ -55,7 +55,7 @@ class MarkedCells(NamedTuple):
     """The flags of a view's cells, `FREE` only where all of a cell is, and those partly free."""
 
     flags: UInt8
-    partly: tuple[Partly, ...]
+    partly: tuple[Partly, ...] = ()
 
     def decide(self, layer: str, worst: UInt8, seen: Float32) -> Decision:
         """What the drives saw, with what people said put in its place."""

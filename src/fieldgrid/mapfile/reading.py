@@ -76,15 +76,17 @@ class Request(NamedTuple):
 
 def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
     """The view, with the marks that are in force."""
-    view = _read(evidence, header, request)
     marks = read_marks(evidence.connection)
+    view = replace(_read(evidence, header, request), marks=marks)
+    if view.is_base or "seen_share" not in request.layers:
+        return view  # which decides nothing, or by its own cells
     windows = []
     for mark in deciding(marks):
         touched = header.lattice.bounds(cells_under(mark, header.lattice))
         if part := request.lattice.window(touched).intersect(request.window):
             windows.append(part)
     if not windows:
-        return replace(view, marks=marks)
+        return view
     by = enlarged((), header.lattice, request.lattice)
     flags, partly = np.zeros(request.window.shape, np.uint8), []
     for chunk in chunks(reduce(Window.union, windows), by.factor):
@@ -95,9 +97,9 @@ def read_view(evidence: Evidence, header: Header, request: Request) -> MapView:
         free = (base & FREE) > 0
         some, rest = (by.highest(one.view(np.uint8), chunk) > 0 for one in (free, ~free))
         found[some & ~rest] |= np.uint8(FREE)
-        if (some & rest).any() and "seen_share" in request.layers:
+        if (some & rest).any():
             partly.append(_partly_free(evidence, header, request, chunk, some & rest))
-    return replace(view, marks=marks, marked=MarkedCells(flags, tuple(partly)))
+    return replace(view, marked=MarkedCells(flags, tuple(partly)))
 
 
 def _partly_free(

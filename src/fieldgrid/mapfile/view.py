@@ -15,7 +15,13 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window, squares
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile.dataset import cf_dataset
-from fieldgrid.mapfile.decision import Decision, MarkedCells
+from fieldgrid.mapfile.decision import (
+    Decision,
+    MarkedCells,
+    cells_under,
+    deciding,
+    marked_cells,
+)
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.transfer import PaperFold, footprint
@@ -37,7 +43,7 @@ class MapView:
     0 with `observed` is free ground; without, nothing is known of the cell. `layers` has what
     else was asked for, by name, in arrays of the same shape. `is_base` when the cells are the
     map's own. All of these are what drives saw; `marks` are what people said of the map, and
-    `decision` is what follows from both.
+    `decision` is what follows from both. `marked` are larger cells that were read to decide.
     """
 
     lattice: Lattice
@@ -98,10 +104,17 @@ class MapView:
     def decision(self, layer: str = "density") -> Decision:
         """What the cells count as for a planner, with the marks; `layer` is one of densities. Where
         cells are larger than the map's own it needs `DECISION_LAYERS`."""
-        worst, seen = self.worst(layer), self.seen_share
-        if self.marked is None:
-            return Decision(worst, seen, None)
-        return self.marked.decide(layer, worst, seen)
+        worst, seen, marked = self.worst(layer), self.seen_share, self.marked
+        if self.is_base and self.is_marked:
+            marked = MarkedCells(marked_cells(self.marks, self.lattice, self.window))
+        return Decision(worst, seen) if marked is None else marked.decide(layer, worst, seen)
+
+    @property
+    def is_marked(self) -> bool:
+        """Whether a mark changes what any of the cells counts as."""
+        return any(
+            cells_under(mark, self.lattice).intersect(self.window) for mark in deciding(self.marks)
+        )
 
     def to_xarray(self) -> Any:
         """The view as an `xarray.Dataset` over `north_m` and `east_m`, the cells' centres.

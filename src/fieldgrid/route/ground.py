@@ -22,11 +22,14 @@ MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
 _BLOCK_ROWS = 256
+KEEPOUT_MARK = "a keep-out mark"
+"""What blocks a cell, in words."""
+
 _NAMES = {
     OBSTACLE: "an obstacle",
     UNSEEN: "ground that was not seen",
     BEYOND: "the side of the lane",
-    KEEPOUT: "a keep-out mark",
+    KEEPOUT: KEEPOUT_MARK,
 }
 
 

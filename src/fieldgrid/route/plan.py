@@ -17,7 +17,7 @@ from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
-from fieldgrid.route.ground import Ground
+from fieldgrid.route.ground import KEEPOUT_MARK, Ground
 from fieldgrid.route.path import Path
 from fieldgrid.route.search import MAX_STATES, Pose, Searcher
 from fieldgrid.route.vehicle import Vehicle
@@ -39,6 +39,9 @@ REMEDY = (
     "give other places or a smaller vehicle, or where the ground is known to be free, "
     "--allow-unknown"
 )
+
+
+_MARK_REMEDY = "give other places, or take the mark out with `fieldgrid mark --remove`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,10 +196,11 @@ def find_way(
     if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
         x, y = searcher.bottleneck(starts[0], goals[0])
         east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
+        stopped_by = ground.what_is_at(east, north)
         raise NoRouteError(
             f"There is no way {what} for a vehicle {vehicle.width_m:g} m wide, "
-            f"which is stopped by {ground.what_is_at(east, north)}",
-            east, north, REMEDY,
+            f"which is stopped by {stopped_by}",
+            east, north, REMEDY if stopped_by != KEEPOUT_MARK else _MARK_REMEDY,
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
