@@ -43,9 +43,15 @@ def command(
     kind: Annotated[
         str | None, typer.Option(metavar=_KINDS, help="What it says.", rich_help_panel=_ADD)
     ] = None,
-    name: Annotated[str, typer.Option(help="What it is called.", rich_help_panel=_ADD)] = "",
-    note: Annotated[str, typer.Option(help="Why it is there.", rich_help_panel=_ADD)] = "",
-    author: Annotated[str, typer.Option(help="Who says so.", rich_help_panel=_ADD)] = "",
+    name: Annotated[
+        str, typer.Option(metavar="TEXT", help="What it is called.", rich_help_panel=_ADD)
+    ] = "",
+    note: Annotated[
+        str, typer.Option(metavar="TEXT", help="Why it is there.", rich_help_panel=_ADD)
+    ] = "",
+    author: Annotated[
+        str, typer.Option(metavar="TEXT", help="Who says so.", rich_help_panel=_ADD)
+    ] = "",
     remove: Annotated[
         list[int] | None,
         typer.Option(metavar="ID", help="Take a mark out; it is kept.", rich_help_panel=_UNDO),
