@@ -175,6 +175,15 @@ def test_the_list_of_a_receiver(path: Path, tmp_path: Path) -> None:
         ("s.csv", "kind,east_m,north_m,radius_m\npost,0,0,-1\n", "a radius_m of -1 cannot be"),
         ("s.csv", "kind,wkt_m\npost,POINT (nan 0)\n", "has no place"),
         ("s.csv", "kind,wkt_m\npost,PONT (0 0)\n", "cannot be read"),
+        ("s.csv", "", "columns none, and no position"),
+        ("s.csv", "lat,lon\n" + "9" * 200_000 + ",7\n", "no CSV after line 1"),
+        ("s.csv", "lat,lon\n1\n", "line 2 has no position"),
+        ("s.csv", "lat,lon\n\n41.6,7\n41.6,\n", "line 4 has no position"),
+        ("s.csv", "kind,wkt_m,radius_m\npost,POINT (0 0),x\n", "a radius_m of x cannot be"),
+        ("s.geojson", '{"features": [{"geometry": {"type": "Point"}}]}', "no GeoJSON"),
+        ("s.geojson", '{"features": [{"geometry": null}]}', "no GeoJSON"),
+        ("s.geojson", '{"features": null}', "no GeoJSON"),
+        ("s.geojson", '{"features": []}', "no post, row or obstacle"),
         ("s.geojson", "[]", "no GeoJSON FeatureCollection"),
         ("s.geojson", "{", "no GeoJSON FeatureCollection"),
     ],
@@ -184,6 +193,23 @@ def test_bad_surveys(path: Path, tmp_path: Path, name: str, text: str, says: str
     with pytest.raises(TruthError, match=says) as caught:
         read_survey(tmp_path / name, DATUM)
     assert str(tmp_path / name) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["metres.csv", "degrees.csv", "posts.geojson"])
+def test_points_are_read_from_csv_and_geojson(name: str, tmp_path: Path) -> None:
+    posts = np.array([[0.0, 0.0], [12.5, -40.0], [-300.0, 7.25]])
+    lat, lon, _ = DATUM.to_geodetic(posts[:, 0], posts[:, 1], np.zeros(len(posts)))
+    path = tmp_path / name
+    if name == "metres.csv":
+        path.write_text("east_m,north_m\n" + "".join(f"{e},{n}\n" for e, n in posts.tolist()))
+    elif name == "degrees.csv":
+        rows = "".join(f"p,{a:.10f},{b:.10f}\n" for a, b in zip(lat, lon, strict=True))
+        path.write_text("Vine ID,Lat [deg],Longitude\n" + rows, encoding="utf-8-sig")
+    else:
+        points = [{"type": "Point", "coordinates": [b, a]} for a, b in zip(lat, lon, strict=True)]
+        features = [{"type": "Feature", "properties": {}, "geometry": p} for p in points]
+        path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert np.abs(read_survey(path, DATUM).points_m - posts).max() < 0.001
 
 
 def test_a_survey_in_metres_is_no_geojson(tmp_path: Path) -> None:

@@ -67,12 +67,13 @@ def command(
 
         fieldgrid rows orchard.gpkg --crop orchard --truth trees.csv
     """
+    from fieldgrid.evaluation import read_survey
     from fieldgrid.mapfile import open_map
     from fieldgrid.publish import refuse_input
     from fieldgrid.rows import crop_named, find_rows
     from fieldgrid.rows.agopengps import write_agopengps
     from fieldgrid.rows.output import write_planting
-    from fieldgrid.rows.report import against_survey, read_survey
+    from fieldgrid.rows.report import against_survey
 
     if out is not None:
         refuse_input(out, [map_, *([truth] if truth else [])])
@@ -86,7 +87,7 @@ def command(
         half_width_m=half_width,
     )
     with open_map(map_) as universal:
-        survey = read_survey(truth, universal.datum) if truth else None
+        survey = read_survey(truth, universal.datum).points_m if truth else None
         planting = find_rows(
             universal,
             crop=planted,

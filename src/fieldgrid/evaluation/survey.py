@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,9 +30,11 @@ ROW, AREA = "row", "area"
 MOST_BYTES = 200_000_000
 MOST_FEATURES = 1_000_000
 
-_LATITUDE = ("lat_deg", "lat", "latitude")
-_LONGITUDE = ("lon_deg", "lon", "long", "lng", "longitude")
-_EAST, _NORTH = ("east_m", "east"), ("north_m", "north")
+_LATITUDE = ("latdeg", "lat", "latitude")
+_LONGITUDE = ("londeg", "lon", "long", "lng", "longitude")
+_EAST, _NORTH = ("eastm", "east"), ("northm", "north")
+"""Columns by the letters of their names alone: "Lat [deg]" is one."""
+
 _RADIUS = "radius_m"
 
 
@@ -49,6 +53,12 @@ class Survey(NamedTuple):
 
     things: tuple[Surveyed, ...]
     area: Any | None
+
+    @property
+    def points_m(self) -> Float64:
+        """The points, and the corners of the lines and polygons [n, 2], metres east and north."""
+        found: Float64 = shapely.get_coordinates([thing.shape for thing in self.things])
+        return found
 
 
 def read_survey(path: str | Path, datum: Datum) -> Survey:
@@ -119,7 +129,7 @@ def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
                     f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no "
                     "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
-            yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties))
+            yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS)))
     except (TypeError, KeyError, ValueError, AttributeError, RecursionError) as error:
         raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
     except shapely.errors.ShapelyError as error:
@@ -135,9 +145,11 @@ def _in_plane(shape: Any, datum: Datum) -> Any:
     return shapely.transform(shapely.force_2d(shape), turned)
 
 
-def _radius_m(properties: Mapping[str, Any]) -> float:
-    given = properties.get(_RADIUS)
-    radius_m = 0.0 if given in (None, "") else float(given)
+def _radius_m(given: Any) -> float:
+    try:
+        radius_m = 0.0 if given in (None, "") else float(given)
+    except (TypeError, ValueError):
+        radius_m = math.nan
     if not 0.0 <= radius_m <= 100.0:  # not a number either
         raise _SurveyError(f"a {_RADIUS} of {given} cannot be; give metres, 0 to 100.")
     return radius_m
@@ -145,31 +157,31 @@ def _radius_m(properties: Mapping[str, Any]) -> float:
 
 def _csv(text: str, datum: Datum) -> Iterable[Surveyed]:
     reader = csv.DictReader(text.splitlines())
-    names = {name.strip().lower(): name for name in reader.fieldnames or () if name}
-    rows = list(reader)
-    if "wkt_m" in names:
-        columns: tuple[str, ...] = ("wkt_m",)
+    try:
+        names = {re.sub("[^a-z]", "", n.lower()): n for n in reader.fieldnames or () if n}
+        rows = [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise _SurveyError(f"it is no CSV after line {reader.line_num} ({error}).") from error
+    if "wktm" in names:
+        columns: tuple[str, ...] = ("wktm",)
     else:
         pairs = [_first(names, _LATITUDE), _first(names, _LONGITUDE)]
         if None in pairs:
             pairs = [_first(names, _EAST), _first(names, _NORTH)]
         if None in pairs:
             raise _SurveyError(
-                f"it has the columns {', '.join(names) or 'none'}, and no position; name them "
-                "lat_deg and lon_deg, or east_m and north_m."
+                f"it has the columns {', '.join(names.values())[:200] or 'none'}, and no position; "
+                "name them lat_deg and lon_deg, or east_m and north_m."
             )
         columns = tuple(str(name) for name in pairs)
     # A receiver's list has one more column: what the points are called, under what they are.
-    others = [name for name in names if name not in (*columns, "kind", "id", _RADIUS)]
+    others = [name for name in names if name not in (*columns, "kind", "id", "radiusm")]
     label = None if "kind" in names or "id" in names or len(others) != 1 else others[0]
     try:
         yield from _joined(
-            [
-                _point(number, row, names, columns, label, datum)
-                for number, row in enumerate(rows, 2)
-            ]
+            [_point(number, row, names, columns, label, datum) for number, row in rows]
         )
-    except (csv.Error, shapely.errors.ShapelyError) as error:
+    except shapely.errors.ShapelyError as error:
         raise _SurveyError(f"it cannot be read ({error}).") from error
 
 
@@ -188,8 +200,9 @@ def _point(
     cells = {name: (row.get(original) or "").strip() for name, original in names.items()}
     kind = (cells.get("kind") or label or "post").lower()
     name = cells.get("id") or (cells[label] if label else "") or str(number)
-    if columns == ("wkt_m",):
-        return Surveyed(kind, name, shapely.from_wkt(cells["wkt_m"]), _radius_m(cells))
+    radius_m = _radius_m(cells.get("radiusm"))
+    if columns == ("wktm",):
+        return Surveyed(kind, name, shapely.from_wkt(cells["wktm"]), radius_m)
     try:
         first, second = (float(cells[column]) for column in columns)
         if columns[0] in _LATITUDE:
@@ -198,7 +211,7 @@ def _point(
             shape = _in_plane(shapely.Point(second, first), datum)
         else:
             shape = shapely.Point(first, second)
-        return Surveyed(kind, name, shape, _radius_m(cells))
+        return Surveyed(kind, name, shape, radius_m)
     except ValueError as error:
         raise _SurveyError(f"line {number} has no position ({error}).") from error
 

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import math
-import re
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +9,9 @@ import shapely
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.geodesy import Datum
 from fieldgrid.polyline import lengths, project
 from fieldgrid.rows.result import Planting, Row
 
-MAX_SURVEY_BYTES = 50_000_000
 _NEAR_M = 1.0
 """A surveyed point belongs to a row that is at most so far beside it."""
 
@@ -142,97 +135,3 @@ def _nearest(tree: shapely.STRtree, points_m: Float64) -> list[int]:
     if not len(tree.geometries):
         raise ConfigError("No row was found, so there is nothing to compare with the survey.")
     return [int(k) for k in tree.nearest(shapely.points(points_m))]
-
-
-def read_survey(path: Path, datum: Datum) -> Float64:
-    """Surveyed points [n, 2] in the datum's plane, from a CSV with columns of latitude and
-    longitude (or east_m and north_m) or from a GeoJSON of points or lines in degrees.
-
-    Raises ConfigError for a file that is neither.
-    """
-    try:
-        if path.stat().st_size > MAX_SURVEY_BYTES:
-            raise ConfigError(f"{path} is over {MAX_SURVEY_BYTES // 10**6} MB; no survey is.")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"{path} cannot be read as a survey ({error}); check the file."
-        ) from error
-    if path.suffix.lower() in (".geojson", ".json"):
-        return _survey_geojson(path, text, datum)
-    return _survey_csv(path, text, datum)
-
-
-def _survey_geojson(path: Path, text: str, datum: Datum) -> Float64:
-    try:
-        features = json.loads(text)["features"]
-        shapes = [shapely.from_geojson(json.dumps(f["geometry"])) for f in features]
-        degrees = shapely.get_coordinates(shapes)
-    except (ValueError, KeyError, TypeError, RecursionError, shapely.GEOSException) as error:
-        raise ConfigError(
-            f"{path} is no GeoJSON of points or lines ({error}); give a FeatureCollection."
-        ) from error
-    return _plane(path, degrees[:, 1], degrees[:, 0], datum)
-
-
-def _survey_csv(path: Path, text: str, datum: Datum) -> Float64:
-    lines = csv.reader(text.splitlines())
-    try:
-        rows = [(lines.line_num, row) for row in lines if any(map(str.strip, row))]
-    except csv.Error as error:
-        raise ConfigError(
-            f"{path}, line {lines.line_num}, is no line of a CSV ({error}); check the file."
-        ) from error
-    if not rows:
-        raise ConfigError(f"{path} is empty; give a header and one point a row.")
-    names, points = rows[0][1], rows[1:]
-    header = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
-
-    def column(*names: str) -> int | None:
-        return next((header.index(name) for name in names if name in header), None)
-
-    lat, lon = column("latitude", "lat", "latdeg"), column("longitude", "long", "lon", "londeg")
-    east, north = column("eastm"), column("northm")
-    chosen = (lat, lon) if lat is not None and lon is not None else (east, north)
-    first, second = chosen
-    if first is None or second is None:
-        raise ConfigError(
-            f"{path} has the columns {', '.join(names)[:200]}; a survey needs latitude and "
-            "longitude, or east_m and north_m."
-        )
-    values = np.array(
-        [
-            [_number(path, line, row[k] if k < len(row) else "", names[k]) for k in (first, second)]
-            for line, row in points
-        ]
-    ).reshape(-1, 2)
-    if chosen == (east, north):
-        if not len(values):
-            raise ConfigError(f"{path} has no points; give one a row.")
-        return values
-    return _plane(path, values[:, 0], values[:, 1], datum)
-
-
-def _number(path: Path, line: int, text: str, column: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        given = f"{text[:40]!r}, which is no number" if text.strip() else "nothing"
-        raise ConfigError(
-            f"{path}, line {line}: {column} is {given}; give a number, with a point for decimals, "
-            "or take the line out."
-        )
-    return value
-
-
-def _plane(path: Path, lat_deg: Float64, lon_deg: Float64, datum: Datum) -> Float64:
-    if not len(lat_deg):
-        raise ConfigError(f"{path} has no points; give one a row.")
-    off = np.flatnonzero(~((np.abs(lat_deg) <= 90.0) & (np.abs(lon_deg) <= 180.0)))
-    if len(off):
-        at = f"latitude {lat_deg[off[0]]:g}, longitude {lon_deg[off[0]]:g}"
-        raise ConfigError(f"{path} has a point that is not on Earth ({at}); give degrees (WGS84).")
-    east, north, _ = datum.to_enu(lat_deg, lon_deg, datum.height_m)
-    return np.column_stack([east, north])
