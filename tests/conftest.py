@@ -63,27 +63,31 @@ def two_lanes_map(built_two_lanes: tuple[Path, SessionReport]) -> Path:
     return built_two_lanes[0]
 
 
+def make_small_drive(folder: Path, frames: Iterable[int]) -> Path:
+    """A small recording out of frames of the example; images are links, to be replaced."""
+    for side in ("left", "right", "gnss"):
+        (folder / side).mkdir(parents=True)
+    shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
+    shutil.copy(TWO_LANES / "session.json", folder)
+    shutil.copy(TWO_LANES / "gnss" / "gnss_rtk.nmea", folder / "gnss")
+    with (TWO_LANES / "frames.csv").open(newline="") as table:
+        rows = list(csv.DictReader(table))
+    kept = [rows[k] for k in frames]
+    with (folder / "frames.csv").open("w", newline="") as table:
+        writer = csv.DictWriter(table, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(kept)
+    for row in kept:
+        for side in ("left", "right"):
+            (folder / row[side]).symlink_to(TWO_LANES / row[side])
+    return folder
+
+
 @pytest.fixture
 def make_drive(tmp_path: Path) -> Callable[..., Path]:
     """Makes small recordings out of frames of the example; images are links, to be replaced."""
 
     def make(name: str = "drive", frames: Iterable[int] = range(3, 6)) -> Path:
-        folder = tmp_path / name
-        for side in ("left", "right", "gnss"):
-            (folder / side).mkdir(parents=True)
-        shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
-        shutil.copy(TWO_LANES / "session.json", folder)
-        shutil.copy(TWO_LANES / "gnss" / "gnss_rtk.nmea", folder / "gnss")
-        with (TWO_LANES / "frames.csv").open(newline="") as table:
-            rows = list(csv.DictReader(table))
-        kept = [rows[k] for k in frames]
-        with (folder / "frames.csv").open("w", newline="") as table:
-            writer = csv.DictWriter(table, rows[0].keys())
-            writer.writeheader()
-            writer.writerows(kept)
-        for row in kept:
-            for side in ("left", "right"):
-                (folder / row[side]).symlink_to(TWO_LANES / row[side])
-        return folder
+        return make_small_drive(tmp_path / name, frames)
 
     return make

@@ -243,6 +243,22 @@ def _hold(descriptor: int) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+@contextmanager
+def holding(file: Path) -> Iterator[bool]:
+    """Holds a file for this program in the block; False where another one does. The system lets go
+    of it when the program ends, however it does."""
+    descriptor = os.open(file, os.O_RDWR)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+        else:
+            yield True
+    finally:
+        os.close(descriptor)
+
+
 def _discard(draft: Path, held: list[int], owner: int) -> None:
     """Remove a draft that this process made: a copy of it by fork() ends without that."""
     if os.getpid() != owner:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.build import (
+    PartlyBuiltError,
     Progress,
     estimate_trajectory,
     local_grid,
@@ -194,15 +195,18 @@ def test_drives_without_a_datum_share_that_of_the_first(
         assert len(universal.sessions()) == 2
 
 
-def test_a_new_map_of_several_drives_needs_all_of_them(
+def test_with_fail_fast_a_new_map_of_several_drives_needs_all_of_them(
     make_drive: MakeDrive, tmp_path: Path
 ) -> None:
     first, second = make_drive("first", range(3, 6)), make_drive("second", range(5, 8))
     damage(second / "left" / "000007.jpg")
     (tmp_path / "out").mkdir()
     with pytest.raises(RecordingError, match="truncated"):
-        build([first, second], tmp_path / "out" / "m.gpkg")
-    assert list((tmp_path / "out").iterdir()) == []
+        build([first, second], tmp_path / "out" / "m.gpkg", fail_fast=True)
+    # What was staged of the whole drive is kept for --resume.
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.gpkg.parts"]
+    build([first, second], tmp_path / "out" / "m.gpkg", resume=True, skip_bad=1)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.gpkg"]
 
 
 def test_a_drive_that_fails_half_way_leaves_the_map_as_it_was(
@@ -230,8 +234,12 @@ def test_of_several_drives_appended_the_whole_ones_stay(
     build([make_drive("first")], out)
     second, third = make_drive("second", range(5, 8)), make_drive("third", range(8, 11))
     damage(third / "right" / "000010.jpg")
-    with pytest.raises(RecordingError, match="truncated"):
+    with pytest.raises(
+        PartlyBuiltError, match=r"1 of 2 .* in the map\. third: .*truncated"
+    ) as told:
         build([second, third], out, append=True)
+    assert [report.session for report in told.value.reports] == ["second"]
+    assert sorted(tmp_path.glob("m.gpkg*")) == [out]
     with open_map(out) as universal:
         assert [info.name for info in universal.sessions()] == ["first", "second"]
 

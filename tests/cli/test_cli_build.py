@@ -97,6 +97,45 @@ def test_json_is_one_object_and_nothing_else(
     assert first["heading_source"] == "smooth"
 
 
+def test_drives_that_fail_are_named_and_the_others_are_built(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path
+) -> None:
+    good, broken = make_drive("june-03"), make_drive("june-10", range(40, 43))
+    image = broken / "left" / "000041.jpg"
+    image.unlink()
+    image.write_bytes(b"no image")
+    result = fieldgrid("build", good, broken, "-o", out)
+    assert result.status == 1
+    assert "fieldgrid: 1 of 2 drives are in the map. june-10: " in result.err
+    assert "000041.jpg is no PNG" in result.err
+    table = re.findall(r"^june-\S+ +(?:in the map|failed) +\S.*$", result.out, re.MULTILINE)
+    assert [line.split() for line in table] == [
+        ["june-03", "in", "the", "map", "3", "of", "3", "0"],
+        ["june-10", "failed", "-", "-"],
+    ]
+    flags = "--overwrite", "--json", "--skip-bad", "40%"
+    result = fieldgrid("build", good, broken, "-o", out, *flags)
+    found = json.loads(result.output())
+    assert [session["session"] for session in found["sessions"]] == ["june-03", "june-10"]
+    assert [bad["frame_id"] for bad in found["sessions"][1]["bad"]] == ["000041"]
+    assert found["failed"] == []
+
+
+def test_waiting_for_another_writer_is_told(
+    fieldgrid: Run, make_drive: MakeDrive, existing: Path
+) -> None:
+    other = sqlite3.connect(existing, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    result = fieldgrid("build", make_drive(), "-o", existing, "--append", "--wait", 0.1)
+    other.close()
+    assert result.status == 1
+    told, refused = result.err.splitlines()
+    assert told == "fieldgrid: waiting for another program that writes m.gpkg, up to 0.1 s"
+    assert refused.endswith("the same command with --resume goes on from there.")
+    fieldgrid("build", make_drive("drive-2"), "-o", existing, "--append", "--no-resume").output()
+    assert [path.name for path in existing.parent.iterdir()] == ["m.gpkg"]
+
+
 def test_every_flag_reaches_the_map(fieldgrid: Run, make_drive: MakeDrive, out: Path) -> None:
     drive = make_drive(frames=range(3, 7))
     shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss")
@@ -602,6 +641,7 @@ def test_a_terminated_build_leaves_nothing(out: Path, make_drive: MakeDrive) -> 
         ("build DRIVE -o OUT --every 0", "Invalid value for '--every'"),
         ("build DRIVE -o OUT --every two", "Invalid value for '--every'"),
         ("build DRIVE -o OUT --jobs 0", "Invalid value for '--jobs'"),
+        ("build DRIVE -o OUT --skip-bad few", "'few' is neither a number of frames, as in 3, nor"),
         ("build DRIVE -o OUT --cell wide", "Invalid value for '--cell'"),
         ("build DRIVE -o OUT --grid 10", "value for --grid: '10' is not WxL, as in 10x15"),
         ("build DRIVE -o OUT --grid 1x5x2", "'1x5x2' is not WxL"),

@@ -1,16 +1,20 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one."""
 
+from fieldgrid.build.drives import build_map, check_output
 from fieldgrid.build.perception import Perceived, local_grid, perceive, visual_odometry
 from fieldgrid.build.poses import cell_budget, check_poses, estimate_drive, estimate_trajectory
-from fieldgrid.build.report import Progress, SessionReport, StageTimes
-from fieldgrid.build.session import (
-    add_recording,
-    build_map,
-    check_output,
-    session_config,
+from fieldgrid.build.report import (
+    BadFrame,
+    PartlyBuiltError,
+    Progress,
+    SessionReport,
+    StageTimes,
 )
+from fieldgrid.build.session import add_recording, session_config
 
 __all__ = [
+    "BadFrame",
+    "PartlyBuiltError",
     "Perceived",
     "Progress",
     "SessionReport",

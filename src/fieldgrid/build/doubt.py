@@ -14,7 +14,7 @@ import numpy as np
 from fieldgrid.build.poses import Doubted, no_ground
 from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import Doubt
-from fieldgrid.errors import CalibrationError, FieldgridError
+from fieldgrid.errors import CalibrationError, FieldgridError, RecordingError
 from fieldgrid.odometry import features
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Frame, Recording
@@ -133,10 +133,13 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
     camera = recording.rig.camera
     as_is, exchanged = [], []
     for frame in _probes(recording, frames, every):
-        left, right = frame.images()
+        try:
+            left, right = frame.images()
+        except RecordingError:  # it was left out of the drive, too
+            continue
         as_is.append(len(features(camera, left, right).blur_px))
         exchanged.append(len(features(camera, right, left).blur_px))
-    points = float(np.median(exchanged))
+    points = float(np.median(exchanged)) if exchanged else 0.0
     return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
 
 

@@ -62,11 +62,18 @@ def perceive(
     """
 
     def look(frame: Frame) -> Perceived:
-        time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
-        tilt = None if attitude is None else attitude.tilt_at(time_ns)
-        return frame.read(_Stages(frame, gridder, odometry, tilt))
+        return perceive_frame(frame, gridder, odometry=odometry, attitude=attitude)
 
     return side_by_side(look, frames, jobs)
+
+
+def perceive_frame(
+    frame: Frame, gridder: LocalGridder, *, odometry: bool, attitude: Attitude | None
+) -> Perceived:
+    """One frame, read and perceived here; RecordingError where it cannot be read."""
+    time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
+    tilt = None if attitude is None else attitude.tilt_at(time_ns)
+    return frame.read(_Stages(frame, gridder, odometry, tilt))
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -89,8 +96,10 @@ class CameraMotion:
         self.refusals: Counter[str] = Counter()
         self.distance_m = 0.0
 
-    def add(self, time_ns: int, seen: Features) -> None:
-        """The next frame, taken at `time_ns` by the receiver's clock."""
+    def add(self, time_ns: int, seen: Features) -> Step | Refusal | None:
+        """The next frame, taken at `time_ns` by the receiver's clock; returns the step to it from
+        the frame before, None for the first."""
+        found: Step | Refusal | None = None
         if self._last is not None:
             found = step(self._last, seen, self._rig)
             self._found.append(found)
@@ -100,6 +109,7 @@ class CameraMotion:
                 self.distance_m += math.hypot(found.forward_m, found.right_m)
         self._times_ns.append(time_ns)
         self._last = seen
+        return found
 
     @property
     def tried(self) -> int:

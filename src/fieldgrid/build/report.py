@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
+
+from fieldgrid.errors import FieldgridError
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +21,27 @@ class Progress:
     distance_m: float | None = None
 
 
+class PartlyBuiltError(FieldgridError):
+    """Some drives of a build are not in the map, or none is. `reports` are of those that are,
+    `failed` names the others, with the reason."""
+
+    def __init__(self, reports: Sequence[SessionReport], failed: Sequence[tuple[str, str]]) -> None:
+        self.reports, self.failed = tuple(reports), tuple(failed)
+        count = len(self.reports) + len(self.failed)
+        which = f"{len(self.reports)} of {count} drives are in the map"
+        if not reports:
+            which = f"None of {count} drives can be built"
+        reasons = " ".join(f"{name}: {reason}" for name, reason in self.failed)
+        super().__init__(f"{which}. {reasons}")
+
+
+class BadFrame(NamedTuple):
+    """A frame that could not be read, and why."""
+
+    frame_id: str
+    reason: str
+
+
 @dataclass(slots=True)
 class StageTimes:
     """Seconds of processor time by stage, summed over threads."""
@@ -28,6 +52,11 @@ class StageTimes:
     odometry_s: float = 0.0
     pose_s: float = 0.0
     map_s: float = 0.0
+
+    def add(self, other: StageTimes) -> None:
+        """Count those of another part of the work, too."""
+        for name in self.__slots__:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
 @dataclass(slots=True)
@@ -51,6 +80,7 @@ class SessionReport:
     heading_sigma_deg: float | None = None
     position_sigma_m: float | None = None
     max_range_m: float = 0.0
+    bad: tuple[BadFrame, ...] = ()
     notes: tuple[str, ...] = ()
     stages: StageTimes = field(default_factory=StageTimes)
 
@@ -65,6 +95,7 @@ class SessionReport:
             **asdict(self),
             "reasons": dict(self.reasons.most_common()),
             "camera_refusal_reasons": dict(self.camera_refusal_reasons.most_common()),
+            "bad": [bad._asdict() for bad in self.bad],
             "notes": list(self.notes),
             "frames_per_s": self.frames_per_s,
         }

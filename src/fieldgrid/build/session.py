@@ -1,4 +1,4 @@
-"""The main job, and the only wiring: recordings to a map, or to more sessions of one.
+"""A recording on its way into a map, as a session.
 
 Perception is heavy and needs no pose, so frames are matched in parallel; each gives a grid and
 the camera's motion since the one before. Pose needs the whole drive, that motion included, so
@@ -12,41 +12,40 @@ import os
 import time
 from array import array
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fieldgrid.attitude import Attitude
 from fieldgrid.build.doubt import camera_notes, doubted_cameras, doubted_rows, sensor_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
-from fieldgrid.build.perception import CameraMotion, follows_camera, perceive
+from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
-    check_images,
     check_poses,
     doubted_clock,
     estimate_drive,
-    estimate_trajectory,
     no_ground,
     none_usable,
     settle,
 )
-from fieldgrid.build.report import Progress, SessionReport
+from fieldgrid.build.report import BadFrame, Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
-from fieldgrid.errors import ConfigError
+from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
+from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import MapFile, Session, StageFile, create_map, open_map, stage
+from fieldgrid.mapfile import MapFile, Session, StageFile
 from fieldgrid.motion import Steps
 from fieldgrid.pose import GIVEN, tells_attitude
-from fieldgrid.publish import refuse_input
-from fieldgrid.recording import DriveOptions, Recording, open_drive
+from fieldgrid.recording import Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import check_cell_sizes
+
+BAD_KEPT = 1000
+"""Frames that could not be read which a session names; it counts all of them."""
 
 
 def add_recording(
@@ -69,47 +68,133 @@ def add_recording(
     """
     settings = settings or BuildSettings()
     started = time.perf_counter()
-    gridder = LocalGridder(recording.rig, settings.grid.spec(), settings.stereo, settings.density)
-    report = SessionReport(
-        session=recording.name if name is None else name,
-        max_range_m=gridder.max_range_m,
-        notes=(
-            *recording.losses,
-            *recording.notes,
-            *sensor_notes(recording, settings, gridder.max_range_m),
-        ),
-    )
-    # Before the first image is read: the map itself would ask after the last one.
-    check_cell_sizes(universal.cell_m, gridder.spec.cell_m)
-    check_names([report.session], [info.name for info in universal.sessions()])
-    report.notes += settle(doubted_rows(recording, every), settings)
-    with StageFile.temporary(universal.path) as staged:
-        look = trajectory is None and follows_camera(recording.rig, settings)
-        look = look and not recording.pose_name
-        attitude = None
-        if trajectory is None and tells_attitude(recording.motion()):
-            attitude = estimate_drive(recording, settings, universal.datum).report.attitude
-        perceiving = _Perceiving(
-            recording, gridder, attitude, every, jobs or os.cpu_count() or 1, progress
+    attitude = None
+    if trajectory is None and tells_attitude(recording.motion()):
+        attitude = estimate_drive(recording, settings, universal.datum).report.attitude
+    session = NewSession(recording, settings, trajectory, attitude, name, every)
+    session.check(universal)
+    with StageFile.temporary(universal.path) as file:
+        tell = Telling(session, progress)
+        staged = stage_all(session.work(), file, jobs or os.cpu_count() or 1, tell)
+        session.add(universal, staged)
+    session.report.wall_s = time.perf_counter() - started
+    return session.report
+
+
+class Telling:
+    """Tells the progress of a drive, frame by frame."""
+
+    def __init__(self, session: NewSession, progress: Callable[[Progress], None] | None) -> None:
+        self._progress = progress
+        self._name, self._total = session.name, session.total
+        self.done, self._distance_m = 0, 0.0 if session.odometry else None
+        self.now()
+
+    def __call__(self, moved_m: float, frames: int = 1) -> None:
+        """So many more frames are done, and the camera went so far."""
+        self.done += frames
+        if self._distance_m is not None:
+            self._distance_m += moved_m
+        self.now()
+
+    def now(self) -> None:
+        """How far the drive is."""
+        if self._progress is not None:
+            self._progress(Progress(self._name, self.done, self._total, self._distance_m))
+
+
+class NewSession:
+    """A recording on its way into a map, as a session of its own.
+
+    Its frames are staged by whoever likes (`work`), and then placed (`add`). Without a
+    `trajectory` it is estimated, of local grids that are levelled by the `attitude`.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: BuildSettings,
+        trajectory: Trajectory | None,
+        attitude: Attitude | None,
+        name: str | None,
+        every: int,
+        *,
+        skips_bad: bool = False,
+    ) -> None:
+        self.recording, self.settings = recording, settings
+        self.name = recording.name if name is None else name
+        self.total = len(range(0, recording.frame_count, every))
+        self.odometry = trajectory is None and follows_camera(recording.rig, settings)
+        self.odometry = self.odometry and not recording.pose_name
+        self._trajectory, self._attitude, self.every = trajectory, attitude, every
+        self._skips_bad = skips_bad
+        self._gridder = LocalGridder(
+            recording.rig, settings.grid.spec(), settings.stereo, settings.density
         )
-        steps = perceiving(staged, report, odometry=look)
+        self.report = SessionReport(
+            session=self.name,
+            max_range_m=self._gridder.max_range_m,
+            notes=(
+                *recording.losses,
+                *recording.notes,
+                *sensor_notes(recording, settings, self._gridder.max_range_m),
+            ),
+        )
+
+    def work(self, frames: Frames | None = None) -> DriveWork:
+        """What it takes to stage the frames, which are read from the recording itself unless
+        given."""
+        return DriveWork(
+            frames or self.recording,
+            self.total,
+            self._gridder,
+            self._attitude,
+            self.every,
+            self.odometry,
+            self._skips_bad,
+        )
+
+    def check(self, universal: MapFile) -> None:
+        """Raise before the drive is staged what the map would refuse at its end, and what some
+        of the frames show."""
+        check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
+        check_names([self.name], [info.name for info in universal.sessions()])
+        self.report.notes += settle(doubted_rows(self.recording, self.every), self.settings)
+
+    def add(self, universal: MapFile, staged: Staged) -> None:
+        """Add the session to the map, with the frames that were staged."""
+        recording, settings, report = self.recording, self.settings, self.report
+        report.stages.add(staged.times)
+        report.bad = tuple(staged.bad)
+        if not staged.entries:
+            raise RecordingError(
+                f"None of the {self.total} frames of {self.name} can be read. "
+                f"First: {staged.bad[0].reason}"
+            )
+        steps = None
+        if self.odometry:
+            steps, report.camera_refusal_reasons = staged.steps()
+            report.camera_steps = len(steps.start_ns)
+            report.camera_refusals = report.camera_refusal_reasons.total()
         found = sum(entry.ground_found for entry in staged.entries)
-        report.notes += settle(doubted_cameras(recording, report, found, every), settings)
+        report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
+        trajectory = self._trajectory
         if trajectory is None:
             trajectory = _estimated(recording, settings, universal.datum, steps, report)
         else:
             report.fixes, report.fixes_accepted = _fixes_in(recording, trajectory)
         report.heading_source = trajectory.heading_source
         with universal.add_session(
-            report.session,
+            self.name,
             trajectory=trajectory,
             config=session_config(
                 settings,
                 recording.rig,
-                gridder,
-                every,
-                level_grids=attitude is not None,
+                self._gridder,
+                self.every,
+                level_grids=self._attitude is not None,
                 poses=recording.pose_name if trajectory.heading_source == GIVEN else "",
+                bad=staged.bad,
             ),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
@@ -118,68 +203,7 @@ def add_recording(
             _place(staged, session, trajectory, recording.rig, report)
             report.notes += tuple(camera_notes(recording, report))
             placed = time.perf_counter()
-    report.stages.map_s += time.perf_counter() - placed
-    report.wall_s = time.perf_counter() - started
-    return report
-
-
-class _Perceiving(NamedTuple):
-    """The first half of a session: every frame to a grid, and its motion since the last one."""
-
-    recording: Recording
-    gridder: LocalGridder
-    attitude: Attitude | None
-    every: int
-    jobs: int
-    progress: Callable[[Progress], None] | None
-
-    def __call__(self, staged: StageFile, report: SessionReport, *, odometry: bool) -> Steps | None:
-        recording, stages = self.recording, report.stages
-        total = len(range(0, recording.frame_count, self.every))
-        frames = (frame for k, frame in enumerate(recording.frames()) if k % self.every == 0)
-        motion = CameraMotion(recording.rig) if odometry else None
-        self._tell(report.session, 0, total, motion)
-        perceived = perceive(
-            frames, self.gridder, self.jobs, odometry=odometry, attitude=self.attitude
-        )
-        # A traceback that somebody keeps would keep its threads.
-        with closing(perceived):
-            for seen in perceived:
-                start = time.thread_time()
-                frame = seen.frame
-                time_ns = frame.time_ns + recording.rig.image_time_offset_ns
-                names = tuple(source.name for source in frame.sources)
-                staged.append(
-                    stage(
-                        seen.grid,
-                        frame.frame_id,
-                        time_ns,
-                        images=names,
-                        images_sha256=seen.sources_sha256,
-                        ground_found=seen.ground.refined,
-                        channels=seen.ground.channels(),
-                    )
-                )
-                written = time.thread_time()
-                if motion is not None and seen.features is not None:
-                    motion.add(time_ns, seen.features)
-                stages.decode_s += seen.decode_s
-                stages.match_s += seen.match_s
-                stages.grid_s += seen.grid_s
-                stages.map_s += written - start
-                stages.odometry_s += seen.odometry_s + time.thread_time() - written
-                self._tell(report.session, len(staged), total, motion)
-        if motion is None:
-            return None
-        steps = motion.steps()
-        report.camera_steps, report.camera_refusals = len(steps.start_ns), motion.refusals.total()
-        report.camera_refusal_reasons = motion.refusals
-        return steps
-
-    def _tell(self, session: str, done: int, total: int, motion: CameraMotion | None) -> None:
-        if self.progress is not None:
-            distance_m = None if motion is None else motion.distance_m
-            self.progress(Progress(session, done, total, distance_m))
+        report.stages.map_s += time.perf_counter() - placed
 
 
 def _estimated(
@@ -209,7 +233,7 @@ def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
 
 
 def _place(
-    staged: StageFile, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+    staged: Staged, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
 ) -> None:
     """The second half: every staged frame meets its pose."""
     placed: Pose | None = None
@@ -219,7 +243,7 @@ def _place(
         pose = trajectory.at(entry.time_ns)
         if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        session.add_staged(staged, pose, k)
+        session.add_staged(staged.frames, pose, k)
         report.frames += 1
         report.ground_refined += entry.ground_found
         if pose.status is not Status.OK:
@@ -238,7 +262,7 @@ def _place(
     report.stages.map_s += time.thread_time() - start
 
 
-def _inputs(recording: Recording, steps: Steps | None, staged: StageFile) -> Inputs:
+def _inputs(recording: Recording, steps: Steps | None, staged: Staged) -> Inputs:
     motion = recording.motion()._replace(steps=steps)
     times_ns = np.array([entry.time_ns for entry in staged.entries], dtype=np.int64)
     found = np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_)
@@ -253,9 +277,11 @@ def session_config(
     *,
     level_grids: bool = False,
     poses: str = "",
+    bad: Sequence[BadFrame] = (),
 ) -> dict[str, Any]:
     """The resolved settings and the rig, as they are kept with the session; `level_grids` says
-    whether the columns of its local grids are vertical, `poses` what given poses are from."""
+    whether the columns of its local grids are vertical, `poses` what given poses are from, `bad`
+    which frames were left out since they cannot be read."""
     searched = isinstance(rig.sensor, StereoCamera)
     return {
         "settings": settings.model_dump(mode="json"),
@@ -265,6 +291,7 @@ def session_config(
         "every": every,
         "level_grids": level_grids,
         **({"poses": poses} if poses else {}),
+        **({"bad_frames": len(bad), "bad": [list(one) for one in bad[:BAD_KEPT]]} if bad else {}),
     }
 
 
@@ -288,89 +315,3 @@ def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
                 f"Two of the recordings are called {name!r}; build them one after the other, the "
                 "second with --append and a --name."
             )
-
-
-def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
-    """Raise before any work is done when the output cannot be what was asked for."""
-    if append and overwrite:
-        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
-    if append and not path.exists():
-        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
-
-
-def build_map(
-    paths: Sequence[str | Path],
-    out: str | Path,
-    settings: BuildSettings,
-    options: DriveOptions | None = None,
-    *,
-    datum: Datum | None = None,
-    append: bool = False,
-    overwrite: bool = False,
-    name: str | None = None,
-    every: int = 1,
-    jobs: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-) -> list[SessionReport]:
-    """Make the map `out` from recordings, a session each, or append them to it.
-
-    Each is opened with `options` as by `open_drive`.
-    What can be checked is checked before the first image is read. On any error a new map does
-    not come to be and an existing one stays as it was, but for the sessions already appended.
-    """
-    out = Path(out)
-    check_output(out, append=append, overwrite=overwrite)
-    if not append:
-        refuse_input(out, [Path(path) for path in paths])
-    with ExitStack() as open_things:
-        recordings = [
-            open_things.enter_context(open_drive(path, options)).recording() for path in paths
-        ]
-        if append:
-            with open_map(out) as existing:
-                datum = datum or existing.datum
-            universal = open_things.enter_context(
-                open_map(
-                    out, datum=datum, cell_m=settings.map.cell_m, transfer=settings.map.transfer
-                )
-            )
-        taken = [info.name for info in universal.sessions()] if append else []
-        check_names([name or recording.name for recording in recordings], taken)
-        datum = _checked(recordings, settings, datum)
-        if not append:
-            universal = open_things.enter_context(
-                create_map(
-                    out,
-                    datum,
-                    cell_m=settings.universal_cell_m,
-                    transfer=settings.map.transfer,
-                    overwrite=overwrite,
-                )
-            )
-        return [
-            add_recording(
-                universal,
-                recording,
-                None,
-                settings,
-                name=name,
-                every=every,
-                jobs=jobs,
-                progress=progress,
-            )
-            for recording in recordings
-        ]
-
-
-def _checked(
-    recordings: Sequence[Recording], settings: BuildSettings, datum: Datum | None
-) -> Datum:
-    """The datum of the map, after a look at what can be known before the first image is read."""
-    for recording in recordings:
-        trajectory = estimate_trajectory(recording, settings, datum)
-        datum = datum or trajectory.datum
-        check_images(recording, trajectory)
-        if recording.pose_name or not follows_camera(recording.rig, settings):
-            check_poses(recording, trajectory)
-    assert datum is not None  # there is at least one recording
-    return datum

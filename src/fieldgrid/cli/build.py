@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import re
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,9 +17,15 @@ from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
+<<<<<<< HEAD
     from fieldgrid.build import SessionReport
+=======
+    from fieldgrid.build import PartlyBuiltError, SessionReport
+    from fieldgrid.geodesy import Datum
+>>>>>>> f3bf8b5 (build of many recordings: processes, parts that are kept for --resume, bad frames left out up to a bound)
 
 _SESSION = "Session and map file"
+_BAD_SHOWN = 10
 
 
 def command(
@@ -84,8 +91,56 @@ def command(
             min=1, metavar="N", help="Take every N-th frame [default: 1].", show_default=False
         ),
     ] = 1,
+    resume: Annotated[
+        bool | None,
+        typer.Option(
+            "--resume/--no-resume",
+            help="Go on with what an ended build of the same command has staged, or remove it "
+            "[default: refuse where there is some].",
+            rich_help_panel=_SESSION,
+            show_default=False,
+        ),
+    ] = None,
+    skip_bad: Annotated[
+        str | None,
+        typer.Option(
+            "--skip-bad",
+            metavar="N|SHARE",
+            help="Leave out frames that cannot be read, of each drive up to so many, as in 3, or "
+            "up to a share, as in 2% [default: none].",
+            rich_help_panel=_SESSION,
+        ),
+    ] = None,
+    fail_fast: Annotated[
+        bool,
+        typer.Option(
+            "--fail-fast",
+            help="End at the first drive that fails; else it is left out and the others are built.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = False,
+    wait_s: Annotated[
+        float,
+        typer.Option(
+            "--wait",
+            min=0.0,
+            max=86_400.0,
+            metavar="S",
+            help="Seconds to wait for another writer of the map.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = 30.0,
     config: options.Config = None,
-    jobs: options.Jobs = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            min=1,
+            max=256,
+            metavar="N",
+            help="Processes, or threads for few frames [default: one a core].",
+        ),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Make a map from recordings (stereo pairs and GNSS), or append them to one.
@@ -101,6 +156,10 @@ def command(
         fieldgrid build orchard -o trees.gpkg --poses slam.tum --poses-axes rdf
 
         fieldgrid build june-24 -o vineyard.gpkg --append --align
+
+        fieldgrid build 2026-06-*/ -o season.gpkg --jobs 8 --skip-bad 2%
+
+        fieldgrid build 2026-06-*/ -o season.gpkg --jobs 8 --skip-bad 2% --resume
 
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
@@ -119,11 +178,14 @@ def command(
     source = poses.source()
     if source is not None and len(recordings) > 1:
         raise typer.BadParameter("poses are those of a single recording", param_hint="--poses")
-    from fieldgrid.build import build_map
+    from fieldgrid.build import PartlyBuiltError, build_map
+    from fieldgrid.build.parts import left_behind, parts_folder
+    from fieldgrid.mapfile import Patience
     from fieldgrid.settings import resolve
 
+    partly: PartlyBuiltError | None = None
     try:
-        with progress.building() as show:
+        with progress.building(out, wait_s) as tell:
             reports = build_map(
                 recordings,
                 out,
@@ -134,24 +196,77 @@ def command(
                 overwrite=overwrite,
                 name=name,
                 every=every,
-                jobs=jobs or os.cpu_count(),
-                progress=show,
+                jobs=jobs,
+                resume=resume,
+                skip_bad=_bad(skip_bad),
+                fail_fast=fail_fast,
+                patience=Patience(wait_s, tell.waiting),
+                progress=tell.show,
             )
     except KeyboardInterrupt:
-        typer.echo("fieldgrid: interrupted; the drive is not in the map.", err=True)
+        kept = ""
+        if left_behind(out):
+            kept = (
+                f" What was staged is kept in {parts_folder(out)}; the same command with --resume "
+                "goes on from there."
+            )
+        what = "drive is" if len(recordings) == 1 else "drives that were not finished are"
+        typer.echo(f"fieldgrid: interrupted; the {what} not in the map.{kept}", err=True)
         raise typer.Exit(130) from None
+    except PartlyBuiltError as problem:
+        partly, reports = problem, list(problem.reports)
+        if not reports:
+            raise
     lies = _compare(out, [report.session for report in reports], align, jobs)
     if as_json:
         sessions = [report.as_dict() for report in reports]
-        output.print_json({"map": str(out), "sessions": sessions, "alignment": lies})
+        failed = [] if partly is None else partly.failed
+        output.print_json(
+            {
+                "map": str(out),
+                "sessions": sessions,
+                "failed": [{"session": name, "reason": reason} for name, reason in failed],
+                "alignment": lies,
+            }
+        )
+        if partly is not None:
+            raise partly
         return
     for report in reports:
         _report(report)
+    if len(recordings) > 1:
+        _report_drives(reports, partly)
     for pair in lies:
         output.report_line(_said(pair, out))
     if align and not lies:
         output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
+    if partly is not None:
+        raise partly
+
+
+def _bad(text: str | None) -> int | float:
+    """How many frames may be bad: a number, or below 1 a share."""
+    if text is None:
+        return 0
+    match = re.fullmatch(r"(\d+)|(\d+(?:\.\d+)?)%|(0?\.\d+)", text.strip())
+    share = float(match[2]) / 100.0 if match and match[2] else None
+    if match is None or (share is not None and share > 1.0):
+        raise typer.BadParameter(
+            f"{text!r} is neither a number of frames, as in 3, nor a share, as in 2%",
+            param_hint="--skip-bad",
+        )
+    return int(match[1]) if match[1] else float(match[3]) if share is None else share
+
+
+def _report_drives(reports: Sequence[SessionReport], partly: PartlyBuiltError | None) -> None:
+    """One line a drive."""
+    rows = [
+        (report.session, "in the map", f"{report.used} of {report.frames}", str(len(report.bad)))
+        for report in reports
+    ]
+    rows += [(name, "failed", "-", "-") for name, _ in (partly.failed if partly else ())]
+    output.report_table(("drive", "", "frames used", "bad frames"), rows)
 
 
 def _compare(out: Path, new: list[str], align: bool, jobs: int | None) -> list[dict[str, Any]]:
@@ -252,6 +367,11 @@ def _report_remarks(report: Any) -> None:
 
     for count, example in grouped_reasons(report.reasons):
         output.report_line(f"rejected {count}: {example}")
+    bad = getattr(report, "bad", ())
+    for one in bad[:_BAD_SHOWN]:
+        output.report_line(f"left out frame {one.frame_id}: {one.reason}")
+    if len(bad) > _BAD_SHOWN:
+        output.report_line(f"left out {len(bad) - _BAD_SHOWN} more frames; --json lists them all")
     for note in report.notes:
         output.report_line(f"note: {note}")
 

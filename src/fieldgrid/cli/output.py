@@ -66,6 +66,12 @@ def shows_progress() -> bool:
     return sys.stderr.isatty() and not _quiet
 
 
+def message(text: str) -> None:
+    """A line on stderr about what goes on."""
+    if not _quiet:
+        typer.echo(f"fieldgrid: {printable(text)}", err=True)
+
+
 def print_json(value: Mapping[str, Any]) -> None:
     """One JSON object to stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))

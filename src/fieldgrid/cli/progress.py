@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldgrid.cli import output
 
@@ -55,30 +56,50 @@ def stages() -> Iterator[Callable[[str, int, int], None] | None]:
         yield show
 
 
+class Building(NamedTuple):
+    """Whom a build tells: how far its drives are, None where no terminal watches; and how many
+    seconds it has waited for another writer."""
+
+    show: Callable[[Progress], None] | None
+    waiting: Callable[[float], None]
+
+
 @contextmanager
-def building() -> Iterator[Callable[[Progress], None] | None]:
-    """The same for a build: frames, rate and distance of each session."""
+def building(out: Path, wait_s: float) -> Iterator[Building]:
+    """The same for a build: one line of frames, rate and distance, over all drives."""
+    waits = f"waiting for another program that writes {out.name}, up to {wait_s:g} s"
     if not output.shows_progress():
-        yield None
+        told: list[float] = []
+
+        def say(waited_s: float) -> None:
+            if not told:
+                output.message(waits)
+            told.append(waited_s)
+
+        yield Building(None, say)
         return
     with _bar("{task.fields[rate]}  {task.fields[distance]}") as bar:
-        tasks: dict[str, Any] = {}
+        task = bar.add_task("", total=None, rate="", distance="")
+        drives: dict[str, Progress] = {}
 
         def show(now: Progress) -> None:
-            if now.session not in tasks:
-                tasks[now.session] = bar.add_task(
-                    now.session, total=now.frames_total, rate="", distance=""
-                )
-            task = tasks[now.session]
+            drives[now.session] = now
+            ended = sum(one.frames_done == one.frames_total for one in drives.values())
+            moved_m = [one.distance_m for one in drives.values() if one.distance_m is not None]
             speed = bar.tasks[task].speed
             bar.update(
                 task,
-                completed=now.frames_done,
+                description=now.session if len(drives) == 1 else f"{ended} of {len(drives)} drives",
+                total=sum(one.frames_total for one in drives.values()),
+                completed=sum(one.frames_done for one in drives.values()),
                 rate=f"{speed:.1f} frames/s" if speed else "",
-                distance="" if now.distance_m is None else f"{now.distance_m:.0f} m",
+                distance=f"{sum(moved_m):.0f} m" if moved_m else "",
             )
 
-        yield show
+        def wait(waited_s: float) -> None:
+            bar.update(task, description=f"{waits}: {waited_s:.0f} s")
+
+        yield Building(show, wait)
 
 
 def _bar(*more: str) -> Any:

@@ -20,6 +20,7 @@ block ends. One process adds a session at a time, any number read meanwhile.
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile.blocks import Blocks
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
+from fieldgrid.mapfile.database import Patience
 from fieldgrid.mapfile.dataset import cf_dataset, masked
 from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.map_file import MapFile
@@ -30,7 +31,14 @@ from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Contribution, Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
-from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
+from fieldgrid.mapfile.staging import (
+    StagedFrame,
+    StagedFrames,
+    StageEntry,
+    StageFile,
+    read_staged,
+    stage,
+)
 from fieldgrid.mapfile.store import create_map, open_map, read_datum
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.verification import HealthReport
@@ -52,12 +60,15 @@ __all__ = [
     "MarkKind",
     "Merged",
     "OverviewBlock",
+    "Patience",
     "Provenance",
     "Session",
     "SessionInfo",
     "SessionMetadata",
+    "StageEntry",
     "StageFile",
     "StagedFrame",
+    "StagedFrames",
     "Transform",
     "cf_dataset",
     "create_map",
@@ -66,5 +77,6 @@ __all__ = [
     "merge_maps",
     "open_map",
     "read_datum",
+    "read_staged",
     "stage",
 ]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from fieldgrid.errors import MapError, MapWriteError
 
 BUSY_TIMEOUT_S = 30.0
 """How long a writer waits for another one, or a reader for a commit to end."""
+
+_TELL_EVERY_S = 1.0
 
 MAX_VALUE_BYTES = 64 << 20
 """The largest text or blob that is accepted from a file; the largest written is 8 MB."""
@@ -80,17 +84,52 @@ def _first_byte(file: Path) -> bytes:
         return opened.read(1)
 
 
+class Patience(NamedTuple):
+    """How long a writer waits for another one, seconds; `tell` hears each second how long it has
+    waited."""
+
+    limit_s: float = BUSY_TIMEOUT_S
+    tell: Callable[[float], None] | None = None
+
+
+USUAL_PATIENCE = Patience()
+
+
 @contextmanager
-def writing(connection: sqlite3.Connection, name: Path) -> Iterator[None]:
+def writing(
+    connection: sqlite3.Connection, name: Path, patience: Patience = USUAL_PATIENCE
+) -> Iterator[None]:
     """One transaction: all of it is in the file afterwards, or, on any error, nothing."""
     with explained(name, writing=True):
-        connection.execute("BEGIN IMMEDIATE")
+        _when_free(connection, "BEGIN IMMEDIATE", patience)
         try:
             yield
-            connection.execute("COMMIT")
+            _when_free(connection, "COMMIT", patience)
         except BaseException:
             _roll_back(connection)
             raise
+
+
+def _when_free(connection: sqlite3.Connection, statement: str, patience: Patience) -> None:
+    """Execute a statement that another program may hold up."""
+    start = time.monotonic()
+    try:
+        while True:
+            left_s = patience.limit_s - (time.monotonic() - start)
+            slice_ms = round(1e3 * min(max(left_s, 0.0), _TELL_EVERY_S))
+            connection.execute(f"PRAGMA busy_timeout = {slice_ms}")
+            try:
+                connection.execute(statement)
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or left_s <= 0.0:
+                    raise
+                if patience.tell is not None:
+                    patience.tell(time.monotonic() - start)
+                continue
+            return
+    finally:
+        with suppress(sqlite3.Error):
+            connection.execute(f"PRAGMA busy_timeout = {round(1e3 * patience.limit_s)}")
 
 
 @contextmanager

@@ -15,7 +15,13 @@ from fieldgrid import notebook
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.mapfile import revision
 from fieldgrid.mapfile.arrays import Array
-from fieldgrid.mapfile.database import clear_journal, reading, writing
+from fieldgrid.mapfile.database import (
+    USUAL_PATIENCE,
+    Patience,
+    clear_journal,
+    reading,
+    writing,
+)
 from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.map_reader import MapReader
@@ -49,8 +55,10 @@ class MapFile(MapReader):
         *,
         writable: bool,
         draft: Draft | None = None,
+        patience: Patience = USUAL_PATIENCE,
     ) -> None:
         super().__init__(path, connection, header)
+        self._patience = patience
         self._draft = draft
         self._writable = writable
         self._session: Session | None = None
@@ -264,7 +272,7 @@ class MapFile(MapReader):
         """
         before = self._header
         try:
-            with writing(self._connection, self.path):
+            with writing(self._connection, self.path, self._patience):
                 if before.version < FORMAT_VERSION:
                     upgrade(self._connection, self.path, before)
                     seal(self._connection)
@@ -283,9 +291,7 @@ class MapFile(MapReader):
             return
         self._unsettled = False
         try:
-            with reading(self._connection, self.path):
-                self._connection.execute("PRAGMA busy_timeout = 0")
-            with writing(self._connection, self.path):
+            with writing(self._connection, self.path, Patience(0.0)):
                 settle(self._connection, self._header, self.path)
         except MapError as error:
             # The map is complete without: readers make it from the tiles below.

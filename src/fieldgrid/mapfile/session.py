@@ -28,7 +28,7 @@ from fieldgrid.mapfile.metadata import (
 from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
 from fieldgrid.mapfile.records import check_pose, frame_values, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL
-from fieldgrid.mapfile.staging import StagedFrame, StageFile, stage
+from fieldgrid.mapfile.staging import StagedFrame, StagedFrames, StageFile, stage
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import check_cell_sizes
 
@@ -36,7 +36,7 @@ from fieldgrid.transfer import check_cell_sizes
 class _Waiting(NamedTuple):
     """A frame to be added: where it is staged, its pose as driven, the quality of its fix."""
 
-    stage: StageFile
+    stage: StagedFrames
     number: int
     pose: Pose
     quality: int | None
@@ -119,14 +119,14 @@ class Session:
 
     def add_staged(
         self,
-        source: StageFile | StagedFrame,
+        source: StagedFrames | StagedFrame,
         pose: Pose,
         index: int = 0,
         *,
         quality: int | None = None,
     ) -> None:
-        """Keep a frame that was staged before, or the one at `index` of a stage file, which stays
-        open until the session has ended.
+        """Keep a frame that was staged before, or the one at `index` of staged frames, which can
+        be read until the session has ended.
 
         `quality` is that of its fix, taken from the trajectory when not given. Errors as in `add`.
         """
@@ -146,7 +146,7 @@ class Session:
             self._on_end(self._committed)
 
     def _take(
-        self, source: StageFile, index: int, frame: StagedFrame, pose: Pose, quality: int | None
+        self, source: StagedFrames, index: int, frame: StagedFrame, pose: Pose, quality: int | None
     ) -> None:
         if quality is None:
             quality = quality_at(self._metadata.trajectory, pose.time_ns)

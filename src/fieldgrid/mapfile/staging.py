@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.closing import Closing
@@ -99,15 +99,24 @@ class StageEntry(NamedTuple):
     size: int
 
 
+class StagedFrames(Protocol):
+    """Staged frames by their number, wherever they lie; reading is safe from any thread."""
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        """A frame; MapError when it was damaged since it was written."""
+
+
 class StageFile(Closing):
     """Staged frames on disk, in the order in which they were appended.
 
     `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Open a stage file to read it and append to it, or make it. MapError for another file."""
-        self._target = self._place = Path(path)
+    def __init__(self, path: str | Path, target: Path | None = None) -> None:
+        """Open a stage file to read it and append to it, or make it. MapError for another file.
+        Where the disk is full, the error names the `target`, the map that the frames are for."""
+        self._place = Path(path)
+        self._target = target or self._place
         self.entries: list[StageEntry] = []
         self._memory: bytearray | None = None
         try:
@@ -154,12 +163,7 @@ class StageFile(Closing):
         else:
             assert self._file is not None, "the stage file is closed"
             record = os.pread(self._file, entry.size, entry.offset)
-        frame = _unpacked(record)
-        if frame is None:
-            raise MapError(
-                f"The staged frame {entry.frame_id!r} is damaged; build the drive again."
-            )
-        return frame
+        return _whole(record, entry)
 
     def __iter__(self) -> Iterator[StagedFrame]:
         return (self[k] for k in range(len(self.entries)))
@@ -229,6 +233,26 @@ class StageFile(Closing):
             f"The local grids of the drive cannot be kept beside {self._target} "
             f"({error.strerror}), so the drive is not in it; {advice}."
         )
+
+
+def read_staged(path: Path, entry: StageEntry) -> StagedFrame:
+    """A frame of a stage file that is not open; MapError when it cannot be read any more."""
+    try:
+        with path.open("rb") as file:
+            file.seek(entry.offset)
+            return _whole(file.read(entry.size), entry)
+    except OSError as error:
+        raise MapError(
+            f"The staged frame {entry.frame_id!r} in {path} cannot be read ({error.strerror}); "
+            "build the drive again."
+        ) from error
+
+
+def _whole(record: bytes, entry: StageEntry) -> StagedFrame:
+    frame = _unpacked(record)
+    if frame is None:
+        raise MapError(f"The staged frame {entry.frame_id!r} is damaged; build the drive again.")
+    return frame
 
 
 def _write_all(file: int, data: bytes | bytearray, offset: int) -> None:

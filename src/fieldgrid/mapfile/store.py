@@ -10,7 +10,15 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers import stored_groups
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.database import connect, explained, keep_one_file, reading, writing
+from fieldgrid.mapfile.database import (
+    USUAL_PATIENCE,
+    Patience,
+    connect,
+    explained,
+    keep_one_file,
+    reading,
+    writing,
+)
 from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
@@ -31,6 +39,7 @@ def open_map(
     cell_m: float | None = None,
     transfer: Transfer | None = None,
     writable: bool = False,
+    patience: Patience = USUAL_PATIENCE,
 ) -> MapFile:
     """Open a map: to read it, or with `datum` or `writable` to change it.
 
@@ -39,7 +48,7 @@ def open_map(
     when not given). A map that exists keeps its own: another datum raises DatumError, another
     cell size or rule ConfigError. A file that is absent, foreign, damaged or of a newer
     format raises MapError. One of an older format is read as it is, and upgraded by the first
-    change.
+    change. `patience` is how long a change waits for another writer.
     """
     path = Path(path)
     if datum is not None and not path.exists():
@@ -62,7 +71,7 @@ def open_map(
     except BaseException:
         connection.close()
         raise
-    return MapFile(path, connection, header, writable=writable)
+    return MapFile(path, connection, header, writable=writable, patience=patience)
 
 
 def create_map(

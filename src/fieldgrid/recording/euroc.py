@@ -69,7 +69,7 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
         rectification = _rectification(mav)
         camera = rectification.camera
         mounting = options.find_mounting(mounting_path(path), path)
-        shots, frame_notes = _shots(folder, mav)
+        shots, frame_notes = _shots(folder, mav, options.incomplete)
         stored, image_notes = image_format(folder, shots, settings)
         turning, turning_notes = _turning(mav, mounting, rectification)
         size_px = (camera.width_px, camera.height_px)
@@ -112,7 +112,7 @@ def _log_path(folder: Path, mav: Path, options: DriveOptions) -> Path | None:
     return find_log(mav if (mav / "gnss").is_dir() else folder, options.gnss)
 
 
-def _shots(folder: Path, mav: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+def _shots(folder: Path, mav: Path, incomplete: bool) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     """The images that both cameras took at the same time."""
     left, right = (_images(mav / camera) for camera in (_LEFT, _RIGHT))
     common = sorted(left.keys() & right.keys())
@@ -131,7 +131,7 @@ def _shots(folder: Path, mav: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     ]
     alone = len(left) + len(right) - 2 * len(common)
     notes = (f"{alone} images without a partner of the same time skipped.",) if alone else ()
-    return checked_shots(shots, folder), notes
+    return checked_shots(shots, folder, incomplete=incomplete), notes
 
 
 def _images(camera: Path) -> dict[int, str]:

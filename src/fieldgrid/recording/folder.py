@@ -51,7 +51,7 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
     def make(drive: Drive) -> Recording:
         mounting = options.find_mounting(mounting_path(path), path)
         offset_ns = options.offset_or(settings.image_time_offset_ns)
-        seen = read_seen(path, settings, mounting, offset_ns)
+        seen = read_seen(path, settings, mounting, offset_ns, incomplete=options.incomplete)
         return as_recording(
             with_motion(drive, *read_motion(path, mounting.imu_axes)),
             seen.rig,

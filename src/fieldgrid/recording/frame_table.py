@@ -22,7 +22,8 @@ MAX_FRAMES = 500_000
 
 class Layout(NamedTuple):
     """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
-    endings of its files, what a frame and a file are called, and what else tells a file's time."""
+    endings of its files, what a frame and a file are called, what else tells a file's time, and
+    whether files that the table names may be missing."""
 
     columns: tuple[str, ...]
     folders: tuple[str, ...]
@@ -30,6 +31,7 @@ class Layout(NamedTuple):
     what: str
     file: str = "image"
     time_of: TimeOf | None = None
+    incomplete: bool = False
 
     def is_in(self, folder: Path) -> bool:
         """Whether all the folders are there."""
@@ -48,7 +50,8 @@ def read_frames(
     """
     path = folder / (table or TABLE)
     if table is not None or path.exists():
-        return checked_shots(_from_table(path, layout), folder, layout.what), ()
+        shots = _from_table(path, layout)
+        return checked_shots(shots, folder, layout.what, incomplete=layout.incomplete), ()
     shots, notes = _from_names(folder, layout)
     return checked_shots(shots, folder, layout.what), notes
 

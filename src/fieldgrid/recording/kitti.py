@@ -54,7 +54,8 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
 def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
     left, right = _cameras(folder)
     rig = _rig(folder, left, right, options)
-    shots = checked_shots(_shots(folder, left, right), folder)
+    listed = _shots(folder, left, right, options.incomplete)
+    shots = checked_shots(listed, folder, incomplete=options.incomplete)
     kind = PairKind((rig.camera.width_px, rig.camera.height_px))
     return as_recording(drive, rig, StoredFrames(folder, shots, kind), _height_note(rig))
 
@@ -93,18 +94,19 @@ def _cameras(drive: Path) -> tuple[str, str]:
     )
 
 
-def _shots(drive: Path, left: str, right: str) -> list[Shot]:
+def _shots(drive: Path, left: str, right: str, incomplete: bool) -> list[Shot]:
     names_left, names_right = _listing(drive / f"image_{left}"), _listing(drive / f"image_{right}")
     different = sorted(set(names_left) ^ set(names_right))
-    if different:
+    if different and not incomplete:
         raise RecordingError(
             f"{drive}: image_{left} and image_{right} do not hold the same files, "
             f"{different[0]} is only in one; unpack the drive again."
         )
-    times_ns = _read_stamps(drive / f"image_{left}", len(names_left), "images")
+    names = sorted({*names_left, *names_right})
+    times_ns = _read_stamps(drive / f"image_{left}", len(names), "images")
     return [
         Shot(time_ns, Path(name).stem, (f"image_{left}/data/{name}", f"image_{right}/data/{name}"))
-        for time_ns, name in zip(times_ns, names_left, strict=True)
+        for time_ns, name in zip(times_ns, names, strict=True)
     ]
 
 

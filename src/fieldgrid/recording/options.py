@@ -43,7 +43,8 @@ class DriveOptions:
     `mounting` is another `mounting.json`, or what stands for it; `image_time_offset_ns` is added
     to image times to give GNSS time and outranks the recording's own; `poses` are those that
     another program estimated, and outrank what the recording says of them. With `unmounted`, a
-    sensor of which nothing tells how it sits gets `NO_MOUNTING`.
+    sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
+    may be missing: it is the frame that then cannot be read.
     """
 
     gnss: str | Path | None = None
@@ -53,6 +54,7 @@ class DriveOptions:
     image_time_offset_ns: int | None = None
     poses: PoseSource | None = None
     unmounted: bool = False
+    incomplete: bool = False
 
     def __post_init__(self) -> None:
         for role in self.topics:

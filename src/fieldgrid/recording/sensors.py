@@ -46,15 +46,17 @@ def has_frames(path: Path) -> bool:
     return any(layout.is_in(path) for layout in _LAYOUTS.values())
 
 
-def read_seen(path: Path, settings: Settings, mounting: Mounting, offset_ns: int) -> Seen:
+def read_seen(
+    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, *, incomplete: bool = False
+) -> Seen:
     """The frames of the recording in a folder.
 
     Where there are several kinds, the settings say which, or else the first of pairs, depths,
-    disparities and clouds is taken.
+    disparities and clouds is taken. With `incomplete`, files of frames may be missing.
     """
     found = _kinds(path, settings)
     sensor = settings.sensor or next(iter(found), "stereo")
-    layout = _LAYOUTS[sensor]
+    layout = _LAYOUTS[sensor]._replace(incomplete=incomplete)
     read: dict[str, Callable[[Path, Settings, Mounting, int, Layout], Seen]] = {
         "stereo": _pairs,
         "depth": _depths,
@@ -99,7 +101,7 @@ def _depths(
     rig, offset_px, calibration_notes = _depth_rig(path, settings, mounting, offset_ns)
     camera = rig.sensor
     assert isinstance(camera, DepthCamera)
-    if layout is DEPTHS:
+    if layout.columns == DEPTHS.columns:
         stated = DepthFormat("depth", settings.scale)
     elif camera.baseline_m is None:
         raise CalibrationError(

@@ -83,9 +83,11 @@ _MOST_MISSING = 1000
 """Missing files that are counted: where so many are missing, all may be."""
 
 
-def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") -> tuple[Shot, ...]:
-    """The shots in order of time, once it is sure that they can be told apart and exist; `what`
-    is what an error calls one of them."""
+def checked_shots(
+    shots: list[Shot], folder: Path, what: str = "stereo pair", *, incomplete: bool = False
+) -> tuple[Shot, ...]:
+    """The shots in order of time, once it is sure that they can be told apart and, unless they may
+    be `incomplete`, exist; `what` is what an error calls one of them."""
     if not shots:
         raise RecordingError(f"{folder} has no {what}; a recording needs at least one.")
     ordered = sorted(shots)
@@ -102,7 +104,8 @@ def checked_shots(shots: list[Shot], folder: Path, what: str = "stereo pair") ->
                 f"The frame_id {shot.frame_id!r} occurs twice in {folder}; give each frame its own."
             )
         seen.add(shot.frame_id)
-    _check_files(ordered, folder, what)
+    if not incomplete:
+        _check_files(ordered, folder, what)
     return tuple(ordered)
 
 

@@ -1,0 +1,392 @@
+"""Many recordings to one map: staged side by side, put into the map one after the other.
+
+What can be checked is checked before the first image is read. Staging is shared among processes,
+over drives and within long ones; poses, the fold and the map itself belong to this process alone.
+A drive that fails is left out. Staged parts lie beside the map until the build has done all that
+it can (`build.parts`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from queue import Empty
+
+from fieldgrid.build.part_key import part_key
+from fieldgrid.build.parts import (
+    SHARE_FRAMES,
+    DriveParts,
+    left_behind,
+    parts_folder,
+    remove_parts,
+    settle_left_behind,
+    write_part,
+)
+from fieldgrid.build.perception import follows_camera
+from fieldgrid.build.pool import Event, Failed, Moved, Pool, Shared
+from fieldgrid.build.poses import check_images, check_poses, estimate_drive
+from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
+from fieldgrid.build.session import NewSession, Telling, check_names
+from fieldgrid.build.staging import Staged, stage_frames
+from fieldgrid.errors import (
+    ConfigError,
+    DatumError,
+    FieldgridError,
+    GnssError,
+    MapError,
+    MapExistsError,
+    RecordingError,
+)
+from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile import MapFile, Patience, create_map, open_map
+from fieldgrid.pose import tells_attitude
+from fieldgrid.publish import refuse_input
+from fieldgrid.recording import DriveOptions, Recording, open_drive
+from fieldgrid.settings import BuildSettings
+
+WORTH_FRAMES = 128
+"""Frames from which on processes pay: each takes a second to start, and threads do without."""
+
+_OF_A_DRIVE = (RecordingError, GnssError, DatumError)
+"""Errors that say something of one drive; others end the build."""
+
+
+@dataclass(slots=True)
+class _Drive:
+    """A recording on its way into the map."""
+
+    number: int
+    path: str | Path
+    name: str
+    recording: Recording = field(init=False)
+    session: NewSession = field(init=False)
+    tell: Telling = field(init=False)
+    parts: DriveParts = field(init=False)
+    key: str = ""
+    began_s: float | None = None
+    error: FieldgridError | None = None
+
+
+def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
+    """Raise before any work is done when the output cannot be what was asked for."""
+    if append and overwrite:
+        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
+    if append and not path.exists():
+        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
+
+
+def build_map(
+    paths: Sequence[str | Path],
+    out: str | Path,
+    settings: BuildSettings,
+    options: DriveOptions | None = None,
+    *,
+    datum: Datum | None = None,
+    append: bool = False,
+    overwrite: bool = False,
+    name: str | None = None,
+    every: int = 1,
+    jobs: int | None = None,
+    resume: bool | None = None,
+    skip_bad: int | float = 0,
+    fail_fast: bool = False,
+    patience: Patience | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> list[SessionReport]:
+    """Make the map `out` from recordings, a session each, or append them to it.
+
+    Each is opened with `options` as by `open_drive`. What can be checked is checked before the
+    first image is read. `jobs` is the number of processes or, for few frames, of threads (all
+    cores if None); the map's bits do not depend on it. Of frames that cannot be read so many are
+    left out as `skip_bad` says: a number, or below 1 a share of the frames of each drive.
+    `patience` is how long another writer of the map is waited for.
+
+    Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
+    names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
+    new map does not come to be and an existing one stays as it was, but for the sessions already
+    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed, and
+    with `resume` it is used. Where there is such a folder, None refuses to build and False removes
+    it. What was staged of other inputs or by other settings is refused.
+    """
+    build = _Build(
+        Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
+    )
+    check_output(build.out, append=append, overwrite=overwrite)
+    if not append:
+        refuse_input(build.out, [Path(path) for path in paths])
+    settle_left_behind(build.out, resume)
+    build.drives = [_Drive(number, path, str(path)) for number, path in enumerate(paths)]
+    is_there = bool(resume) and build.out.exists() and not (append or overwrite)
+    with ExitStack() as opened:
+        if skip_bad > 0:
+            options = replace(options or DriveOptions(), incomplete=True)
+        build.open(opened, options, name)
+        if append or is_there:
+            with open_map(build.out) as existing:
+                datum = datum or existing.datum
+            universal = opened.enter_context(
+                open_map(
+                    build.out,
+                    datum=datum,
+                    cell_m=settings.map.cell_m,
+                    transfer=settings.map.transfer,
+                    patience=patience or Patience(),
+                )
+            )
+        taken = [info.name for info in universal.sessions()] if append or is_there else []
+        check_names(
+            [drive.name for drive in build.drives if not drive.error], () if resume else taken
+        )
+        datum = build.estimate(datum)
+        if not (append or is_there):
+            universal = opened.enter_context(
+                create_map(
+                    build.out,
+                    datum,
+                    cell_m=settings.universal_cell_m,
+                    transfer=settings.map.transfer,
+                    overwrite=overwrite,
+                )
+            )
+        with ExitStack() as held:
+            build.find_parts(held, datum, resume=bool(resume))
+            reports = build.run(universal, taken, is_there=is_there)
+    remove_parts(build.out, [drive.key for drive in build.drives if drive.key])
+    failed = [(drive.name, str(drive.error)) for drive in build.drives if drive.error]
+    if failed:
+        raise PartlyBuiltError(reports, failed)
+    return reports
+
+
+def _bound(skip_bad: int | float, count: int) -> int:
+    """How many of the frames may be bad."""
+    return int(skip_bad * count) if isinstance(skip_bad, float) else skip_bad
+
+
+@dataclass(slots=True)
+class _Build:
+    """A build while it runs."""
+
+    out: Path
+    settings: BuildSettings
+    every: int
+    jobs: int
+    skip_bad: int | float
+    fail_fast: bool
+    progress: Callable[[Progress], None] | None
+    drives: list[_Drive] = field(default_factory=list)
+    pool: Pool | None = None
+
+    def open(self, opened: ExitStack, options: DriveOptions | None, name: str | None) -> None:
+        """Open the recordings."""
+        for drive in self._good():
+            try:
+                found = opened.enter_context(open_drive(drive.path, options))
+                drive.recording = found.recording()
+                drive.name = drive.recording.name if name is None else name
+            except FieldgridError as error:
+                self._fail(drive, error)
+
+    def estimate(self, datum: Datum | None) -> Datum:
+        """The datum of the map, after a look at what can be known before the first image is
+        read."""
+        for drive in self._good():
+            recording = drive.recording
+            try:
+                estimate = estimate_drive(recording, self.settings, datum)
+                trajectory = estimate.trajectory
+                check_images(recording, trajectory)
+                if recording.pose_name or not follows_camera(recording.rig, self.settings):
+                    check_poses(recording, trajectory)
+                attitude = estimate.report.attitude if tells_attitude(recording.motion()) else None
+                drive.session = NewSession(
+                    recording,
+                    self.settings,
+                    None,
+                    attitude,
+                    drive.name,
+                    self.every,
+                    skips_bad=self.skip_bad > 0,
+                )
+            except FieldgridError as error:
+                self._fail(drive, error)
+                continue
+            datum = datum or trajectory.datum
+        assert datum is not None  # there is a drive, or _good would have raised
+        return datum
+
+    def find_parts(self, held: ExitStack, datum: Datum, *, resume: bool) -> None:
+        """The parts of the drives that are there already; ConfigError for others."""
+        for drive in self._good():
+            session = drive.session
+            drive.key = part_key(session, datum, skips_bad=self.skip_bad > 0)
+            drive.parts = held.enter_context(
+                DriveParts(self.out, drive.key, drive.name, str(drive.path), session.total)
+            )
+        known = {drive.key for drive in self.drives}
+        stale = [about for about in left_behind(self.out) if about.key not in known]
+        if resume and stale:
+            raise ConfigError(
+                f"The staged parts of {stale[0].name} in {parts_folder(self.out) / stale[0].key} "
+                "are of other inputs or settings than this command's, so they cannot be used; "
+                "repeat the command that made them, or remove that folder."
+            )
+
+    def run(self, universal: MapFile, taken: list[str], *, is_there: bool) -> list[SessionReport]:
+        """Stage the drives and put them into the map, in their order."""
+        reports: list[SessionReport] = []
+        missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
+        with ExitStack() as running:
+            if self.jobs > 1 and missing * SHARE_FRAMES >= WORTH_FRAMES:
+                self.pool = running.enter_context(Pool(min(self.jobs, missing), self.out))
+            for drive in self._good():
+                self._begin(drive, universal, taken)
+            for drive in self._good():
+                try:
+                    report = self._finish(drive, universal, taken, is_there=is_there)
+                except _OF_A_DRIVE as error:
+                    self._fail(drive, error)
+                except MapError as error:
+                    if not self._anything_staged():
+                        raise
+                    raise type(error)(
+                        f"{error} What was staged is kept in {parts_folder(self.out)}; the same "
+                        "command with --resume goes on from there."
+                    ) from error
+                else:
+                    reports.append(report)
+        return reports
+
+    def _begin(self, drive: _Drive, universal: MapFile, taken: list[str]) -> None:
+        """Let the drive be staged, when it is its turn."""
+        parts = drive.parts
+        try:
+            if drive.name not in taken:
+                drive.session.check(universal)
+        except _OF_A_DRIVE as error:
+            self._fail(drive, error)
+            return
+        drive.tell = Telling(drive.session, self.progress)
+        if parts.frames_done:
+            drive.tell(parts.moved_m, parts.frames_done)
+        if self.pool is not None:
+            work = drive.session.work(drive.recording.source)
+            self.pool.add(drive.number, drive.name, work, parts.folder, parts.missing())
+
+    def _finish(
+        self, drive: _Drive, universal: MapFile, taken: list[str], *, is_there: bool
+    ) -> SessionReport:
+        """Wait until the drive is staged, or stage it here, and put it into the map."""
+        session, parts = drive.session, drive.parts
+        start = time.perf_counter()
+        if drive.name in taken and not parts.is_complete:
+            check_names([drive.name], taken)
+        if self.pool is None:
+            self._stage(drive)
+        while drive.error is None and not parts.is_complete:
+            self._next_event()
+        if drive.error is not None:
+            raise drive.error
+        self._check_bad(drive)
+        staged = parts.staged()
+        if drive.name in taken:
+            if not _is_in_map(universal, drive.name, staged):
+                check_names([drive.name], taken)
+            session.report.notes += ("The drive was in the map already.",)
+            session.report.frames = len(staged.entries)
+        elif is_there:
+            raise MapExistsError(
+                f"{self.out} exists already; give another name, --append to add a session to it, "
+                "or --overwrite to replace it."
+            )
+        else:
+            session.add(universal, staged)
+        began_s = start if drive.began_s is None else drive.began_s
+        session.report.wall_s = time.perf_counter() - began_s
+        return session.report
+
+    def _stage(self, drive: _Drive) -> None:
+        """Stage in threads of this process what is missing of a drive."""
+        session, parts = drive.session, drive.parts
+        work = session.work()
+        for run in parts.runs():
+            with closing(stage_frames(work, run[0].first, run[-1].last, self.jobs)) as looks:
+                for share in run:
+                    frames = islice(looks, share.last - share.first)
+                    write_part(parts.folder, self.out, share, frames, drive.tell)
+                    parts.take(share)
+                    self._check_bad(drive)
+
+    def _next_event(self) -> None:
+        """Take what the processes tell."""
+        assert self.pool is not None
+        try:
+            event: Event = self.pool.events.get(timeout=0.5)  # so that Ctrl-C is heard everywhere
+        except Empty:
+            return
+        drive = self.drives[event.drive]
+        if drive.error is not None:
+            return
+        if isinstance(event, Failed):
+            if not isinstance(event.error, _OF_A_DRIVE):
+                raise event.error
+            self._fail(drive, event.error)
+        elif isinstance(event, Shared):
+            if drive.parts.take(event.share) is None:
+                raise MapError(
+                    f"The staged frames in {drive.parts.folder} cannot be read back; check the "
+                    "disk."
+                )
+            try:
+                self._check_bad(drive)
+            except RecordingError as error:
+                self._fail(drive, error)
+        else:
+            if isinstance(event, Moved) and drive.began_s is None:
+                drive.began_s = event.at_s
+            drive.tell(event.moved_m, event.frames)
+
+    def _check_bad(self, drive: _Drive) -> None:
+        """Raise RecordingError when more frames are bad than may be."""
+        bad, count = drive.parts.bad, drive.session.total
+        if len(bad) > (most := _bound(self.skip_bad, count)):
+            raise RecordingError(
+                f"{len(bad)} of {count} frames of {drive.name} cannot be read, and --skip-bad "
+                f"allows {most}; allow more, or copy the recording again. First: {bad[0].reason}"
+            )
+
+    def _good(self) -> Iterator[_Drive]:
+        """The drives that have not failed; raises when there is none."""
+        for drive in self.drives:
+            if drive.error is None:
+                yield drive
+        if all(drive.error is not None for drive in self.drives):
+            raise PartlyBuiltError([], [(one.name, str(one.error)) for one in self.drives])
+
+    def _fail(self, drive: _Drive, error: FieldgridError) -> None:
+        """Leave a drive out, or end the build."""
+        drive.error = error
+        if self.pool is not None:
+            self.pool.drop(drive.number)
+        if drive.key:
+            drive.parts.remove()
+        if self.fail_fast or len(self.drives) == 1:
+            raise error
+
+    def _anything_staged(self) -> bool:
+        return any(drive.parts.frames_done for drive in self.drives if not drive.error)
+
+
+def _is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
+    """Whether a session of the map has the frames that were staged, and no others."""
+    kept = {
+        frame.frame_id: (frame.cells_sha256, frame.images_sha256)
+        for frame in universal.frames(name)
+    }
+    frames = (staged.frames[k] for k in range(len(staged.entries)))
+    return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}

@@ -1,0 +1,279 @@
+"""Staged parts of drives beside the map, for a build that is to go on after it was ended.
+
+`MAP.gpkg.parts/KEY/` holds the parts of one drive. The key is a digest of all that the staged
+frames depend on, so parts are found again only by a build that would make the same. Each part is
+a stage file and a JSON file that is written after it; one without the other is no part.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fieldgrid.build.report import BadFrame, StageTimes
+from fieldgrid.build.staging import Found, Looked, Staged, Tell, collect
+from fieldgrid.closing import Closing
+from fieldgrid.errors import ConfigError, MapError, MapWriteError
+from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile, read_staged
+from fieldgrid.odometry import Refusal, Step
+from fieldgrid.publish import holding
+
+SHARE_FRAMES = 16
+"""Frames of a part. The frame before it is looked at twice, and what an end of the build costs is
+a part for each process."""
+
+_ABOUT = "drive.json"
+_MAX_INFO_BYTES = 16 << 20
+
+
+class Share(NamedTuple):
+    """Frames number `first` to before `last` of those that are taken of a drive."""
+
+    first: int
+    last: int
+
+    @property
+    def name(self) -> str:
+        """What its files are called, without their endings."""
+        return f"{self.first:08d}-{self.last:08d}"
+
+
+class About(NamedTuple):
+    """What is known of the parts of a drive without its recording."""
+
+    key: str
+    name: str
+    recording: str
+    parts: int
+
+
+def parts_folder(out: Path) -> Path:
+    """Where the parts of a build of the map `out` lie."""
+    place = out.resolve()
+    return place.with_name(f"{place.name}.parts")
+
+
+def left_behind(out: Path) -> list[About]:
+    """The drives of which a build of `out` that has ended left parts; not those of a build that
+    still runs."""
+    found = []
+    folder = parts_folder(out)
+    for drive in sorted(folder.iterdir()) if folder.is_dir() else ():
+        try:
+            with holding(drive / _ABOUT) as free:
+                about = json.loads((drive / _ABOUT).read_text(encoding="utf-8"))
+                done = sum(1 for _ in drive.glob("????????-????????.json"))
+                if free and done:
+                    found.append(About(drive.name, str(about["name"]), about["recording"], done))
+        except (OSError, ValueError, KeyError, TypeError):
+            found.append(About(drive.name, "a drive", "", 0))
+    return found
+
+
+def settle_left_behind(out: Path, resume: bool | None) -> None:
+    """Refuse to build where an earlier build has left parts, unless it is said what to do."""
+    left = left_behind(out)
+    if left and resume is None:
+        names = ", ".join(about.name for about in left[:3]) + (", ..." if len(left) > 3 else "")
+        raise ConfigError(
+            f"{parts_folder(out)} holds staged parts of a build that was ended ({names}); give "
+            "--resume with the command that it was to go on, or --no-resume to remove them."
+        )
+    if resume is False:
+        remove_parts(out, [about.key for about in left])
+
+
+def remove_parts(out: Path, keys: Iterable[str]) -> None:
+    """Remove the parts of drives, and the folder with the last."""
+    folder = parts_folder(out)
+    for key in keys:
+        shutil.rmtree(folder / key, ignore_errors=True)
+    with suppress(OSError):  # there are others
+        folder.rmdir()
+
+
+class DriveParts(Closing):
+    """The parts of a drive: those that are there already, and those to be made."""
+
+    def __init__(self, out: Path, key: str, name: str, recording: str, count: int) -> None:
+        self.key, self._out = key, out
+        self.folder = parts_folder(out) / key
+        self.shares = [
+            Share(first, min(first + SHARE_FRAMES, count))
+            for first in range(0, count, SHARE_FRAMES)
+        ]
+        self._parts: dict[Share, Staged] = {}
+        self.bad: list[BadFrame] = []
+        self.frames_done, self.moved_m = 0, 0.0
+        about = self.folder / _ABOUT
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not about.exists():
+                said = {"name": name, "recording": recording, "frames": count}
+                about.write_text(json.dumps(said), encoding="utf-8")
+        except OSError as error:
+            raise MapWriteError(
+                f"{out} could not be written ({error.strerror}); check the folder and its "
+                "permissions."
+            ) from error
+        self._held = holding(about)
+        if not self._held.__enter__():
+            raise MapError(
+                f"Another program builds {name} into {out}; wait until it has finished, and try "
+                "again."
+            )
+        for share in self.shares:
+            self.take(share)
+
+    def take(self, share: Share) -> Staged | None:
+        """Read a part that is done; None where it is not."""
+        part = read_part(self.folder, share)
+        if part is not None:
+            self._parts[share] = part
+            self.bad += part.bad
+            self.frames_done += share.last - share.first
+            self.moved_m += sum(
+                math.hypot(one.forward_m, one.right_m)
+                for one in part.found
+                if isinstance(one, Step)
+            )
+        return part
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no share is missing."""
+        return len(self._parts) == len(self.shares)
+
+    def missing(self) -> list[Share]:
+        """The shares of which there is no part yet."""
+        return [share for share in self.shares if share not in self._parts]
+
+    def runs(self) -> Iterator[list[Share]]:
+        """The shares that are missing, those together that follow each other."""
+        run: list[Share] = []
+        for share in self.missing():
+            if run and run[-1].last != share.first:
+                yield run
+                run = []
+            run.append(share)
+        if run:
+            yield run
+
+    def staged(self) -> Staged:
+        """The whole drive, once no share is missing."""
+        return joined([self._parts[share] for share in self.shares])
+
+    def remove(self) -> None:
+        """Remove the parts of a drive that is given up."""
+        self._parts.clear()
+        self.frames_done = 0
+        remove_parts(self._out, [self.key])
+
+    def close(self) -> None:
+        """Let go of the folder; without a part that is done, it is gone."""
+        self._held.__exit__(None, None, None)
+        if not self._parts:
+            self.remove()
+
+
+class _Files:
+    """Staged frames that lie in several files."""
+
+    def __init__(self, paths: list[Path], entries: list[StageEntry]) -> None:
+        self._paths, self._entries = paths, entries
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        return read_staged(self._paths[index], self._entries[index])
+
+
+def joined(parts: Sequence[Staged]) -> Staged:
+    """The parts of a drive, in their order, as one."""
+    paths: list[Path] = []
+    entries: list[StageEntry] = []
+    whole = Staged(_Files(paths, entries), entries)
+    for part in parts:
+        assert isinstance(part.frames, _Files)
+        paths += part.frames._paths
+        entries += part.entries
+        whole.found += part.found
+        whole.bad += part.bad
+        whole.times.add(part.times)
+    return whole
+
+
+def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], tell: Tell) -> None:
+    """Make the part of a share of the frames that come. MapWriteError on a full disk."""
+    draft = folder / f"{share.name}.{secrets.token_hex(4)}.partial"
+    try:
+        with StageFile(draft, out) as file:
+            staged = collect(looks, file, tell)
+        body = json.dumps(
+            {
+                "frames": len(staged.entries),
+                "found": [_said(one) for one in staged.found],
+                "bad": staged.bad,
+                "times": asdict(staged.times),
+            }
+        )
+        draft.replace(folder / f"{share.name}.grids")
+        draft.write_text(f"{_digest(body)}\n{body}", encoding="utf-8")
+        draft.replace(folder / f"{share.name}.json")
+    except OSError as error:
+        if isinstance(error, MapWriteError):
+            raise
+        raise MapWriteError(
+            f"The local grids of the drive cannot be kept in {folder} ({error.strerror}), so the "
+            "drive is not in the map; free some space there and try again."
+        ) from error
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def read_part(folder: Path, share: Share) -> Staged | None:
+    """The part of a share, None when it is not there or damaged: it is then made again."""
+    grids, info = folder / f"{share.name}.grids", folder / f"{share.name}.json"
+    try:
+        if info.stat().st_size > _MAX_INFO_BYTES or not grids.is_file():
+            return None
+        digest, _, body = info.read_text(encoding="utf-8").partition("\n")
+        if digest != _digest(body):
+            return None
+        said: dict[str, Any] = json.loads(body)
+        with StageFile(grids) as file:
+            entries = list(file.entries)
+        if len(entries) != said["frames"] or len(said["found"]) != len(entries):
+            return None
+        return Staged(
+            _Files([grids] * len(entries), entries),
+            entries,
+            [_found(one) for one in said["found"]],
+            [BadFrame(*one) for one in said["bad"]],
+            StageTimes(**said["times"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError):  # MapError, too, is a ValueError
+        return None
+
+
+def _digest(body: str) -> str:
+    return hashlib.sha256(body.encode()).hexdigest()
+
+
+def _said(found: Found) -> Any:
+    if isinstance(found, Step):
+        return [*map(float, found[:-1]), int(found.inliers)]
+    return None if found is None else found.value
+
+
+def _found(said: Any) -> Found:
+    if isinstance(said, str):
+        return Refusal(said)
+    return None if said is None else Step(*said)

@@ -1,0 +1,240 @@
+"""Processes that stage shares of drives side by side.
+
+Each is a Python of its own that runs `build.worker`: nothing of this program is copied by fork(),
+and its main module is not run again. A thread here gives it shares and takes its answers; when it
+dies, the share is given to another.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
+from typing import NamedTuple
+
+from fieldgrid.build.parts import Share
+from fieldgrid.build.staging import DriveWork
+from fieldgrid.build.worker import (
+    Answer,
+    Defect,
+    FrameDone,
+    Order,
+    ShareDone,
+    ShareFailed,
+    not_importable,
+)
+from fieldgrid.closing import Closing
+from fieldgrid.errors import ConfigError, FieldgridError, RecordingError
+
+DEATHS = 3
+"""A share that so many processes have died of is given up, and its drive with it."""
+
+_BOOT = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from fieldgrid.build.worker import main; main()"
+)
+_ONE_THREAD = {
+    f"{library}_NUM_THREADS": "1" for library in ("OPENBLAS", "OMP", "MKL", "NUMBA", "VECLIB")
+}
+
+
+class Moved(NamedTuple):
+    """A frame of a drive is staged, so many seconds on `time.perf_counter`."""
+
+    drive: int
+    moved_m: float
+    at_s: float
+    frames: int = 1
+
+
+class Shared(NamedTuple):
+    """A share of a drive is staged."""
+
+    drive: int
+    share: Share
+
+
+class Failed(NamedTuple):
+    """A drive cannot be staged."""
+
+    drive: int
+    error: BaseException
+
+
+class Undone(NamedTuple):
+    """A process died: frames that were done are to be done again; both numbers are negative."""
+
+    drive: int
+    frames: int
+    moved_m: float
+
+
+Event = Moved | Shared | Failed | Undone
+
+
+class _Task(NamedTuple):
+    drive: int
+    share: Share
+
+
+class _Drive(NamedTuple):
+    name: str
+    work: bytes
+    folder: Path
+
+
+class Pool(Closing):
+    """So many processes, and what they tell, as `events`. They start with the first share."""
+
+    def __init__(self, count: int, out: Path) -> None:
+        self.events: SimpleQueue[Event] = SimpleQueue()
+        self._out = out
+        self._drives: dict[int, _Drive] = {}
+        self._tasks: deque[_Task] = deque()
+        self._deaths: Counter[_Task] = Counter()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._threads = [
+            threading.Thread(target=self._serve, name="fieldgrid-worker", daemon=True)
+            for _ in range(count)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def add(
+        self, drive: int, name: str, work: DriveWork, folder: Path, shares: list[Share]
+    ) -> None:
+        """Stage these shares of a drive, after those that were added before."""
+        try:
+            packed = pickle.dumps(work)
+        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            raise not_importable(error) from error
+        with self._changed:
+            self._drives[drive] = _Drive(name, packed, folder)
+            self._tasks += [_Task(drive, share) for share in shares]
+            self._changed.notify_all()
+
+    def drop(self, drive: int) -> None:
+        """Stage no more shares of a drive."""
+        with self._changed:
+            self._tasks = deque(task for task in self._tasks if task.drive != drive)
+
+    def close(self) -> None:
+        """End all processes, whatever they are at."""
+        with self._changed:
+            self._closed = True
+            for process in self._running:
+                process.kill()
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join()
+
+    def _next(self) -> _Task | None:
+        with self._changed:
+            while not self._tasks and not self._closed:
+                self._changed.wait()
+            return None if self._closed else self._tasks.popleft()
+
+    def _serve(self) -> None:
+        """The life of a thread: a process, or one after the other, and its shares."""
+        process: subprocess.Popen[bytes] | None = None
+        known = -1
+        while (task := self._next()) is not None:
+            try:
+                if process is None:
+                    process, known = self._start(), -1
+                self._do(process, task, known)
+                known = task.drive
+            except (OSError, EOFError, pickle.UnpicklingError) as error:
+                status = None if process is None else self._end(process)
+                process = None
+                self._died(task, status, error)
+        if process is not None:
+            self._end(process)
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        with self._changed:
+            if self._closed:
+                raise EOFError
+            process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, **_ONE_THREAD},
+                # Ctrl-C is for the build, which ends its processes.
+                start_new_session=True,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            )
+            self._running.add(process)
+        assert process.stdin is not None
+        pickle.dump(sys.path, process.stdin)
+        return process
+
+    def _end(self, process: subprocess.Popen[bytes]) -> int:
+        """End a process, unless it has ended; returns its exit status."""
+        with self._changed:
+            self._running.discard(process)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(OSError):  # it is gone, and did not read what it was sent
+            process.stdin.close()
+        process.stdout.close()
+        return process.wait()
+
+    def _do(self, process: subprocess.Popen[bytes], task: _Task, known: int) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        drive = self._drives[task.drive]
+        work = b"" if known == task.drive else drive.work
+        pickle.dump(Order(task.drive, work, task.share, drive.folder, self._out), process.stdin)
+        process.stdin.flush()
+        frames, moved_m = 0, 0.0
+        try:
+            while True:
+                answer: Answer = pickle.load(process.stdout)
+                if isinstance(answer, FrameDone):
+                    frames, moved_m = frames + 1, moved_m + answer.moved_m
+                    self.events.put(Moved(task.drive, answer.moved_m, time.perf_counter()))
+                    continue
+                if isinstance(answer, ShareDone):
+                    self.events.put(Shared(task.drive, task.share))
+                elif isinstance(answer, ShareFailed):
+                    self.events.put(Failed(task.drive, answer.error))
+                elif isinstance(answer, Defect):
+                    self.events.put(Failed(task.drive, RuntimeError(answer.text)))
+                return
+        except (OSError, EOFError, pickle.UnpicklingError):
+            self.events.put(Undone(task.drive, -frames, -moved_m))
+            raise
+
+    def _died(self, task: _Task, status: int | None, error: Exception) -> None:
+        """Give a share to another process, unless too many have died of it."""
+        with self._changed:
+            if self._closed:
+                return
+            self._deaths[task] += 1
+            if self._deaths[task] < DEATHS and status is not None:
+                self._tasks.appendleft(task)
+                self._changed.notify_all()
+                return
+        self.events.put(Failed(task.drive, self._gave_up(task, status, error)))
+
+    def _gave_up(self, task: _Task, status: int | None, error: Exception) -> FieldgridError:
+        if status is None:
+            return ConfigError(
+                f"The processes of the build cannot be started ({error}); give --jobs 1."
+            )
+        how = f"signal {-status}" if status < 0 else f"exit status {status}"
+        return RecordingError(
+            f"Frames {task.share.first} to {task.share.last - 1} of "
+            f"{self._drives[task.drive].name} have ended {DEATHS} processes of the build ({how}); "
+            "leave the recording out, or give fewer --jobs if the memory was full."
+        )

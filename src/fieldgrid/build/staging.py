@@ -1,0 +1,186 @@
+"""Frames of a drive to staged frames: the heavy half of a build, in any shares and any process.
+
+A share is a run of frames. Whoever stages one looks at the frame before it too, for the camera's
+step to its first frame, so shares that are staged apart are what one run over the drive gives.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from fieldgrid.attitude import Attitude
+from fieldgrid.build.perception import CameraMotion, Perceived, perceive_frame, side_by_side
+from fieldgrid.build.report import BadFrame, StageTimes
+from fieldgrid.errors import RecordingError
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.mapfile import StagedFrame, StagedFrames, StageEntry, StageFile, stage
+from fieldgrid.motion import Steps
+from fieldgrid.odometry import Refusal, Step, features, steps_of
+from fieldgrid.recording import Frame
+
+Found = Step | Refusal | None
+"""The camera's step to a frame, or why there is none; None for the first and without odometry."""
+
+
+class Frames(Protocol):
+    """Where frames come from: a recording, or its source, which can be pickled."""
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """Frames number `start` to before `stop`, unread."""
+
+
+class DriveWork(NamedTuple):
+    """All that it takes to stage the frames of a drive: every `every`-th, `total` in all."""
+
+    frames: Frames
+    total: int
+    gridder: LocalGridder
+    attitude: Attitude | None
+    every: int
+    odometry: bool
+    skips_bad: bool
+
+    def taken(self, first: int, last: int) -> Iterator[Frame]:
+        """The frames number `first` to before `last` of those that are taken."""
+        start, stop = first * self.every, (last - 1) * self.every + 1
+        frames = self.frames.frames(start, stop)
+        return (frame for k, frame in enumerate(frames) if k % self.every == 0)
+
+
+class Looked(NamedTuple):
+    """What became of a frame: staged, or left out since it is bad. `moved_m` is how far the camera
+    went since the frame before."""
+
+    staged: StagedFrame | None
+    found: Found
+    bad: BadFrame | None
+    moved_m: float
+    times: StageTimes
+
+
+@dataclass(slots=True)
+class Staged:
+    """The frames of a drive, or of a share of it, staged in order, without those that are bad."""
+
+    frames: StagedFrames
+    entries: Sequence[StageEntry]
+    found: list[Found] = field(default_factory=list)
+    bad: list[BadFrame] = field(default_factory=list)
+    times: StageTimes = field(default_factory=StageTimes)
+
+    def take(self, looked: Looked) -> None:
+        """What else is known of the next frame, beside what is staged of it."""
+        self.times.add(looked.times)
+        if looked.bad is not None:
+            self.bad.append(looked.bad)
+        else:
+            self.found.append(looked.found)
+
+    def steps(self) -> tuple[Steps, Counter[str]]:
+        """The camera's steps, and why there is none between other neighbours."""
+        found = [one for one in self.found[1:] if one is not None]
+        refused = Counter(one.value for one in found if isinstance(one, Refusal))
+        return steps_of([entry.time_ns for entry in self.entries], found), refused
+
+
+Tell = Callable[[float], None]
+"""Is told of each frame that is done, with how far the camera went since the one before, metres."""
+
+
+def stage_all(work: DriveWork, file: StageFile, jobs: int, tell: Tell) -> Staged:
+    """Stage the whole drive into a file, `jobs` frames at a time."""
+    with closing(stage_frames(work, 0, work.total, jobs)) as looks:
+        return collect(looks, file, tell)
+
+
+def collect(looks: Iterable[Looked], file: StageFile, tell: Tell) -> Staged:
+    """Write frames to a file as they come."""
+    staged = Staged(file, file.entries)
+    for looked in looks:
+        start = time.thread_time()
+        if looked.staged is not None:
+            file.append(looked.staged)
+        staged.take(looked)
+        staged.times.map_s += time.thread_time() - start
+        tell(looked.moved_m)
+    return staged
+
+
+def stage_frames(
+    work: DriveWork, first: int, last: int, jobs: int
+) -> Generator[Looked, None, None]:
+    """Stage the frames number `first` to before `last`, in order, `jobs` at a time. Close it when
+    it is not taken to its end: its threads end then.
+
+    Raises RecordingError for a frame that cannot be read, unless the work skips those.
+    """
+    motion = CameraMotion(work.gridder.rig) if work.odometry else None
+    if motion is not None:
+        _begin(work, first, motion)
+
+    def look(frame: Frame) -> tuple[Perceived, StagedFrame] | BadFrame:
+        try:
+            seen = perceive_frame(
+                frame, work.gridder, odometry=work.odometry, attitude=work.attitude
+            )
+        except RecordingError as problem:
+            if not work.skips_bad:
+                raise
+            return BadFrame(frame.frame_id, str(problem))
+        return seen, _staged(seen, _time_ns(work, frame))
+
+    # A traceback that somebody keeps would keep its threads.
+    with closing(side_by_side(look, work.taken(first, last), jobs)) as looks:
+        for looked in looks:
+            if isinstance(looked, BadFrame):
+                yield Looked(None, None, looked, 0.0, StageTimes())
+                continue
+            seen, staged = looked
+            start, found, moved_m = time.thread_time(), None, 0.0
+            if motion is not None and seen.features is not None:
+                before_m = motion.distance_m
+                found = motion.add(staged.time_ns, seen.features)
+                moved_m = motion.distance_m - before_m
+            times = StageTimes(
+                seen.decode_s,
+                seen.match_s,
+                seen.grid_s,
+                seen.odometry_s + time.thread_time() - start,
+            )
+            yield Looked(staged, found, None, moved_m, times)
+
+
+def _begin(work: DriveWork, first: int, motion: CameraMotion) -> None:
+    """Let the motion begin at the last frame before a share that can be read."""
+    for number in range(first - 1, -1, -1):
+        (frame,) = work.taken(number, number + 1)
+        try:
+            seen = features(work.gridder.rig.camera, *frame.images())
+        except RecordingError:
+            if not work.skips_bad:
+                raise
+            continue
+        motion.add(_time_ns(work, frame), seen)
+        return
+
+
+def _time_ns(work: DriveWork, frame: Frame) -> int:
+    """When a frame was taken, by the receiver's clock."""
+    return frame.time_ns + work.gridder.rig.image_time_offset_ns
+
+
+def _staged(seen: Perceived, time_ns: int) -> StagedFrame:
+    return stage(
+        seen.grid,
+        seen.frame.frame_id,
+        time_ns,
+        images=tuple(source.name for source in seen.frame.sources),
+        images_sha256=seen.sources_sha256,
+        ground_found=seen.ground.refined,
+        channels=seen.ground.channels(),
+    )

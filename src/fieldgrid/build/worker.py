@@ -1,0 +1,115 @@
+"""A process that stages shares of drives for a build; started by `build.pool`, never by hand.
+
+It takes pickled orders from its standard input and writes pickled answers to its standard output.
+When the build ends, however it does, the input ends, and the process with it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from contextlib import closing
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, BinaryIO, NamedTuple
+
+from fieldgrid.build.parts import Share, write_part
+from fieldgrid.build.staging import DriveWork, stage_frames
+from fieldgrid.errors import ConfigError, FieldgridError
+
+
+class Order(NamedTuple):
+    """A share to stage. `work` is the drive's, pickled, empty when the process has had it."""
+
+    drive: int
+    work: bytes
+    share: Share
+    folder: Path
+    out: Path
+
+
+class FrameDone(NamedTuple):
+    """A frame is staged; the camera went so far since the one before."""
+
+    moved_m: float
+
+
+class ShareDone(NamedTuple):
+    """The share is staged, and its part written."""
+
+
+class ShareFailed(NamedTuple):
+    """The share cannot be staged."""
+
+    error: FieldgridError
+
+
+class Defect(NamedTuple):
+    """An error that nothing foresaw, with its traceback."""
+
+    text: str
+
+
+Answer = FrameDone | ShareDone | ShareFailed | Defect
+
+
+def main() -> None:
+    """Do what is ordered until the orders end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the build says when to end
+    # What a library prints must not get among the answers.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    orders: SimpleQueue[Order] = SimpleQueue()
+    threading.Thread(target=_listen, args=(sys.stdin.buffer, orders), daemon=True).start()
+    works: dict[int, DriveWork] = {}
+
+    def answer(what: Answer) -> None:
+        pickle.dump(what, answers)
+        answers.flush()
+
+    while True:
+        order = orders.get()
+        try:
+            if order.work:
+                works = {order.drive: _unpacked(order.work)}
+            work = works[order.drive]
+            with closing(stage_frames(work, *order.share, jobs=1)) as looks:
+                write_part(
+                    order.folder, order.out, order.share, looks, lambda m: answer(FrameDone(m))
+                )
+            answer(ShareDone())
+        except BrokenPipeError:
+            os._exit(1)
+        except FieldgridError as error:
+            answer(ShareFailed(error))
+        except Exception:  # noqa: BLE001 - the build raises it
+            answer(Defect(traceback.format_exc()))
+
+
+def not_importable(error: Exception) -> ConfigError:
+    """That frames are of a class that only the program that made them knows."""
+    return ConfigError(
+        f"The frames of this drive cannot be given to other processes ({error}); define their "
+        "classes in a module that can be imported, or give --jobs 1."
+    )
+
+
+def _unpacked(work: bytes) -> DriveWork:
+    try:
+        found: DriveWork = pickle.loads(work)
+    except (AttributeError, ImportError) as error:
+        raise not_importable(error) from error
+    return found
+
+
+def _listen(stream: BinaryIO, orders: SimpleQueue[Any]) -> None:
+    """Takes the orders; the process ends with them, whatever it is at."""
+    try:
+        while True:
+            orders.put(pickle.load(stream))
+    except BaseException:  # noqa: BLE001 - the build is gone
+        os._exit(1)

@@ -1,0 +1,297 @@
+"""Many drives: processes, those that die, builds that are ended and go on, frames that are bad."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import sqlite3
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fieldgrid.build import PartlyBuiltError, Progress, drives, parts
+from fieldgrid.build.staging import DriveWork
+from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
+from fieldgrid.mapfile import Patience, open_map
+from tests.build import failing
+from tests.build.making import COURSE, MakeDrive, build, content, damage
+from tests.cli.conftest import in_a_process
+
+SMALL = (
+    "import fieldgrid.build.drives as d, fieldgrid.build.parts as p\n"
+    "d.WORTH_FRAMES, p.SHARE_FRAMES = 1, 2"
+)
+
+
+@pytest.fixture(autouse=True)
+def small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "SHARE_FRAMES", 2)
+    monkeypatch.setattr(drives, "WORTH_FRAMES", 1)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
+    """Two drives, one with a frame that cannot be read, and the map of them, built in one process
+    and in one run."""
+    from tests.conftest import make_small_drive
+
+    folder = tmp_path_factory.mktemp("two")
+    paths = [
+        make_small_drive(folder / "first", range(3, 9)),
+        make_small_drive(folder / "second", range(40, 45)),
+    ]
+    damage(paths[0] / "left" / "000005.jpg")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(parts, "SHARE_FRAMES", 100)
+        build(paths, folder / "whole.gpkg", jobs=1, skip_bad=1)
+    return paths, folder / "whole.gpkg"
+
+
+def test_processes_give_the_same_bits_also_when_one_is_killed(
+    two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, whole = two
+    monkeypatch.setattr(drives, "open_drive", failing.opening("first", 5, 1, tmp_path / "marks"))
+    out, seen = tmp_path / "m.gpkg", list[Progress]()
+    reports = build(paths, out, jobs=2, skip_bad=1, progress=seen.append)
+    assert (tmp_path / "marks").read_text() == "x"
+    assert content(out) == content(whole)
+    assert [report.session for report in reports] == ["first", "second"]
+    assert [bad.frame_id for bad in reports[0].bad] == ["000005"]
+    last = {now.session: (now.frames_done, now.frames_total) for now in seen}
+    assert last == {"first": (6, 6), "second": (5, 5)}
+    assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
+
+
+def test_a_recording_that_kills_processes_is_named_and_left_out(
+    two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, _ = two
+    monkeypatch.setattr(drives, "open_drive", failing.opening("second", 2, 9, tmp_path / "marks"))
+    with pytest.raises(PartlyBuiltError) as told:
+        build(paths, tmp_path / "m.gpkg", jobs=2, skip_bad=1)
+    (failed,) = told.value.failed
+    assert failed[0] == "second"
+    assert "Frames 2 to 3 of second have ended 3 processes of the build (signal 9)" in failed[1]
+    assert (tmp_path / "marks").read_text() == "xxx"
+    with open_map(tmp_path / "m.gpkg") as universal:
+        assert [info.name for info in universal.sessions()] == ["first"]
+    assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
+
+
+# --- a build that is ended
+
+
+def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) -> str:
+    """A build by two processes that is ended once it has staged so many parts; what it said."""
+    child = subprocess.Popen(
+        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=SMALL),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    until = time.monotonic() + 120.0
+    folder = parts.parts_folder(out)
+    while len(list(folder.glob("*/*-*.json"))) < parts_done and time.monotonic() < until:
+        assert child.poll() is None, child.communicate()[1]
+        time.sleep(0.005)
+    workers = _children(child.pid)
+    child.send_signal(how)
+    errors = child.communicate(timeout=60)[1]
+    while any(map(_is_alive, workers)) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not any(map(_is_alive, workers))
+    return errors
+
+
+def _children(pid: int) -> list[int]:
+    found = Path(f"/proc/{pid}/task/{pid}/children")
+    return [int(word) for word in found.read_text().split()] if found.exists() else []
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many frames each run of shares has that this process stages from now on."""
+    runs: list[int] = []
+    original = drives.stage_frames
+
+    def counted(work: DriveWork, first: int, last: int, jobs: int) -> Any:
+        runs.append(last - first)
+        return original(work, first, last, jobs)
+
+    monkeypatch.setattr(drives, "stage_frames", counted)
+    return runs
+
+
+@pytest.mark.parametrize(("parts_done", "how"), [(4, signal.SIGKILL), (1, signal.SIGINT)])
+def test_an_ended_build_goes_on_to_the_same_bits(
+    parts_done: int,
+    how: signal.Signals,
+    two: tuple[list[Path], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    paths, whole = two
+    out = tmp_path / "m.gpkg"
+    errors = ended(paths, out, parts_done, how)
+    assert not out.exists()
+    if how is signal.SIGINT:
+        assert f"What was staged is kept in {out}.parts; the same command with --resume" in errors
+        assert "Traceback" not in errors
+    done = [path.stem.split("-") for path in parts.parts_folder(out).glob("*/*-*.json")]
+    staged = count_staged(monkeypatch)
+    build(paths, out, jobs=1, skip_bad=1, resume=True)
+    assert len(done) >= parts_done
+    assert sum(staged) == 11 - sum(int(last) - int(first) for first, last in done)
+    assert content(out) == content(whole)
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.fixture
+def left(make_drive: MakeDrive, tmp_path: Path) -> tuple[Path, Path]:
+    """A drive, and a map of which an interrupted build has left a part of it."""
+    drive, out = make_drive(frames=range(3, 9)), tmp_path / "out" / "m.gpkg"
+    out.parent.mkdir()
+
+    def interrupt(now: Progress) -> None:
+        if now.frames_done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build([drive], out, jobs=1, progress=interrupt)
+    assert len(list(out.parent.glob("m.gpkg.parts/*/*.grids"))) == 1
+    return drive, out
+
+
+def test_parts_that_are_there_are_told(left: tuple[Path, Path]) -> None:
+    drive, out = left
+    with pytest.raises(ConfigError, match=r"m\.gpkg\.parts holds staged parts .*\(drive\); give"):
+        build([drive], out)
+    build([drive], out, resume=False)
+    assert list(out.parent.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("change", ["settings", "image"])
+def test_parts_of_other_inputs_or_settings_are_refused(
+    change: str, left: tuple[Path, Path]
+) -> None:
+    drive, out = left
+    before = sorted(out.parent.rglob("*"))
+    if change == "image":
+        image = drive / "left" / "000003.jpg"
+        data = image.read_bytes()
+        image.unlink()  # it is a link
+        image.write_bytes(data)
+    settings = {"settings": COURSE} if change == "settings" else {}
+    with pytest.raises(ConfigError, match=r"parts of drive in .* are of other inputs or settings"):
+        build([drive], out, resume=True, **settings)
+    assert sorted(out.parent.rglob("*")) == before
+
+
+def test_a_damaged_part_is_made_again(left: tuple[Path, Path], tmp_path: Path) -> None:
+    drive, out = left
+    (grids,) = out.parent.glob("m.gpkg.parts/*/*.grids")
+    data = bytearray(grids.read_bytes())
+    data[len(data) // 2] ^= 1
+    grids.write_bytes(data)
+    build([drive], out, resume=True)
+    build([drive], tmp_path / "anew.gpkg")
+    assert content(out) == content(tmp_path / "anew.gpkg")
+
+
+def test_a_drive_that_was_refused_at_its_commit_is_not_staged_again(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    build([make_drive("first")], out)
+    paths = [make_drive("second", range(5, 9)), make_drive("third", range(8, 10))]
+    other = sqlite3.connect(out, isolation_level=None)
+    waited: list[float] = []
+
+    def stop(waited_s: float) -> None:
+        waited.append(waited_s)
+
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(MapWriteError, match=r"in use by another program.* --resume goes on"):
+        build(paths, out, append=True, jobs=1, patience=Patience(0.01, stop))
+    other.execute("ROLLBACK")
+    other.close()
+    assert waited
+    staged = count_staged(monkeypatch)
+    build(paths, out, append=True, jobs=1, resume=True)
+    assert staged == [2]  # those of the third drive alone
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == ["first", "second", "third"]
+    assert not parts.parts_folder(out).exists()
+
+
+def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    drive = make_drive(frames=range(3, 7))
+    with monkeypatch.context() as patched:
+        patched.setattr(drives, "remove_parts", lambda *_: None)  # it ends just before that
+        build([drive], out)
+    before = out.read_bytes()
+    (report,) = build([drive], out, resume=True)
+    assert "The drive was in the map already." in report.notes
+    assert out.read_bytes() == before
+    assert not parts.parts_folder(out).exists()
+
+
+# --- frames that are bad
+
+
+def bad(drive: Path) -> None:
+    damage(drive / "left" / "000004.jpg")
+    (drive / "right" / "000006.jpg").unlink()
+
+
+@pytest.mark.parametrize("bound", [2, 0.4])
+def test_bad_frames_are_left_out_up_to_a_bound(
+    bound: float, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive, out = make_drive(frames=range(3, 8)), tmp_path / "m.gpkg"
+    bad(drive)
+    (report,) = build([drive], out, skip_bad=bound)
+    assert (report.frames, [one.frame_id for one in report.bad]) == (3, ["000004", "000006"])
+    assert "truncated" in report.bad[0].reason
+    assert "No such file" in report.bad[1].reason
+    assert report.as_dict()["bad"][1]["frame_id"] == "000006"
+    with open_map(out) as universal:
+        config = universal.sessions()[0].config
+        assert [record.frame_id for record in universal.frames()] == ["000003", "000005", "000007"]
+    assert config["bad_frames"] == 2
+    assert [frame_id for frame_id, _ in config["bad"]] == ["000004", "000006"]
+
+
+@pytest.mark.parametrize(("bound", "most"), [(1, 1), (0.39, 1)])
+def test_more_bad_frames_than_the_bound_are_refused(
+    bound: float, most: int, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive(frames=range(3, 8))
+    bad(drive)
+    said = (
+        rf"2 of 5 frames of drive cannot be read, and --skip-bad allows {most}; .*First: .*000004"
+    )
+    with pytest.raises(RecordingError, match=said):
+        build([drive], tmp_path / "m.gpkg", skip_bad=bound)
+    assert list(tmp_path.iterdir()) == [drive]
+
+
+def test_a_drive_without_a_frame_that_can_be_read(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(3, 5))
+    shutil.rmtree(drive / "right")
+    with pytest.raises(RecordingError, match="None of the 2 frames of drive can be read"):
+        build([drive], tmp_path / "m.gpkg", skip_bad=1.0)
+    assert list(tmp_path.iterdir()) == [drive]
