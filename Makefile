@@ -56,10 +56,12 @@ bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks.odometry
 	$(PY) -m benchmarks.track_hour
 	$(PY) -m benchmarks.reading
+	$(PY) -m benchmarks.drives
 
 crash: .venv/installed ## Kill writers and break their disk, hundreds of times (some minutes)
 	$(PY) -m tests.crash.kills 250
 	$(PY) -m tests.crash.failures 40
+	$(PY) -m tests.crash.builds 20
 
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
 	$(PY) -m benchmarks.heading

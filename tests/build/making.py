@@ -28,6 +28,11 @@ SharedData = Callable[[str], Path]
 
 DEFAULTS = BuildSettings()
 COURSE = resolve(None, {"pose": {"heading": "course"}})
+SMALL_SHARES = (
+    "import fieldgrid.build.drives as d, fieldgrid.build.parts as p\n"
+    "d.WORTH_FRAMES, p.SHARE_FRAMES = 1, 2"
+)
+"""Python to run first in a process of its own: a small drive then has shares, for processes."""
 WITHOUT_CAMERA = resolve(None, {"pose": {"visual_odometry": False}})
 
 

@@ -17,13 +17,8 @@ from fieldgrid.build.staging import DriveWork
 from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
 from fieldgrid.mapfile import Patience, open_map
 from tests.build import failing
-from tests.build.making import COURSE, MakeDrive, build, content, damage
+from tests.build.making import COURSE, SMALL_SHARES, MakeDrive, build, content, damage
 from tests.cli.conftest import in_a_process
-
-SMALL = (
-    "import fieldgrid.build.drives as d, fieldgrid.build.parts as p\n"
-    "d.WORTH_FRAMES, p.SHARE_FRAMES = 1, 2"
-)
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +83,7 @@ def test_a_recording_that_kills_processes_is_named_and_left_out(
 def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) -> str:
     """A build by two processes that is ended once it has staged so many parts; what it said."""
     child = subprocess.Popen(
-        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=SMALL),
+        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=SMALL_SHARES),
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,

@@ -36,6 +36,7 @@ from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile
+from fieldgrid.mapfile.metadata import check_name
 from fieldgrid.motion import Steps
 from fieldgrid.pose import GIVEN, tells_attitude
 from fieldgrid.recording import Recording
@@ -308,6 +309,7 @@ def _step_m(last: Pose | None, pose: Pose) -> float:
 def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
     """Raise before any work is done when a session could not get its name."""
     for k, name in enumerate(names):
+        check_name(name)
         if name in taken:
             raise ConfigError(f"The map has a session {name!r} already; give another with --name.")
         if name in names[:k]:
