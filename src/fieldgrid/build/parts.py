@@ -111,7 +111,6 @@ class DriveParts(Closing):
             for first in range(0, count, SHARE_FRAMES)
         ]
         self._parts: dict[Share, Staged] = {}
-        self.bad: list[BadFrame] = []
         self.frames_done, self.moved_m = 0, 0.0
         about = self.folder / _ABOUT
         try:
@@ -120,6 +119,7 @@ class DriveParts(Closing):
                 said = {"name": name, "recording": recording, "frames": count}
                 about.write_text(json.dumps(said), encoding="utf-8")
         except OSError as error:
+            remove_parts(out, [key])
             raise MapWriteError(
                 f"{out} could not be written ({error.strerror}); check the folder and its "
                 "permissions."
@@ -138,7 +138,6 @@ class DriveParts(Closing):
         part = read_part(self.folder, share)
         if part is not None:
             self._parts[share] = part
-            self.bad += part.bad
             self.frames_done += share.last - share.first
             self.moved_m += sum(
                 math.hypot(one.forward_m, one.right_m)
@@ -146,6 +145,11 @@ class DriveParts(Closing):
                 if isinstance(one, Step)
             )
         return part
+
+    @property
+    def bad(self) -> list[BadFrame]:
+        """The frames that could not be read, of the parts that are done, in order."""
+        return [bad for _, part in sorted(self._parts.items()) for bad in part.bad]
 
     @property
     def is_complete(self) -> bool:
