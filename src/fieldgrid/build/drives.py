@@ -353,11 +353,12 @@ class _Build:
 
     def _check_bad(self, drive: _Drive) -> None:
         """Raise RecordingError when more frames are bad than may be."""
-        bad, count = drive.parts.bad, drive.session.total
-        if len(bad) > (most := _bound(self.skip_bad, count)):
+        bad, count = drive.parts.bad_count, drive.session.total
+        if bad > (most := _bound(self.skip_bad, count)):
             raise RecordingError(
-                f"{len(bad)} of {count} frames of {drive.name} cannot be read, and --skip-bad "
-                f"allows {most}; allow more, or copy the recording again. First: {bad[0].reason}"
+                f"{bad} of {count} frames of {drive.name} cannot be read, and --skip-bad allows "
+                f"{most}; allow more, or copy the recording again. "
+                f"First: {drive.parts.bad[0].reason}"
             )
 
     def _good(self) -> Iterator[_Drive]:

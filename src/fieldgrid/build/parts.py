@@ -111,7 +111,7 @@ class DriveParts(Closing):
             for first in range(0, count, SHARE_FRAMES)
         ]
         self._parts: dict[Share, Staged] = {}
-        self.frames_done, self.moved_m = 0, 0.0
+        self.frames_done, self.bad_count, self.moved_m = 0, 0, 0.0
         about = self.folder / _ABOUT
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -139,6 +139,7 @@ class DriveParts(Closing):
         if part is not None:
             self._parts[share] = part
             self.frames_done += share.last - share.first
+            self.bad_count += len(part.bad)
             self.moved_m += sum(
                 math.hypot(one.forward_m, one.right_m)
                 for one in part.found

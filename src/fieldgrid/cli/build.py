@@ -17,12 +17,7 @@ from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
-    from fieldgrid.build import SessionReport
-=======
     from fieldgrid.build import PartlyBuiltError, SessionReport
-    from fieldgrid.geodesy import Datum
->>>>>>> f3bf8b5 (build of many recordings: processes, parts that are kept for --resume, bad frames left out up to a bound)
 
 _SESSION = "Session and map file"
 _BAD_SHOWN = 10
