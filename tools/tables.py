@@ -53,7 +53,7 @@ def export_options_table() -> str:
     for known in formats().values():
         for one in known.declared():
             assert one.flag is not None
-            flag = f"`{one.flag.name} {one.flag.metavar}`"
+            flag = f"`{one.flag.name.partition('/')[0]} {one.flag.metavar}".rstrip() + "`"
             row = rows.setdefault(
                 flag, [flag, f"`{one.path[-1]}`", one.usual, "", one.info.description or ""]
             )

@@ -233,8 +233,9 @@ def _write_dxf(path: Path, features: Sequence[Feature], datum: Datum, overwrite:
             for f in features
         ]
         _by_gdal(written, path, outlines, "entities", "DXF", datum)
-        # A comment, by which the file is known as ours.
-        file.write_bytes(b"999\nfound by fieldgrid\n" + written.read_bytes())
+        # A comment, by which the file is known as ours; a drawing has no system of coordinates.
+        about = f"999\nfound by fieldgrid, metres from the datum {datum.described()}\n"
+        file.write_bytes(about.encode() + written.read_bytes())
 
 
 def _by_gdal(

@@ -134,8 +134,9 @@ def control_points(view: MapView) -> tuple[_Float64, _Float64]:
 def exports(two_lanes_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Exports:
     folder = tmp_path_factory.mktemp("exports")
     with open_map(two_lanes_map) as universal:
-        for name in ("v.tif", "v.png", "v.kmz", "v.mcap", "v.rosbag2"):
+        for name in ("v.tif", "v.png", "v.kmz", "v.rosbag2"):
             export_map(universal, folder / name)
+        export_map(universal, folder / "v.mcap", options={"foxglove": True})
         for name in SHAPES:
             export_map(universal, folder / name, options={"simplify_m": 0.0})
         export_map(universal, folder / "v.yaml", options={"mode": "raw"})

@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 from hypothesis import example, given
@@ -115,6 +116,12 @@ def test_paths_and_fixes_of_a_bag_end_at_the_bounds(universal: MapFile, tmp_path
             message: Any = reader.deserialize(data, connection.msgtype)
             if "/path" in connection.topic:
                 poses += [(p.pose.position.x, p.pose.position.y) for p in message.poses]
+            elif connection.topic.endswith("/odometry"):
+                place = message.pose.pose.position
+                poses.append((place.x, place.y))
+            elif connection.topic == "/tf":
+                (placed,) = message.transforms
+                poses.append((placed.transform.translation.x, placed.transform.translation.y))
             elif connection.topic.endswith("/fix"):
                 fixes.append((message.latitude, message.longitude))
     assert len(poses) > 1
@@ -131,8 +138,24 @@ def test_task_data_end_at_the_bounds(universal: MapFile, tmp_path: Path) -> None
     assert {line.get("A") for line in root.iter("PLN")} >= {"1"}  # the boundary
 
 
+@pytest.mark.parametrize("name", ["part.fgb", "part.dxf"])
+def test_features_of_other_formats_end_at_the_bounds(
+    universal: MapFile, tmp_path: Path, name: str
+) -> None:
+    export_map(universal, tmp_path / name, Selection(PART))
+    west, south, east, north = pyogrio.read_info(tmp_path / name, force_total_bounds=True)[
+        "total_bounds"
+    ]
+    assert within(np.array([(west, south), (east, north)]))
+
+
 def test_no_format_is_forgotten() -> None:
     """The others are made of the cells of the part."""
-    of_cells = {"geotiff", "png", "nav2", "csv", "parquet", "npz", "zarr"}
-    tested = {"geojson", "gpkg", "shapefile", "kmz", "mcap", "rosbag2", "isoxml"}
+    of_cells = {"geotiff", "png", "nav2", "csv", "parquet", "npz", "zarr", "netcdf"}
+    tested = {"geojson", "gpkg", "shapefile", "flatgeobuf", "dxf"} | {
+        "kmz",
+        "mcap",
+        "rosbag2",
+        "isoxml",
+    }
     assert set(formats()) == of_cells | tested | {"qgz"}  # a project holds no ground

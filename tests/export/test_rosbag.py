@@ -58,6 +58,7 @@ def export_mcap(
     overwrite: bool = False,
     **options: Any,
 ) -> Exported:
+    options = {"foxglove": True, **options}
     return export_map(
         universal, path, selection, format="mcap", overwrite=overwrite, options=options
     )
@@ -314,6 +315,43 @@ def test_paths_and_fixes_are_where_the_vehicle_was(messages: Messages, session: 
     (path,) = messages[f"/{session}/path"]
     check_path(path, session)
     check_fixes(messages[f"/{session}/fix"], session)
+
+
+@pytest.mark.parametrize("session", [SPRING, SUMMER])
+def test_odometry_and_tf_are_where_the_vehicle_was(messages: Messages, session: str) -> None:
+    driven, base = track(session), f"{session}/base_footprint"
+    rows = np.flatnonzero(driven.accepted)
+    odometry = messages[f"/{session}/odometry"]
+    placed = [t for one in messages["/tf"] for t in one.transforms if t.child_frame_id == base]
+    assert len(odometry) == len(placed) == len(rows)
+    for k, odom, tf in zip(rows, odometry, placed, strict=True):
+        assert stamp_ns(odom.header) == stamp_ns(tf.header) == driven.time_ns[k]
+        assert (odom.header.frame_id, tf.header.frame_id) == ("map", "map")
+        assert odom.child_frame_id == base
+        at, move = odom.pose.pose.position, tf.transform.translation
+        where = (driven.east_m[k], driven.north_m[k], driven.up_m[k])
+        assert (at.x, at.y, at.z) == (move.x, move.y, move.z) == pytest.approx(where)
+        turn, spun = odom.pose.pose.orientation, tf.transform.rotation
+        assert (turn.z, turn.w) == (spun.z, spun.w)
+        heading = math.radians(driven.heading_deg[k])
+        nose = (1 - 2 * turn.z**2, 2 * turn.w * turn.z)
+        assert nose == pytest.approx((math.sin(heading), math.cos(heading)), abs=1e-9)
+        variance = np.diag(np.array(odom.pose.covariance).reshape(6, 6))
+        assert variance[0] == pytest.approx(driven.position_sigma_m[k] ** 2)
+        assert variance[5] == pytest.approx(math.radians(driven.heading_sigma_deg[k]) ** 2)
+        assert variance[3] == 1e6
+        speed = odom.twist.twist.linear.x
+        assert abs(speed) == pytest.approx(driven.speed_mps[k])
+        assert (speed < 0.0) == (driven.gear[k] < 0)
+
+
+def test_readers_of_ros_bags_open_an_mcap(universal: MapFile, tmp_path: Path) -> None:
+    part = Selection(bounds=Bounds(-4.0, 0.0, 0.0, 2.0))
+    export_map(universal, tmp_path / "m.mcap", part)
+    with AnyReader([tmp_path / "m.mcap"]) as reader:
+        found = {c.topic for c, _, data in reader.messages() if reader.deserialize(data, c.msgtype)}
+    assert {"/map", "/grid_map", "/tf_static", "/datum"} <= found
+    assert not any("foxglove" in topic for topic in found)
 
 
 def test_the_datum_is_in_it_three_times(messages: Messages) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -249,3 +250,20 @@ def test_a_full_disk_leaves_nothing(
     with pytest.raises(OSError, match="No space left"):
         export_map(universal, tmp_path / "TASKDATA")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_task_data_in_one_file_are_those_of_the_folder(
+    universal: MapFile, folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "TASKDATA.zip"
+    for _ in range(2):
+        export_map(universal, out, Selection(cell_m=COARSE_M), overwrite=True)
+    with zipfile.ZipFile(out) as archive:
+        packed = {Path(name).name: archive.read(name) for name in archive.namelist()}
+        assert {Path(name).parent.name for name in archive.namelist()} == {"TASKDATA"}
+    assert packed == {file.name: file.read_bytes() for file in folder.iterdir()}
+    with zipfile.ZipFile(out, "a") as archive:
+        archive.writestr("TASKDATA/TLG00001.bin", "work")
+    with pytest.raises(MapExistsError, match="give another name"):
+        export_map(universal, out, Selection(cell_m=COARSE_M), overwrite=True)
+    assert list(tmp_path.iterdir()) == [out]

@@ -7,12 +7,15 @@ import json
 import sqlite3
 import subprocess
 from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import pyogrio
+import pyproj
 import pytest
 import shapefile
 import shapely
@@ -114,10 +117,27 @@ def read_shapefiles(path: Path) -> Features:
     return found
 
 
+def read_flatgeobuf(path: Path) -> Features:
+    # As Arrow: pandas makes floats of whole numbers that are missing in some layers.
+    about, table = pyogrio.read_arrow(path)
+    operation = pyproj.CRS.from_wkt(about["crs"]).coordinate_operation
+    assert operation is not None
+    assert DATUM.lat_deg in [pytest.approx(one.value, abs=1e-9) for one in operation.params]
+    found: Features = {}
+    # The index of a FlatGeobuf orders features by their places.
+    rows = table.to_pylist()
+    rows.sort(key=lambda row: row["time_ns"] or row["first_ns"] or 0)
+    for row in rows:
+        shape = shapely.from_wkb(row.pop(about["geometry_name"] or "wkb_geometry"))
+        found.setdefault(row.pop("layer"), []).append(Feature(shape, row))
+    return found
+
+
 READERS: dict[str, tuple[str, Callable[[Path], Features]]] = {
     "geojson": ("map.geojson", read_geojson),
     "gpkg": ("features.gpkg", read_gpkg),
     "shapefile": ("shapes.shp.zip", read_shapefiles),
+    "flatgeobuf": ("features.fgb", read_flatgeobuf),
 }
 
 
@@ -189,6 +209,9 @@ def test_poses_come_back(universal: MapFile, tmp_path: Path, kind: str) -> None:
         np.testing.assert_allclose(places[:, 1], drive.north_m, atol=0.001)
         assert [int(f.properties["time_ns"]) for f in found] == drive.time_ns.tolist()
         assert [f.properties["status"] for f in found] == [s.value for s in drive.status]
+        first = datetime.fromisoformat(found[0].properties["time"])
+        assert first.utcoffset() == timedelta(0)
+        assert int(first.timestamp()) == int(drive.time_ns[0]) // 10**9
         key = "head_deg" if kind == "shapefile" else "heading_deg"
         assert [f.properties[key] for f in found] == pytest.approx(drive.heading_deg.tolist())
 
@@ -388,3 +411,22 @@ def test_the_fixture_has_obstacles_that_touch_by_a_corner_only() -> None:
     (one,) = trace_obstacles([view])
     assert len(one.outline.geoms) == 2
     assert cells()[2].observed.any()
+
+
+def test_a_drawing_has_a_layer_for_each_kind(universal: MapFile, tmp_path: Path) -> None:
+    export_map(universal, tmp_path / "map.dxf")
+    about, table = pyogrio.read_arrow(tmp_path / "map.dxf")
+    assert about["fields"] is not None
+    rows = table.to_pylist()
+    by_layer = {row["Layer"] for row in rows}
+    assert by_layer == {"obstacle", "trajectory", "pose", "footprint"}
+    shapes = [
+        shapely.from_wkb(row[about["geometry_name"] or "wkb_geometry"])
+        for row in rows
+        if row["Layer"] == "obstacle"
+    ]
+    outlines = shapely.polygonize(shapes)
+    east, north = probes()
+    np.testing.assert_array_equal(
+        shapely.contains_xy(outlines, east, north), truth(east, north).density > 100
+    )

@@ -147,6 +147,8 @@ def _lines(drives: dict[str, Trajectory], area: Bounds | None) -> FeatureLayer:
             "gear": np.array(gears, dtype=np.int32),
             "first_ns": np.array(starts, dtype=np.int64),
             "last_ns": np.array(stops, dtype=np.int64),
+            "first_time": _iso(starts),
+            "last_time": _iso(stops),
         },
     )
 
@@ -189,6 +191,7 @@ def _poses(drives: dict[str, Trajectory]) -> FeatureLayer:
         {
             "session": _texts([name for name, track in drives.items() for _ in range(len(track))]),
             "time_ns": joined("time_ns").astype(np.int64),
+            "time": _iso(joined("time_ns")),
             "up_m": known("up_m"),
             "heading_deg": known("heading_deg"),
             "heading_sigma_deg": known("heading_sigma_deg"),
@@ -217,6 +220,7 @@ def _footprints(universal: MapFile, sessions: Sequence[str]) -> FeatureLayer:
             "session": _texts([frame.session for frame in frames]),
             "frame_id": _texts([frame.frame_id for frame in frames]),
             "time_ns": np.array([frame.pose.time_ns for frame in frames], dtype=np.int64),
+            "time": _iso([frame.pose.time_ns for frame in frames]),
             "status": _texts([frame.pose.status.value for frame in frames]),
         },
     )
@@ -229,6 +233,13 @@ def _rectangle(frame: FrameRecord) -> Any:
     x = np.array([-half_m, half_m, half_m, -half_m])
     y = np.array([0.0, 0.0, length_m, length_m])
     return shapely.Polygon(np.c_[to_universal(x, y, frame.pose)])
+
+
+def _iso(time_ns: npt.ArrayLike) -> npt.NDArray[np.object_]:
+    """Times in UTC as ISO 8601 has them: JavaScript rounds nanoseconds to a quarter of a
+    microsecond."""
+    stamps = np.asarray(time_ns, dtype=np.int64).astype("datetime64[ns]")
+    return _texts([f"{text}Z" for text in np.datetime_as_string(stamps).tolist()])
 
 
 def _texts(values: list[str]) -> npt.NDArray[np.object_]:

@@ -7,14 +7,14 @@ WGS84's Earth-centred frame (REP-105), and the static transform between the two 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.angles import yaw_from_heading_rad
-from fieldgrid.array_types import AnyArray, Bool, Float32, Int64
+from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Int64
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum, geodetic_to_ecef
 from fieldgrid.mapfile import MapView
@@ -23,6 +23,7 @@ from fieldgrid.ros.gnss import nav_sat_fix
 from fieldgrid.ros.messages import (
     EARTH,
     MAP,
+    NOT_SAID,
     header_of,
     new,
     path_message,
@@ -30,6 +31,8 @@ from fieldgrid.ros.messages import (
     time_of,
     transform,
     transforms,
+    turn_left,
+    vector,
 )
 from fieldgrid.trajectory import Trajectory
 
@@ -117,6 +120,47 @@ def fixes(track: Trajectory, wanted: Bool) -> Iterator[tuple[int, Any]]:
             sigma_m=sigma_m if math.isfinite(sigma_m) else None,
         )
         yield time_ns, nav_sat_fix(fix, MAP)
+
+
+def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any, Any]]:
+    """The time in ns, the nav_msgs/Odometry and the tf2_msgs/TFMessage of rows that have a heading:
+    where the frame `base` of the vehicle, forward, left, up, is in the map.
+
+    The speed is negative in reverse. What is not known has a variance of 10^6.
+    """
+    yaw_rad = yaw_from_heading_rad(track.heading_deg[rows])
+    for k, yaw in zip(rows.tolist(), yaw_rad.tolist(), strict=True):
+        time_ns, gear = int(track.time_ns[k]), int(track.gear[k])
+        at_m = np.array([track.east_m[k], track.north_m[k], track.up_m[k]])
+        position, turn = float(track.position_sigma_m[k]), float(track.heading_sigma_deg[k])
+        sigmas = [position, position, math.nan, math.nan, math.nan, math.radians(turn)]
+        speed_mps = float(np.nan_to_num(track.speed_mps[k]))
+        message = new(
+            "nav_msgs/Odometry",
+            header=header_of(time_ns, MAP),
+            child_frame_id=base,
+            pose=new(
+                "geometry_msgs/PoseWithCovariance",
+                pose=pose(float(at_m[0]), float(at_m[1]), float(at_m[2]), yaw),
+                covariance=_variances(sigmas),
+            ),
+            twist=new(
+                "geometry_msgs/TwistWithCovariance",
+                twist=new(
+                    "geometry_msgs/Twist",
+                    linear=vector(-abs(speed_mps) if gear < 0 else speed_mps, 0.0, 0.0),
+                    angular=vector(0.0, 0.0, 0.0),
+                ),
+                covariance=_variances([math.nan] * 6),
+            ),
+        )
+        yield time_ns, message, transforms(transform(time_ns, MAP, base, at_m, turn_left(yaw)))
+
+
+def _variances(sigmas: Sequence[float]) -> Float64:
+    """A covariance [36] of six errors that are independent."""
+    found: Float64 = np.diag([s * s if math.isfinite(s) else NOT_SAID for s in sigmas]).reshape(-1)
+    return found
 
 
 def earth_to_map(datum: Datum, time_ns: int) -> Any:

@@ -6,6 +6,7 @@ pose, so that a player shows it at once; paths and grids are latched, as Nav2 wa
 
 from __future__ import annotations
 
+import heapq
 import json
 import re
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.ros import BagFolderWriter, McapWriter
 from fieldgrid.ros.gnss import datum_message
-from fieldgrid.ros.messages import text
+from fieldgrid.ros.messages import BASE, text
 from fieldgrid.settings import Flag, setting
 from fieldgrid.trajectory import Trajectory
 
@@ -57,24 +58,52 @@ class BagOptions(CurveOptions):
     )
 
 
+class McapOptions(CurveOptions):
+    """What a file for Foxglove holds."""
+
+    foxglove: bool = setting(
+        False,
+        "add Foxglove's own messages, in Protocol Buffers, which readers of ROS bags refuse",
+        flag=Flag("--foxglove/--no-foxglove", ""),
+    )
+
+
 def export_mcap(
     universal: MapFile,
     path: Path,
     selection: Selection,
-    options: CurveOptions,
+    options: McapOptions,
     *,
     overwrite: bool,
 ) -> Exported:
-    """Write a part of a map as one `.mcap` file for Foxglove.
+    """Write a part of a map as one `.mcap` file, which Foxglove and readers of ROS 2 bags open.
 
-    It holds what `export_rosbag2` writes, and two of Foxglove's own messages: a coloured grid and
-    the obstacles, trajectories and marks as GeoJSON. Raises ConfigError for a part of more than 25
-    million cells, and when the schemas of Foxglove, pyogrio or shapely are not installed.
+    It holds what `export_rosbag2` writes. With `foxglove` also two of Foxglove's own messages: a
+    coloured grid and the obstacles, trajectories and marks as GeoJSON. Raises ConfigError for a
+    part of more than 25 million cells, and when what those two need is not installed.
     """
-    foxglove_messages.check_installed()
+    if options.foxglove:
+        foxglove_messages.check_installed()
     curve = options.curve()
     view, tracks = _read(universal, selection)
     start_ns = _start_ns(universal, tracks)
+    own = _foxglove(universal, path, selection, options, view, start_ns) if options.foxglove else []
+    with McapWriter(path, overwrite=overwrite) as writer:
+        for topic, raw in own:
+            writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
+        count = _write(writer, view, tracks, curve, selection, start_ns)
+    return Exported((path,), _rows(view, count + len(own)))
+
+
+def _foxglove(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    options: McapOptions,
+    view: MapView,
+    start_ns: int,
+) -> list[tuple[str, foxglove_messages.Raw]]:
+    """Foxglove's own messages by topic."""
     shapes = geojson_text(
         universal,
         path,
@@ -84,14 +113,10 @@ def export_mcap(
             obstacle_above=options.obstacle_above,
         ),
     )
-    with McapWriter(path, overwrite=overwrite) as writer:
-        for topic, raw in (
-            ("/foxglove/grid", foxglove_messages.grid(view, start_ns)),
-            ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
-        ):
-            writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
-        count = _write(writer, view, tracks, curve, selection, start_ns)
-    return Exported((path,), _rows(view, count + 2))
+    return [
+        ("/foxglove/grid", foxglove_messages.grid(view, start_ns)),
+        ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
+    ]
 
 
 def export_rosbag2(
@@ -194,8 +219,25 @@ def _messages(
             topic = f"/{names[name]}/path{'' if number == 1 else f'_{number}'}"
             yield _Stamped(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
     for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
-        for time_ns, fix in ros_messages.fixes(track, track.accepted & _inside(track, area)):
-            yield _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
+        wanted = track.accepted & _inside(track, area)
+        base = BASE if len(tracks) == 1 else f"{names[name]}/{BASE}"
+        rows = np.flatnonzero(wanted & np.isfinite(track.heading_deg))
+        # Both are in the order of time, and so are they together.
+        yield from heapq.merge(
+            (
+                _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
+                for time_ns, fix in ros_messages.fixes(track, wanted)
+            ),
+            (
+                one
+                for time_ns, odometry, placed in ros_messages.driven(track, rows, base)
+                for one in (
+                    _Stamped("/tf", placed, time_ns, False),
+                    _Stamped(f"/{names[name]}/odometry", odometry, time_ns, False),
+                )
+            ),
+            key=lambda one: one.time_ns,
+        )
 
 
 def _inside(track: Trajectory, area: Bounds | None) -> Bool:
@@ -247,18 +289,17 @@ register(
     Format(
         "mcap",
         (".mcap",),
-        "ROS 2 messages, and two of Foxglove's own",
+        "the same as `.rosbag2` in one file",
         export_mcap,
-        CurveOptions,
+        McapOptions,
         Holds.OCCUPANCY,
-        readers="Foxglove",
-        extras=("foxglove", "gis"),
+        readers="Foxglove, rosbags",
         limits="2.5·10^7 cells",
     ),
     Format(
         "rosbag2",
         (".rosbag2",),
-        "ROS 2 bag: occupancy, grid map, paths, fixes",
+        "ROS 2 bag: grids, paths, fixes, odometry, tf",
         export_rosbag2,
         BagOptions,
         Holds.OCCUPANCY,

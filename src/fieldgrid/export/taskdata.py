@@ -8,6 +8,8 @@ register.
 
 from __future__ import annotations
 
+import tempfile
+import zipfile
 from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -26,7 +28,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
-from fieldgrid.publish import replacing_folder
+from fieldgrid.publish import replacing, replacing_folder
 from fieldgrid.trajectory import Status
 from fieldgrid.vectors import FeatureLayer
 
@@ -52,6 +54,9 @@ _POINTS = 1 << 20
 """Sample points that are placed at a time."""
 
 
+_FILES = ("TASKDATA.XML", "GRD00001.bin")
+
+
 class Zone(NamedTuple):
     """A zone of the grid: its code, and what a terminal shows."""
 
@@ -75,7 +80,8 @@ def export_taskdata(
     *,
     overwrite: bool,
 ) -> Exported:
-    """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA.
+    """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA. With
+    a path that ends in .zip that folder is packed into the file, as farm software takes it.
 
     Raises ConfigError when isoxml is not installed, and for a grid that is too large for a
     terminal.
@@ -86,10 +92,19 @@ def export_taskdata(
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
     field = _field(universal, selection.area(universal), obstacles, drives, footprints)
-    with replacing_folder(
-        path, overwrite=overwrite, ours=_is_taskdata, what="exported task data"
-    ) as draft:
-        _write(draft, field, grid)
+    what = "exported task data"
+    if path.suffix.lower() == ".zip":
+        with (
+            replacing(path, overwrite=overwrite, ours=_is_zipped, what=what) as file,
+            tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        ):
+            _write(Path(folder), field, grid)
+            with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name in _FILES:
+                    archive.write(Path(folder) / name, f"TASKDATA/{name}")
+    else:
+        with replacing_folder(path, overwrite=overwrite, ours=_is_taskdata, what=what) as draft:
+            _write(draft, field, grid)
     rows, columns = grid.zones.shape
     return Exported(
         (path,),
@@ -114,7 +129,15 @@ def _require_library() -> None:
 
 def _is_taskdata(folder: Path) -> bool:
     # A terminal's own task data hold more: the logs of its work, which are nowhere else.
-    return {entry.name for entry in folder.iterdir()} == {"TASKDATA.XML", "GRD00001.bin"}
+    return {entry.name for entry in folder.iterdir()} == set(_FILES)
+
+
+def _is_zipped(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return set(archive.namelist()) == {f"TASKDATA/{name}" for name in _FILES}
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 class ZoneGrid(NamedTuple):
@@ -365,8 +388,8 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
 register(
     Format(
         "isoxml",
-        ("taskdata",),
-        "ISO 11783-10 task data 4.3, a folder",
+        ("taskdata", "taskdata.zip"),
+        "ISO 11783-10 task data 4.3, a folder or zip",
         export_taskdata,
         ShapeOptions,
         Holds.SHAPES,

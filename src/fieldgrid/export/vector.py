@@ -1,7 +1,7 @@
-"""A map's features for any GIS: GeoJSON, GeoPackage and Shapefile.
+"""A map's features for any GIS: GeoJSON, GeoPackage, Shapefile, FlatGeobuf and DXF.
 
-GeoPackage and Shapefile are in the map's own plane, GeoJSON in longitude and latitude as RFC 7946
-asks. All are written by GDAL.
+GeoJSON is in longitude and latitude as RFC 7946 asks, the others are in the map's own plane. All
+are written by GDAL.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import made_elsewhere, mentions, replacing, replacing_folder
 from fieldgrid.settings import Flag, setting
-from fieldgrid.vectors import FeatureLayer, in_degrees, write_layer
+from fieldgrid.vectors import Feature, FeatureLayer, in_degrees, write_features, write_layer
+
+_FLATGEOBUF = "features of a map of fieldgrid"
+"""What a FlatGeobuf says that it is."""
 
 _SHAPEFILE_NAMES = {
     "mean_density": "mean_dens",
@@ -117,6 +120,50 @@ def export_geopackage(
                 # GDAL 3.6, of Debian stable, warns of newer versions.
                 dataset_options={"VERSION": "1.3"},
             )
+    return Exported((path,), _rows(layers))
+
+
+def export_flatgeobuf(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    options: FeatureOptions,
+    *,
+    overwrite: bool,
+) -> Exported:
+    """Write one FlatGeobuf with a spatial index; the property `layer` tells features of different
+    kinds apart."""
+    layers = _layers(universal, selection, options)
+    ours = partial(mentions, mark=_FLATGEOBUF.encode())
+    with (
+        replacing(path, overwrite=overwrite, ours=ours, what="a FlatGeobuf") as file,
+        made_elsewhere(file, "features.fgb") as written,
+    ):
+        crs = universal.datum.crs_wkt("WKT1_GDAL")
+        write_layer(
+            written,
+            path,
+            _merged(layers),
+            "FlatGeobuf",
+            crs,
+            layer_options={"DESCRIPTION": _FLATGEOBUF},
+        )
+    return Exported((path,), _rows(layers))
+
+
+def export_dxf(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    options: FeatureOptions,
+    *,
+    overwrite: bool,
+) -> Exported:
+    """Write a DXF drawing in metres east and north: a layer for each kind of feature, outlines of
+    areas, no attributes."""
+    layers = _layers(universal, selection, options)
+    features = [Feature(layer.name, shape, {}) for layer in layers for shape in layer.geometry]
+    write_features(path, features, universal.datum, overwrite=overwrite)
     return Exported((path,), _rows(layers))
 
 
@@ -275,6 +322,22 @@ register(
         "the same as a GeoPackage in the map's plane",
         export_geopackage,
         readers="GIS",
+        **_SHARED,
+    ),
+    Format(
+        "flatgeobuf",
+        (".fgb",),
+        "the same as one FlatGeobuf, with an index",
+        export_flatgeobuf,
+        readers="GIS, web maps",
+        **_SHARED,
+    ),
+    Format(
+        "dxf",
+        (".dxf",),
+        "the same as a drawing, without attributes",
+        export_dxf,
+        readers="CAD",
         **_SHARED,
     ),
     Format(

@@ -19,7 +19,8 @@ from fieldgrid.ros.definitions import types
 MAP, EARTH, BASE = "map", "earth", "base_footprint"
 
 _SECOND = 1_000_000_000
-_NOT_SAID = 1e6
+NOT_SAID = 1e6
+"""The variance of what is not known."""
 
 
 def new(name: str, /, **fields: Any) -> Any:
@@ -144,7 +145,7 @@ def odometry_message(time_ns: int, speed_mps: float) -> Any:
         pose=new(
             "geometry_msgs/PoseWithCovariance",
             pose=pose(0.0, 0.0),
-            covariance=np.diag([_NOT_SAID] * 6).reshape(-1),
+            covariance=np.diag([NOT_SAID] * 6).reshape(-1),
         ),
         twist=new("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
     )
