@@ -301,8 +301,9 @@ def write_layer(
             **options,
         )
     except (DataSourceError, DataLayerError, RuntimeError) as error:
+        why = str(error).replace(str(file), target.name)  # the draft's name says nothing
         raise MapWriteError(
-            f"{target} could not be written ({error}); check the space on the disk."
+            f"{target} could not be written ({why}); check the space on the disk."
         ) from error
 
 

@@ -136,7 +136,7 @@ def exports(two_lanes_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Ex
     with open_map(two_lanes_map) as universal:
         for name in ("v.tif", "v.png", "v.kmz", "v.rosbag2"):
             export_map(universal, folder / name)
-        export_map(universal, folder / "v.mcap", options={"foxglove": True})
+        export_map(universal, folder / "v.mcap", options={"messages": "foxglove"})
         for name in SHAPES:
             export_map(universal, folder / name, options={"simplify_m": 0.0})
         export_map(universal, folder / "v.yaml", options={"mode": "raw"})

@@ -58,7 +58,7 @@ def export_mcap(
     overwrite: bool = False,
     **options: Any,
 ) -> Exported:
-    options = {"foxglove": True, **options}
+    options = {"messages": "foxglove", **options}
     return export_map(
         universal, path, selection, format="mcap", overwrite=overwrite, options=options
     )

@@ -61,10 +61,10 @@ class BagOptions(CurveOptions):
 class McapOptions(CurveOptions):
     """What a file for Foxglove holds."""
 
-    foxglove: bool = setting(
-        False,
-        "add Foxglove's own messages, in Protocol Buffers, which readers of ROS bags refuse",
-        flag=Flag("--foxglove/--no-foxglove", ""),
+    messages: Literal["ros2", "foxglove"] = setting(
+        "ros2",
+        "foxglove adds its own messages in Protocol Buffers, which readers of ROS bags refuse",
+        flag=Flag("--messages", "ros2|foxglove"),
     )
 
 
@@ -78,16 +78,17 @@ def export_mcap(
 ) -> Exported:
     """Write a part of a map as one `.mcap` file, which Foxglove and readers of ROS 2 bags open.
 
-    It holds what `export_rosbag2` writes. With `foxglove` also two of Foxglove's own messages: a
+    It holds what `export_rosbag2` writes. With messages "foxglove" also two of Foxglove's own: a
     coloured grid and the obstacles, trajectories and marks as GeoJSON. Raises ConfigError for a
     part of more than 25 million cells, and when what those two need is not installed.
     """
-    if options.foxglove:
+    for_foxglove = options.messages == "foxglove"
+    if for_foxglove:
         foxglove_messages.check_installed()
     curve = options.curve()
     view, tracks = _read(universal, selection)
     start_ns = _start_ns(universal, tracks)
-    own = _foxglove(universal, path, selection, options, view, start_ns) if options.foxglove else []
+    own = _foxglove(universal, path, selection, options, view, start_ns) if for_foxglove else []
     with McapWriter(path, overwrite=overwrite) as writer:
         for topic, raw in own:
             writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
