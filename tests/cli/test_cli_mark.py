@@ -44,6 +44,11 @@ def test_the_round_of_a_mark(fieldgrid: Run, field: Path, tmp_path: Path) -> Non
     assert [mark["kind"] for mark in again["marks"]] == ["keepout", "free"] * 2
     assert [mark["author"] for mark in again["marks"]] == ["Ana", "", "Ana", "Bob"]
     assert fieldgrid("verify", field).status == 0
+    asked = fieldgrid("query", field, "0.5", "0.5").output()
+    assert "mark id 1, kind keepout, name pond, author Ana, created 20" in asked
+    asked = json.loads(fieldgrid("query", field, "2.1", "-3.4", "--json").output())
+    assert [mark["note"] for mark in asked["marks"]] == ["tall grass"] * 2
+    assert "mark" not in fieldgrid("query", field, "9", "9").output()
 
 
 def test_what_cannot_be_is_one_sentence(fieldgrid: Run, field: Path, tmp_path: Path) -> None:

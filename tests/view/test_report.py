@@ -16,7 +16,7 @@ from PIL import Image
 from fieldgrid import palette
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import Mark, MarkKind, open_map
 from fieldgrid.view import write_report
 from tests.mapfile.maps import drive, track, write_map
 from tests.view.test_page import FREE, OBSTACLE, is_colour
@@ -54,9 +54,12 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_page_has_the_map(path: Path, tmp_path: Path) -> None:
+    with open_map(path, writable=True) as universal:
+        universal.add_marks([Mark(MarkKind.PLACE, ((1.0, 2.0),), "gate")])
     out = tmp_path / "report.html"
     report = write_report([path, path], out)
     assert report.size_bytes == out.stat().st_size
+    assert [mark["name"] for mark in data_of(out)["about"]["maps"][1]["marks"]] == ["gate"]
     assert report.cells_m == (0.1, 0.1)
     data = data_of(out)
     assert [one["name"] for one in data["about"]["maps"]] == ["<b>&", "<b>&"]

@@ -45,17 +45,23 @@ def command(
     with open_map(map_) as universal:
         east_m, north_m = _position(universal, numbers)
         found = universal.query(east_m, north_m, cell)
+        marks = universal.marks(within=found.bounds)
     if as_json:
-        output.print_json(_as_dict(map_, found))
+        said = [{key: getattr(mark, key) for key in _SAID} for mark in marks]
+        output.print_json({**_as_dict(map_, found), "marks": said})
         return
     west, south, east, north = found.bounds
     value = "not observed" if found.density is None else f"density {found.density}"
     where = f"{west:.3f} {south:.3f} {east:.3f} {north:.3f} (west south east north)"
     output.print_line(f"cell {where}: {value}")
+    for mark in marks:
+        words = (f"{key} {value}" for key in _SAID if (value := getattr(mark, key)))
+        output.print_line(f"mark {', '.join(words)}")
     if found.contributions:
         output.print_table(_COLUMNS, [_row(one) for one in found.contributions])
 
 
+_SAID = ("id", "kind", "name", "note", "author", "created")
 _COLUMNS = ("session", "frame", "density", "cells", "heading °", "sigma °", "sigma m", "images")
 
 

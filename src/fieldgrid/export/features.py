@@ -15,7 +15,7 @@ from fieldgrid.export.obstacles import trace_obstacles
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import FrameRecord, MapFile, Mark
+from fieldgrid.mapfile import FrameRecord, MapFile
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
 from fieldgrid.vectors import FeatureLayer
@@ -70,14 +70,6 @@ def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
     kept = np.where(points, ~shapely.is_empty(cut), shapely.area(cut) > 0.0)
     columns = {name: values[kept] for name, values in layer.columns.items()}
     return layer._replace(geometry=cut[kept], columns=columns)
-
-
-def marks_within(universal: MapFile, area: Bounds | None) -> list[Mark]:
-    """The marks that lie in an area, with any part of them."""
-    import shapely
-
-    box = None if area is None else shapely.box(*area)
-    return [mark for mark in universal.marks() if box is None or box.intersects(mark.geometry)]
 
 
 def _marks(universal: MapFile) -> FeatureLayer:

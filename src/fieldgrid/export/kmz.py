@@ -21,7 +21,6 @@ from fieldgrid import palette
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
-from fieldgrid.export.features import marks_within
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
@@ -82,7 +81,7 @@ def export_kmz(
             _overlay(folder, name, _place(universal.datum, view), alone=len(windows) == 1)
             count += 1
         lines = _lines(document, universal, selection)
-        marks = marks_within(universal, selection.area(universal))
+        marks = universal.marks(within=selection.area(universal))
         add_placemarks(document[0], features(marks), universal.datum)
         text = ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
         archive.writestr("doc.kml", text)

@@ -20,7 +20,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.features import feature_layers, marks_within
+from fieldgrid.export.features import feature_layers
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -246,7 +246,7 @@ def _field(
         for part in _parts(outline)
     ]
     keepouts, flags = [], []
-    for mark in marks_within(universal, area):
+    for mark in universal.marks(within=area):
         if mark.kind is MarkKind.PLACE:
             at = mark.geometry.representative_point()
             flags += _points(at, datum, [iso.PointType.Flag], mark.name)

@@ -75,11 +75,12 @@ class MapReader:
         with reading(self._connection, self.path):
             return self._evidence.sessions()
 
-    def marks(self, *, removed: bool = False) -> tuple[Mark, ...]:
+    def marks(self, *, within: Bounds | None = None, removed: bool = False) -> tuple[Mark, ...]:
         """What people said of places, in the order in which it was added: what is in force, and
-        with `removed` what was taken out, too."""
+        with `removed` what was taken out, too; of those `within` bounds with any part of them."""
         with reading(self._connection, self.path):
-            return read_marks(self._connection, removed=removed)
+            marks = read_marks(self._connection, removed=removed)
+        return tuple(mark for mark in marks if within is None or mark.lies_in(within))
 
     def metadata(self, name: str) -> SessionMetadata:
         """All that is kept of a session beside its frames, for `add_session_of` of another map."""

@@ -12,6 +12,7 @@ import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,6 +85,13 @@ class Mark(NamedTuple):
 
         return (shapely.Point if self.is_point else shapely.Polygon)(self.corners)
 
+    def lies_in(self, bounds: Bounds) -> bool:
+        """Whether any part of it lies in a rectangle; of a polygon not just its outline."""
+        import shapely
+
+        box, shape = shapely.box(*bounds), self.geometry
+        return bool(box.intersects(shape) and (self.is_point or not box.touches(shape)))
+
 
 def checked(mark: Mark) -> Mark:
     """The mark, with numbers as floats, and no corner that repeats the one before; ConfigError for
@@ -139,6 +147,7 @@ def read_marks(connection: sqlite3.Connection, *, removed: bool = False) -> tupl
     return tuple(_mark(row) for row in rows)
 
 
+@lru_cache(maxsize=2048)  # each view of a map asks for all of them
 def _mark(row: tuple[Any, ...]) -> Mark:
     number, kind, geom, *texts = row
     try:
