@@ -192,7 +192,7 @@ register(
     Format(
         "nav2",
         _ENDINGS,
-        "Nav2 map and keep-out mask: YAML, pictures",
+        "Nav2 map, keep-out mask: YAML, pictures",
         export_nav2,
         Nav2Options,
         Holds.OCCUPANCY,

@@ -300,7 +300,7 @@ register(
     Format(
         "rosbag2",
         (".rosbag2",),
-        "ROS 2 bag: grids, paths, fixes, odometry, tf",
+        "ROS 2 bag: grids, paths, odometry, tf",
         export_rosbag2,
         BagOptions,
         Holds.OCCUPANCY,

@@ -389,7 +389,7 @@ register(
     Format(
         "isoxml",
         ("taskdata", "taskdata.zip"),
-        "ISO 11783-10 task data 4.3, a folder or zip",
+        "ISO 11783-10 task data 4.3",
         export_taskdata,
         ShapeOptions,
         Holds.SHAPES,

@@ -319,7 +319,7 @@ register(
     Format(
         "gpkg",
         (".gpkg",),
-        "the same as a GeoPackage in the map's plane",
+        "the same, GeoPackage in the map's plane",
         export_geopackage,
         readers="GIS",
         **_SHARED,
@@ -343,7 +343,7 @@ register(
     Format(
         "shapefile",
         (".shp.zip",),
-        "the same as shapefiles, zipped or in a folder",
+        "the same, shapefiles in a zip or folder",
         export_shapefile,
         readers="older GIS",
         folder=True,
