@@ -67,7 +67,7 @@ def test_every_layer_lands_in_its_place(
         assert faults(opened(path), layer) == []
 
 
-@pytest.mark.parametrize("epsg", [25830, 32631, 4326, 3857])
+@pytest.mark.parametrize("epsg", [25830, 32631, 4326, 3857, 3035])
 @pytest.mark.parametrize("layer", ["density", "persistence"])
 def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
     epsg: int, layer: str, asymmetric_map: MapFile, tmp_path: Path
@@ -78,12 +78,15 @@ def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
     assert faults_at_centres(picture, layer) == []
     with rasterio.open(path) as dataset:
         assert dataset.crs.to_epsg() == epsg
-        # As large as a cell where the map is: neighbouring centres are that far apart.
-        lon, lat = transform(
-            dataset.crs, "EPSG:4326", *np.array([dataset.xy(9, 9), dataset.xy(10, 9)]).T
-        )
-        east, north, _ = asymmetric.enu(lat, lon)
-        assert np.hypot(*np.diff([east, north])) == pytest.approx(0.05, rel=2e-3)
+        assert dataset.transform.a == -dataset.transform.e  # square
+        # As large as a cell where the map is, where the system stretches one axis along the other.
+        sides = []
+        for other in ((10, 9), (9, 10)):
+            centres = np.array([dataset.xy(9, 9), dataset.xy(*other)]).T
+            east, north, _ = asymmetric.enu(*transform(dataset.crs, "EPSG:4326", *centres)[::-1])
+            sides.append(float(np.hypot(*np.diff([east, north])[:, 0])))
+        assert max(sides) == pytest.approx(0.05, rel=2e-3)
+        assert min(sides) > 0.03
         assert float(dataset.tags()["FIELDGRID_DATUM_HEIGHT_M"]) == 742.0
 
 

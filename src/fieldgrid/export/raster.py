@@ -308,7 +308,8 @@ def _rows(
 
 
 def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
-    """Square pixels north up that cover a raster, as large as its cells in the middle."""
+    """Square pixels north up that cover a raster, as large as its cells in the middle, or smaller
+    along one axis where the system stretches the ground."""
     from rasterio.transform import Affine
     from rasterio.warp import transform, transform_bounds
 
@@ -330,9 +331,11 @@ def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
             "used there."
         )
     area = Bounds(*bounds)
-    width = math.ceil((area.east_m - area.west_m) / side_x)
-    height = math.ceil((area.north_m - area.south_m) / side_y)
-    placed = Affine(side_x, 0.0, area.west_m, 0.0, -side_y, area.north_m)
+    # As large in both units of the system: many programs take no other pixels.
+    side = min(side_x, side_y)
+    width = math.ceil((area.east_m - area.west_m) / side)
+    height = math.ceil((area.north_m - area.south_m) / side)
+    placed = Affine(side, 0.0, area.west_m, 0.0, -side, area.north_m)
     return _checked(Plane(max(width, 1), max(height, 1), crs, placed))
 
 
