@@ -160,9 +160,9 @@ def test_a_metre_is_no_thousand_millimetres(look: Any, server: Server) -> None:
     x, y = page.place(-10.0, 55.0)
     page.page.mouse.move(x, y)
     said = set()
-    for _ in range(14):
-        page.page.mouse.wheel(0, -300)
-        page.page.wait_for_timeout(150)
+    for _ in range(7):
+        page.page.mouse.wheel(0, -600)
+        page.page.wait_for_timeout(100)
         said.add(page.page.locator(".ol-scale-line-inner").text_content())
     assert not [text for text in said if text.endswith("mm") and int(text.split()[0]) >= 10]
     assert any(text.endswith("cm") for text in said)
