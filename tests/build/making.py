@@ -58,6 +58,12 @@ def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
         connection.close()
 
 
+def children(pid: int) -> list[int]:
+    """The processes that a process, any thread of it, has started; none where /proc is missing."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for found in lists for word in found.read_text().split()]
+
+
 def damage(image: Path) -> None:
     """Cut an image of a small drive off in the middle."""
     data = image.read_bytes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import sqlite3
@@ -17,7 +18,7 @@ from fieldgrid.build.staging import DriveWork
 from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
 from fieldgrid.mapfile import Patience, open_map
 from tests.build import failing
-from tests.build.making import COURSE, SMALL_SHARES, MakeDrive, build, content, damage
+from tests.build.making import COURSE, SMALL_SHARES, MakeDrive, build, children, content, damage
 from tests.cli.conftest import in_a_process
 
 
@@ -93,18 +94,14 @@ def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) ->
     while len(list(folder.glob("*/*-*.json"))) < parts_done and time.monotonic() < until:
         assert child.poll() is None, child.communicate()[1]
         time.sleep(0.005)
-    workers = _children(child.pid)
+    workers = children(child.pid)
+    assert workers or not Path("/proc").exists()
     child.send_signal(how)
     errors = child.communicate(timeout=60)[1]
     while any(map(_is_alive, workers)) and time.monotonic() < until:
         time.sleep(0.01)
     assert not any(map(_is_alive, workers))
     return errors
-
-
-def _children(pid: int) -> list[int]:
-    found = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(word) for word in found.read_text().split()] if found.exists() else []
 
 
 def _is_alive(pid: int) -> bool:
@@ -165,6 +162,18 @@ def left(make_drive: MakeDrive, tmp_path: Path) -> tuple[Path, Path]:
         build([drive], out, jobs=1, progress=interrupt)
     assert len(list(out.parent.glob("m.gpkg.parts/*/*.grids"))) == 1
     return drive, out
+
+
+def test_what_a_build_left_that_was_killed_before_its_first_part_is_removed(
+    left: tuple[Path, Path],
+) -> None:
+    drive, out = left
+    (key,) = parts.parts_folder(out).iterdir()
+    for part in key.glob("*-*"):
+        part.unlink()
+    os.utime(key / "drive.json", (1e9, 1e9))
+    build([drive], out, settings=COURSE)  # of another key
+    assert list(out.parent.iterdir()) == [out]
 
 
 def test_parts_that_are_there_are_told(left: tuple[Path, Path]) -> None:

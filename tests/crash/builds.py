@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from fieldgrid.build import build_map
 from fieldgrid.build.parts import parts_folder
 from fieldgrid.mapfile import open_map
 from fieldgrid.settings import BuildSettings
-from tests.build.making import SMALL_SHARES, content
+from tests.build.making import SMALL_SHARES, children, content
 from tests.cli.conftest import in_a_process
 from tests.conftest import make_small_drive
 
@@ -76,9 +77,10 @@ def _kill_one(build: subprocess.Popen[bytes], random: np.random.Generator) -> st
     """Kill the build or, as often, one of its processes where there are some."""
     if build.poll() is not None:
         return "nothing: it had ended"
-    children = Path(f"/proc/{build.pid}/task/{build.pid}/children").read_text().split()
-    if children and random.random() < 0.5:
-        os.kill(int(random.choice(children)), signal.SIGKILL)
+    workers = children(build.pid)
+    if workers and random.random() < 0.5:
+        with suppress(ProcessLookupError):
+            os.kill(int(random.choice(workers)), signal.SIGKILL)
         return "a process of it"
     build.kill()
     return "the build"

@@ -224,7 +224,7 @@ class _Build:
         """The parts of the drives that are there already; ConfigError for others."""
         for drive in self._good():
             session = drive.session
-            drive.key = part_key(session, datum, skips_bad=self.skip_bad > 0)
+            drive.key = part_key(session, datum)
             drive.parts = held.enter_context(
                 DriveParts(self.out, drive.key, drive.name, str(drive.path), session.total)
             )

@@ -17,9 +17,10 @@ from fieldgrid.mapfile.schema import software_version
 from fieldgrid.recording.stored import StoredFrames
 
 
-def part_key(session: NewSession, datum: Datum, *, skips_bad: bool) -> str:
+def part_key(session: NewSession, datum: Datum) -> str:
     """A digest of all that the staged frames of a drive depend on: its files by their size and
-    time, what was read of it, the settings and the version of this package."""
+    time, what was read of it, the settings and the version of this package. Not of the bound on
+    bad frames: a part that is done without it has none."""
     recording = session.recording
     source = recording.source
     if isinstance(source, StoredFrames):
@@ -34,7 +35,7 @@ def part_key(session: NewSession, datum: Datum, *, skips_bad: bool) -> str:
         "settings": session.settings.model_dump(mode="json", exclude={"checks"}),
         "rig": rig_to_config(recording.rig),
         "datum": repr(datum),
-        "frames": [session.total, session.every, SHARE_FRAMES, skips_bad],
+        "frames": [session.total, session.every, SHARE_FRAMES],
         "files": [_state(file) for file in files],
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())

@@ -12,6 +12,7 @@ import json
 import math
 import secrets
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -32,6 +33,7 @@ a part for each process."""
 
 _ABOUT = "drive.json"
 _MAX_INFO_BYTES = 16 << 20
+_YOUNG_S = 60.0
 
 
 class Share(NamedTuple):
@@ -89,6 +91,17 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
         )
     if resume is False:
         remove_parts(out, [about.key for about in left])
+    _remove_empty(out)
+
+
+def _remove_empty(out: Path) -> None:
+    """Remove the folders of builds that were killed before their first part."""
+    for about in parts_folder(out).glob(f"*/{_ABOUT}"):
+        with suppress(OSError), holding(about) as free:
+            # A build that begins at this moment does not hold its folder yet.
+            is_old = time.time() - about.stat().st_mtime > _YOUNG_S
+            if free and is_old and not any(about.parent.glob("????????-????????.json")):
+                remove_parts(out, [about.parent.name])
 
 
 def remove_parts(out: Path, keys: Iterable[str]) -> None:
