@@ -43,7 +43,9 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
     build_map(drives, whole, BuildSettings(), jobs=1)
     expected = content(whole)
     start = time.perf_counter()
-    assert _started(drives, out, resume=False).wait() == 0
+    first = _started(drives, out, resume=False)
+    _, said = first.communicate()
+    assert first.returncode == 0, said
     longest_s = time.perf_counter() - start
     hit: Counter[str] = Counter()
     for _ in range(count):
@@ -53,9 +55,14 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
             if kill < MOST_KILLS:
                 time.sleep(float(random.uniform(0.2, longest_s)))
                 hit[_kill_one(build, random)] += 1
+            assert build.stderr is not None
+            with build.stderr as errors:
+                said = errors.read().decode()
             if build.wait() == 0:
                 break
-            assert build.returncode == -signal.SIGKILL
+            assert build.returncode == -signal.SIGKILL, said
+            if out.exists() and not parts_folder(out).exists():
+                break  # it was killed when all was done
         assert content(out) == expected
         assert not parts_folder(out).exists()
         assert not list(folder.glob(".m.gpkg.*"))
@@ -69,7 +76,7 @@ def _started(drives: list[Path], out: Path, *, resume: bool) -> subprocess.Popen
     return subprocess.Popen(
         in_a_process("build", *drives, "-o", out, "--jobs", 2, *flags, before=SMALL_SHARES),
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     )
 
 
