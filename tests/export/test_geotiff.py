@@ -185,10 +185,17 @@ OFTEN = [*[one_cell(-40.25, 40.15, 0)] * 100, one_cell(-40.35, 40.05, 200)]
 WIDE = [*drive(7), *OFTEN, one_cell(61.05, 41.05, 200), one_cell(-40.35, -30.15, 90)]
 
 
+@pytest.fixture(scope="module")
+def wide_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_map(tmp_path_factory.mktemp("wide") / "map.gpkg", [WIDE])
+
+
 @pytest.mark.parametrize("layer", list(LAYERS))
-def test_overviews_follow_the_rule_of_larger_cells(tmp_path: Path, layer: str) -> None:
+def test_overviews_follow_the_rule_of_larger_cells(
+    wide_map: Path, tmp_path: Path, layer: str
+) -> None:
     path, bounds = tmp_path / "map.tif", Bounds(-41.2, -30.8, 62.4, 41.6)
-    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+    with open_map(wide_map) as source:
         export_geotiff(source, path, Selection(bounds, layer=layer))
         expected = source.read(bounds, 0.2, layers=[layer])
     with rasterio.open(path) as dataset:
@@ -203,10 +210,10 @@ def test_overviews_follow_the_rule_of_larger_cells(tmp_path: Path, layer: str) -
 @pytest.mark.parametrize("west_m", [-41.2, -41.1, -40.9])
 @pytest.mark.parametrize("north_m", [41.6, 41.5, 41.3])
 def test_overviews_count_from_the_north_west_corner(
-    tmp_path: Path, west_m: float, north_m: float
+    wide_map: Path, tmp_path: Path, west_m: float, north_m: float
 ) -> None:
     path, bounds = tmp_path / "map.tif", Bounds(west_m, -30.8, 62.35, north_m)
-    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+    with open_map(wide_map) as source:
         export_geotiff(source, path, Selection(bounds))
         with source.overviews(3, bounds) as blocks:
             found = list(blocks)
@@ -237,9 +244,9 @@ def test_overviews_count_from_the_north_west_corner(
                 np.testing.assert_array_equal(dataset.read(1), density)
 
 
-def test_overviews_in_another_plane_are_those_of_the_cells(tmp_path: Path) -> None:
+def test_overviews_in_another_plane_are_those_of_the_cells(wide_map: Path, tmp_path: Path) -> None:
     path = tmp_path / "map.tif"
-    with open_map(write_map(tmp_path / "map.gpkg", [WIDE])) as source:
+    with open_map(wide_map) as source:
         export_geotiff(source, path, Selection(), PlaneOptions(epsg=25830))
         with source.overviews(1) as blocks:
             own = [block.density[block.observed] for block in blocks]
