@@ -251,6 +251,10 @@ def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
     assert "The drive was in the map already." in report.notes
     assert out.read_bytes() == before
     assert not parts.parts_folder(out).exists()
+    with pytest.raises(ConfigError, match=r"session 'drive' already, .* that build had finished"):
+        build([drive], out, resume=True)
+    assert out.read_bytes() == before
+    assert not parts.parts_folder(out).exists()
 
 
 # --- frames that are bad

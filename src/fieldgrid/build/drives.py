@@ -285,7 +285,10 @@ class _Build:
         session, parts = drive.session, drive.parts
         start = time.perf_counter()
         if drive.name in taken and not parts.is_complete:
-            check_names([drive.name], taken)
+            raise ConfigError(
+                f"{self.out} has a session {drive.name!r} already, and no staged part of it to go "
+                "on with: that build had finished. Leave the recording out, or give --name."
+            )
         if self.pool is None:
             self._stage(drive)
         while drive.error is None and not parts.is_complete:

@@ -123,5 +123,6 @@ def _check_files(shots: list[Shot], folder: Path, what: str) -> None:
         files = "clouds" if what == "cloud" else "images"
         or_more = " or more" if missing == _MOST_MISSING else ""
         raise RecordingError(
-            f"{missing}{or_more} of {len(names)} {files} are missing from {folder}. First: {first}"
+            f"{missing}{or_more} of {len(names)} {files} are missing from {folder}; copy them, or "
+            f"let `build --skip-bad` leave their frames out. First: {first}"
         ) from first
