@@ -25,6 +25,11 @@ from tests.cli.conftest import in_a_process
 @pytest.fixture(autouse=True)
 def small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "SHARE_FRAMES", 2)
+
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So few frames are staged by threads, else."""
     monkeypatch.setattr(drives, "WORTH_FRAMES", 1)
 
 
@@ -46,6 +51,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
     return paths, folder / "whole.gpkg"
 
 
+@pytest.mark.usefixtures("processes")
 def test_processes_give_the_same_bits_also_when_one_is_killed(
     two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,6 +68,7 @@ def test_processes_give_the_same_bits_also_when_one_is_killed(
     assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_recording_that_kills_processes_is_named_and_left_out(
     two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,7 +131,10 @@ def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return runs
 
 
-@pytest.mark.parametrize(("parts_done", "how"), [(4, signal.SIGKILL), (1, signal.SIGINT)])
+@pytest.mark.parametrize(
+    ("parts_done", "how"),
+    [pytest.param(4, signal.SIGKILL, marks=pytest.mark.long), (1, signal.SIGINT)],
+)
 def test_an_ended_build_goes_on_to_the_same_bits(
     parts_done: int,
     how: signal.Signals,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -60,7 +61,7 @@ def test_an_example_of_help_is_understood(fieldgrid: Run) -> None:
         text = fieldgrid(name, "--help").output()
         text = re.sub(r"\n {6}(?=--)", " ", text)  # an example that was wrapped
         for example in re.findall(rf"^ {{4,}}fieldgrid {name} (.+)", text, re.MULTILINE):
-            result = fieldgrid(name, *example.split())
+            result = fieldgrid(name, *shlex.split(example))
             if name == "info":  # needs no file
                 assert result.status == 0
                 continue

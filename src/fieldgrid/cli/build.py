@@ -152,9 +152,9 @@ def command(
 
         fieldgrid build june-24 -o vineyard.gpkg --append --align
 
-        fieldgrid build 2026-06-*/ -o season.gpkg --jobs 8 --skip-bad 2%
+        fieldgrid build 2026-06-*/ -o season.gpkg --skip-bad 2%
 
-        fieldgrid build 2026-06-*/ -o season.gpkg --jobs 8 --skip-bad 2% --resume
+        fieldgrid build 2026-06-*/ -o season.gpkg --resume
 
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """

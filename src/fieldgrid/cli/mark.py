@@ -73,15 +73,15 @@ def command(
 
     Examples:
 
-        fieldgrid mark vineyard.gpkg --polygon "-14,50;-12,50;-12,53" --kind keepout --name pond
+        fieldgrid mark a.gpkg --kind keepout --polygon "4,4;6,4;6,5.5"
 
-        fieldgrid mark vineyard.gpkg --point 2.1,53.4 --kind free --author Ana --note "tall grass"
+        fieldgrid mark a.gpkg --point 2.1,53.4 --kind free --author Ana
 
-        fieldgrid mark vineyard.gpkg --add drawn.geojson --kind keepout
+        fieldgrid mark a.gpkg --add drawn.geojson --kind keepout
 
-        fieldgrid mark vineyard.gpkg --remove 1
+        fieldgrid mark a.gpkg --remove 1
 
-        fieldgrid mark vineyard.gpkg --restore 1 -o marks.geojson
+        fieldgrid mark a.gpkg --restore 1 -o marks.geojson
     """
     given = {
         "--add": add, "--polygon": polygon, "--point": point,
