@@ -61,7 +61,7 @@ def command(
     """
     from fieldgrid.mapfile import open_map
 
-    is_survey = truth.is_file()
+    is_survey = truth.is_file() or truth.suffix.lower() in (".csv", ".geojson", ".json")
     of_other = (
         {"--min-pixels": min_pixels, "--frames": frames}
         if is_survey

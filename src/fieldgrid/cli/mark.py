@@ -104,11 +104,11 @@ def command(
     if kind is None and (polygon or point):
         raise typer.BadParameter(f"it is needed: one of {_KINDS}", param_hint="--kind")
     places = _corners("--polygon", polygon) if polygon else _corners("--point", point or "")
-    document = None if add is None else _read(add)
     if out is not None:
         refuse_input(out, [map_, *([add] if add else [])])
     with open_map(map_, writable=bool(changes)) as universal:
-        if document is not None:
+        if add is not None:
+            document = _read(add)
             usual = {"kind": kind or "", "name": name, "note": note, "author": author}
             universal.add_marks(marks_of_geojson(document, universal.datum, usual))
         if places:
