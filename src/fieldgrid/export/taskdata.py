@@ -2,8 +2,7 @@
 
 A field with its boundary, the obstacles as polygons, and each drive's forward stretches as guidance
 curves; and a task with a grid of zones, obstacle, in doubt, free, where a terminal would else take
-what nobody has seen for free. The boundary is that of the ground that was mapped, not of the land
-register.
+what nobody has seen for free. The boundary is that of mapped ground, not of the land register.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Iterator
 
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.marks import has_marks
+from fieldgrid.mapfile.marks import create_marks, has_marks
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -127,5 +127,5 @@ def _empty(subject: Subject) -> sqlite3.Connection:
     matrices = TileMatrixSet(subject.header.lattice)
     schema.create(made, subject.header.datum, matrices, subject.header.transfer, ())
     if has_marks(subject.connection):
-        schema.create_marks(made)
+        create_marks(made)
     return made

@@ -26,6 +26,21 @@ from fieldgrid.vectors import Feature
 MAX_CORNERS, MAX_TEXT, MAX_MARKS = 2000, 500, 10_000
 """Of a mark, of each of its texts, and of a map, removed ones included."""
 
+_LAYOUT = """
+CREATE TABLE fieldgrid_mark (
+    id INTEGER PRIMARY KEY NOT NULL,
+    kind TEXT NOT NULL,
+    geom GEOMETRY NOT NULL,
+    name TEXT NOT NULL,
+    note TEXT NOT NULL,
+    author TEXT NOT NULL,
+    created DATETIME NOT NULL,
+    removed DATETIME
+);
+CREATE VIEW mark AS SELECT id AS fid, geom, kind, name, note, author, created
+    FROM fieldgrid_mark WHERE removed IS NULL
+"""
+
 _COLUMNS = "id, kind, geom, name, note, author, created, removed"
 
 
@@ -173,10 +188,34 @@ def has_marks(connection: sqlite3.Connection) -> bool:
     return found is not None
 
 
+def create_marks(connection: sqlite3.Connection) -> None:
+    """Lay out the table of marks, which a map has from its first one on, and the view of those in
+    force, which a GIS can show and not change."""
+    for statement in _LAYOUT.split(";\n"):
+        connection.execute(statement)
+    announce_marks(connection)
+
+
+def announce_marks(connection: sqlite3.Connection) -> None:
+    """List the marks for a GIS, in place of what was listed of them."""
+    for table in ("gpkg_geometry_columns", "gpkg_contents"):
+        connection.execute(f"DELETE FROM {table} WHERE table_name = 'mark'")
+    connection.execute("DELETE FROM gpkg_contents WHERE identifier = 'mark'")
+    connection.execute(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
+        "VALUES ('mark', 'features', 'mark', 'What people said of places', ?)",
+        (schema.SRS_ID,),
+    )
+    connection.execute(
+        "INSERT INTO gpkg_geometry_columns VALUES ('mark', 'geom', 'GEOMETRY', ?, 0, 0)",
+        (schema.SRS_ID,),
+    )
+
+
 def insert_marks(connection: sqlite3.Connection, marks: Sequence[Mark]) -> tuple[int, ...]:
     """Add marks within the caller's transaction; returns their numbers."""
     if not has_marks(connection):
-        schema.create_marks(connection)
+        create_marks(connection)
     (count,) = connection.execute("SELECT count(*) FROM fieldgrid_mark").fetchone()
     if count + len(marks) > MAX_MARKS:
         raise ConfigError(

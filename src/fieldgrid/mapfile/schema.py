@@ -238,21 +238,6 @@ CREATE TABLE fieldgrid_grid (
 );
 """
 
-_MARKS = """
-CREATE TABLE fieldgrid_mark (
-    id INTEGER PRIMARY KEY NOT NULL,
-    kind TEXT NOT NULL,
-    geom GEOMETRY NOT NULL,
-    name TEXT NOT NULL,
-    note TEXT NOT NULL,
-    author TEXT NOT NULL,
-    created DATETIME NOT NULL,
-    removed DATETIME
-);
-CREATE VIEW mark AS SELECT id AS fid, geom, kind, name, note, author, created
-    FROM fieldgrid_mark WHERE removed IS NULL
-"""
-
 EVIDENCE_TABLES = (
     "fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid", "fieldgrid_array",
 )  # fmt: skip
@@ -304,29 +289,6 @@ def create(
     connection.executemany(
         "INSERT INTO fieldgrid_meta VALUES (?, ?)",
         _meta(datum, matrices.lattice, transfer, groups).items(),
-    )
-
-
-def create_marks(connection: sqlite3.Connection) -> None:
-    """Lay out the table of marks, which a map has from its first one on, and the view of those in
-    force, which a GIS can show and not change."""
-    for statement in _MARKS.split(";\n"):
-        connection.execute(statement)
-    announce_marks(connection)
-
-
-def announce_marks(connection: sqlite3.Connection) -> None:
-    """List the marks for a GIS, in place of what was listed of them."""
-    for table in ("gpkg_geometry_columns", "gpkg_contents"):
-        connection.execute(f"DELETE FROM {table} WHERE table_name = 'mark'")
-    connection.execute("DELETE FROM gpkg_contents WHERE identifier = 'mark'")
-    connection.execute(
-        "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, srs_id) "
-        "VALUES ('mark', 'features', 'mark', 'What people said of places', ?)",
-        (SRS_ID,),
-    )
-    connection.execute(
-        "INSERT INTO gpkg_geometry_columns VALUES ('mark', 'geom', 'GEOMETRY', ?, 0, 0)", (SRS_ID,)
     )
 
 

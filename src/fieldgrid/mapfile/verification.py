@@ -31,7 +31,7 @@ from fieldgrid.mapfile.file_check import (
     renew_file,
 )
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.marks import has_marks, read_marks
+from fieldgrid.mapfile.marks import announce_marks, has_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
 from fieldgrid.mapfile.root import check_root, read_root
@@ -247,7 +247,7 @@ def repair(
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
     if has_marks(connection):
         read_marks(connection, removed=True)
-        schema.announce_marks(connection)
+        announce_marks(connection)
     derived.rebuild(connection, path, header, stored_groups(), jobs)
     renew_file(connection)
     return stored_groups()
