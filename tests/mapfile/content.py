@@ -41,7 +41,7 @@ def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
     database = sqlite3.connect(path)
     try:
         return {
-            kind: [tuple(map(_unpacked, row)) for row in database.execute(query)]
+            kind: [tuple(map(unpacked, row)) for row in database.execute(query)]
             for kind, query in _QUERIES.items()
             if not kinds or kind in kinds
         }
@@ -49,7 +49,7 @@ def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
         database.close()
 
 
-def _unpacked(value: Any) -> Any:
+def unpacked(value: Any) -> Any:
     """The header of a tile and its values, which follow as a zlib stream; the pixels of a picture;
     others as they are."""
     if not isinstance(value, bytes) or not value:

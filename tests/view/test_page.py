@@ -52,8 +52,8 @@ def test_cells_are_drawn_where_they_are(
     pixels = page.map_pixels()
     box = page.page.locator("#map").bounding_box()
     checked = 0
-    for row, column in np.ndindex(6, 6):
-        at = (box["width"] * (column + 0.7) / 7, box["height"] * (row + 0.7) / 7)
+    for row, column in np.ndindex(9, 9):
+        at = (box["width"] * (column + 0.7) / 10, box["height"] * (row + 0.7) / 10)
         page.page.mouse.move(box["x"] + at[0], box["y"] + at[1])
         east, north = page.position()
         i, j = (int(index) for index in view.lattice.index(east, north))

@@ -198,7 +198,8 @@ class DriveParts(Closing):
     def close(self) -> None:
         """Let go of the folder; without a part that is done, it is gone."""
         self._held.__exit__(None, None, None)
-        if not self._parts:
+        # A process may have finished one that nobody has taken yet.
+        if not self._parts and not any(self.folder.glob("????????-????????.json")):
             self.remove()
 
 
