@@ -85,6 +85,17 @@ def test_a_recording_that_kills_processes_is_named_and_left_out(
     assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
 
 
+@pytest.mark.usefixtures("processes")
+def test_an_answer_that_cannot_be_read_ends_the_build(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd = failing.opening("drive", 0, 1, tmp_path / "marks", failing.Raising)
+    monkeypatch.setattr(drives, "open_drive", odd)
+    with pytest.raises(TypeError, match="what"):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert {path.name for path in tmp_path.iterdir()} == {"drive"}
+
+
 # --- a build that is ended
 
 

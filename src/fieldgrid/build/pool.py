@@ -157,6 +157,11 @@ class Pool(Closing):
                 status = None if process is None else self._end(process)
                 process = None
                 self._died(task, status, error)
+            except Exception as error:  # noqa: BLE001 - the build raises it, and does not wait on
+                if process is not None:
+                    self._end(process)
+                process = None
+                self.events.put(Failed(task.drive, error))
         if process is not None:
             self._end(process)
 
