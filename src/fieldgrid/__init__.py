@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import Selection, export_geotiff, export_map
+    from fieldgrid.farm import Farm
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.inspection import inspect_recording
@@ -50,6 +51,7 @@ _HOMES = {
     "Crop": "rows",
     "Datum": "geodesy",
     "DriveOptions": "recording",
+    "Farm": "farm",
     "FieldgridError": "errors",
     "GridSpec": "grids",
     "LocalGrid": "grids",
@@ -98,6 +100,7 @@ __all__ = [
     "Crop",
     "Datum",
     "DriveOptions",
+    "Farm",
     "FieldgridError",
     "GridSpec",
     "LocalGrid",

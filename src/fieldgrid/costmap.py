@@ -18,7 +18,7 @@ from fieldgrid.cost import DENSITIES, INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import MapView, Readable
 
 MAX_CELLS = 100_000_000
 """Cells of a costmap: it holds 9 bytes of each, and 11 while it is made."""
@@ -87,7 +87,7 @@ class Costmap:
     @classmethod
     def from_map(
         cls,
-        universal: MapFile,
+        universal: Readable,
         bounds: Bounds | None = None,
         cell_m: float | None = None,
         *,
@@ -98,8 +98,9 @@ class Costmap:
         inflation_m: float = 0.0,
         decay_per_m: float = 3.0,
     ) -> Self:
-        """The costs of a part of a map; `bounds`, `cell_m` and `at` as in `MapFile.read`. `layer`
-        is the density; `lasting`, without what stood in half of the drives or fewer; or `max`.
+        """The costs of a part of a map, or of a `Farm`; `bounds`, `cell_m` and `at` as in
+        `MapFile.read`. `layer` is the density; `lasting`, without what stood in half of the drives
+        or fewer; or `max`.
 
         Raises ConfigError for settings that cannot be and for a part of more than 100 million
         cells or 40000 along a side.

@@ -67,7 +67,7 @@ def test_the_blocks_are_the_view(
     monkeypatch.setattr(blocks, "_ROWS", 256)
     monkeypatch.setattr(blocks, "_COLUMNS", 512)
     whole = universal.read(part, cell_m, layers=layers, at=at)
-    with universal.blocks(part, cell_m, layers=layers, at=at) as cut:
+    with universal.read_blocks(part, cell_m, layers=layers, at=at) as cut:
         assert (cut.lattice, cut.window) == (whole.lattice, whole.window)
         views = list(cut.views)
     found = together(views, whole)
@@ -78,7 +78,7 @@ def test_the_blocks_are_the_view(
 
 
 def test_they_come_from_the_north_and_where_something_is(universal: MapFile) -> None:
-    with universal.blocks() as cut:
+    with universal.read_blocks() as cut:
         windows = [view.window for view in cut.views]
         assert cut.window.height > 2000
     tops = [window.j0 + window.height for window in windows]
@@ -98,7 +98,7 @@ def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:
     path = write_map(tmp_path / "m.gpkg", [drive(2), drive(2, heading_deg=90.0)])
     with open_map(path) as reader:
         with (
-            reader.blocks() as cut,
+            reader.read_blocks() as cut,
             open_map(path, writable=True) as writer,
         ):
             writer._connection.execute("PRAGMA busy_timeout = 50")
@@ -113,7 +113,7 @@ def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:
 def test_a_map_of_no_bounds_is_refused(universal: MapFile) -> None:
     with (
         pytest.raises(ConfigError, match="over 10 thousand million"),
-        universal.blocks(Bounds(0.0, 0.0, 20000.0, 20000.0)),
+        universal.read_blocks(Bounds(0.0, 0.0, 20000.0, 20000.0)),
     ):
         pass
 
@@ -125,6 +125,6 @@ def test_a_damaged_picture_is_one_sentence(tmp_path: Path) -> None:
     with (
         open_map(path) as universal,
         pytest.raises(MapError, match=r"picture of tile .* is damaged"),
-        universal.blocks() as cut,
+        universal.read_blocks() as cut,
     ):
         list(cut.views)

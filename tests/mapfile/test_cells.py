@@ -17,9 +17,9 @@ from fieldgrid.mapfile import (
     Change,
     FrameRecord,
     MapFile,
+    content,
     open_map,
     placing,
-    reading,
 )
 from fieldgrid.trajectory import Pose, Status
 from fieldgrid.transfer import Averaging, MeanFold, Transfer, mean_density
@@ -204,7 +204,7 @@ def test_only_the_tiles_of_a_window_are_touched(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read: list[str] = []
-    for module, name in ((placing, "decode_tile"), (reading, "decode_png")):
+    for module, name in ((placing, "decode_tile"), (content, "decode_png")):
         original = getattr(module, name)
 
         def spy(

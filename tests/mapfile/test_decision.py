@@ -156,9 +156,9 @@ def test_blocks_decide_like_the_whole_and_come_where_only_marks_are(tmp_path: Pa
     add(path, Mark(MarkKind.OBSTACLE, square(900.0, 0.0)), Mark(MarkKind.FREE, square(400.0, 0.0)))
     with open_map(path) as universal:
         whole = universal.read().decision()
-        with universal.blocks() as blocks:
+        with universal.read_blocks() as blocks:
             found = sum(int((view.decision().worst == 255).sum()) for view in blocks.views)
-        with universal.blocks(Bounds(300.0, -1.0, 500.0, 2.0)) as blocks:
+        with universal.read_blocks(Bounds(300.0, -1.0, 500.0, 2.0)) as blocks:
             middle = list(blocks.views)
     assert found == (whole.worst == 255).sum() == 100
     assert sum(int((view.decision().seen > 0).sum()) for view in middle) == 100

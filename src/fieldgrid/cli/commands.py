@@ -35,6 +35,7 @@ COMMANDS: dict[str, Entry] = {
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
     "mark": Entry(_MAPS, "Draw keep-outs, corrections and places on a map; undo them."),
     "align": Entry(_MAPS, "Make the drives of a map coincide."),
+    "farm": Entry(_MAPS, "List a folder of maps; write a STAC catalogue of them."),
     "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
     "show": Entry(_USE, "Draw a map."),
     "view": Entry(_USE, "Look at maps in the browser."),

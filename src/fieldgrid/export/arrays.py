@@ -18,13 +18,13 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
-from fieldgrid.mapfile import LAYERS, MapFile, MapView, cf_dataset, masked
+from fieldgrid.mapfile import LAYERS, MapView, Readable, cf_dataset, masked
 from fieldgrid.publish import mentions, replacing, replacing_folder
 from fieldgrid.settings import Settings
 
 
 def export_npz(
-    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
+    universal: Readable, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write a compressed NPZ: `east_m`, `north_m`, the layers, `cell_m`, the datum, `crs_wkt`.
 
@@ -53,7 +53,7 @@ def export_npz(
 
 
 def export_zarr(
-    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
+    universal: Readable, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write a Zarr store by the CF conventions, which xarray, rioxarray and GDAL open.
 
@@ -67,7 +67,7 @@ def export_zarr(
 
 
 def export_netcdf(
-    universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
+    universal: Readable, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
     """Write NetCDF-4 by the CF conventions, compressed.
 
@@ -82,7 +82,7 @@ def export_netcdf(
 
 
 def _dataset(
-    universal: MapFile, selection: Selection, what: str, *libraries: str
+    universal: Readable, selection: Selection, what: str, *libraries: str
 ) -> tuple[MapView, Any]:
     try:
         for name in ("xarray", *libraries):
@@ -116,7 +116,13 @@ def _size(view: MapView) -> tuple[tuple[str, str], ...]:
 
 register(
     Format(
-        "npz", (".npz",), "arrays for NumPy", export_npz, readers="NumPy", limits="4·10^8 cells"
+        "npz",
+        (".npz",),
+        "arrays for NumPy",
+        export_npz,
+        several=True,
+        readers="NumPy",
+        limits="4·10^8 cells",
     ),
     Format(
         "zarr",
@@ -124,6 +130,7 @@ register(
         "Zarr store (format 2), a folder",
         export_zarr,
         folder=True,
+        several=True,
         readers="xarray, rioxarray, dask",
         extras=("tables",),
         limits="4·10^8 cells",
@@ -133,6 +140,7 @@ register(
         (".nc",),
         "NetCDF-4 by the CF conventions",
         export_netcdf,
+        several=True,
         readers="xarray, GDAL, Panoply",
         extras=("tables",),
         limits="4·10^8 cells",

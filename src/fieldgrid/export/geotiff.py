@@ -24,7 +24,7 @@ from fieldgrid.export.raster import (
 )
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import MEANING, Change, ChangeView, MapFile
+from fieldgrid.mapfile import MEANING, Change, ChangeView, Readable
 from fieldgrid.publish import replacing
 
 _THREADS_A_CORE = 2
@@ -35,7 +35,7 @@ _LEVEL = 1
 
 
 def export_geotiff(
-    universal: MapFile,
+    universal: Readable,
     path: str | Path,
     selection: Selection | None = None,
     options: PlaneOptions | None = None,
@@ -134,6 +134,7 @@ register(
         "cloud-optimised GeoTIFF with overviews",
         export_geotiff,
         PlaneOptions,
+        several=True,
         readers="GIS, web maps",
         extras=("gis",),
         limits="10^10 cells",

@@ -22,7 +22,7 @@ from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import MapView, Readable
 from fieldgrid.publish import mentions
 from fieldgrid.settings import Flag, setting
 
@@ -67,7 +67,7 @@ class Nav2Options(CurveOptions):
 
 
 def export_nav2(
-    universal: MapFile,
+    universal: Readable,
     path: Path,
     selection: Selection,
     options: Nav2Options,
@@ -196,6 +196,7 @@ register(
         export_nav2,
         Nav2Options,
         Holds.OCCUPANCY,
+        several=True,
         readers="Nav2's map server",
         limits="4·10^8 cells",
     )

@@ -14,10 +14,10 @@ import numpy as np
 
 from fieldgrid.export.raster import BLOCK_PX, Plane, Raster, creating, warp
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import MapFile
+from fieldgrid.mapfile import Readable
 
 
-def write_overviews(universal: MapFile, selection: Selection, raster: Raster) -> list[Path]:
+def write_overviews(universal: Readable, selection: Selection, raster: Raster) -> list[Path]:
     """Rasters of half the size, of a quarter, and so on, until one block holds all."""
     planes, cells = [raster.plane], [raster.cells]
     while max(planes[-1].width, planes[-1].height) > BLOCK_PX:

@@ -11,7 +11,7 @@ from fieldgrid.export.raster import Plane, Raster, is_ours, painted
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
-from fieldgrid.mapfile import MapFile
+from fieldgrid.mapfile import Readable
 
 MAX_SIDE_PX = 65_535
 MAX_PIXELS = 1 << 30
@@ -23,7 +23,7 @@ _LEVEL = 1
 
 
 def export_png(
-    universal: MapFile,
+    universal: Readable,
     path: Path,
     selection: Selection,
     options: PlaneOptions,
@@ -114,6 +114,7 @@ register(
         export_png,
         PlaneOptions,
         Holds.GREY,
+        several=True,
         readers="GIS, any viewer",
         extras=("gis",),
         limits="65535 a side, 2^30 pixels",

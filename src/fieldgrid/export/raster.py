@@ -21,7 +21,7 @@ from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import LAYERS, MapFile, MapView, OverviewBlock
+from fieldgrid.mapfile import LAYERS, MapView, OverviewBlock, Readable
 from fieldgrid.publish import Draft, mentions
 
 BLOCK_PX = 512
@@ -106,7 +106,7 @@ def layout_of(layer: str) -> Layout:
 
 @contextmanager
 def painted(
-    universal: MapFile,
+    universal: Readable,
     path: Path,
     selection: Selection,
     epsg: int | None,
@@ -273,7 +273,7 @@ def _pixels(whole: Window, part: Window) -> Any:
     return Pixels(part.i0 - whole.i0, row, part.width, part.height)
 
 
-def _tags(universal: MapFile, selection: Selection) -> dict[str, str]:
+def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
     """What a reader of the raster alone has to know."""
     lattice = Lattice(universal.cell_m if selection.cell_m is None else selection.cell_m)
     tags = {
@@ -296,7 +296,7 @@ def _tags(universal: MapFile, selection: Selection) -> dict[str, str]:
 
 
 def _rows(
-    universal: MapFile, selection: Selection, lattice: Lattice, window: Window
+    universal: Readable, selection: Selection, lattice: Lattice, window: Window
 ) -> tuple[tuple[str, str], ...]:
     bounds = lattice.bounds(window)
     return (

@@ -30,7 +30,7 @@ from pydantic import ValidationError
 from fieldgrid.cost import DENSITIES
 from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import LAYERS, MapFile, read_datum
+from fieldgrid.mapfile import LAYERS, MapFile, Readable, read_datum
 from fieldgrid.settings import Declared, Settings, declared, first_problem
 
 _BUILT_IN = (
@@ -86,7 +86,8 @@ class Format(NamedTuple):
     and what writes it.
 
     `options` are the settings that it takes, `holds` the layers that it can have; `folder` says
-    that it is a folder of files. `readers`, `extras` (of pip) and `limits` are for the documents.
+    that it is a folder of files, `several` that it can be of several maps: all that it takes of a
+    map is what `Readable` has. `readers`, `extras` (of pip) and `limits` are for the documents.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Format(NamedTuple):
     options: type[Settings] = Settings
     holds: Holds = Holds.ANY
     folder: bool = False
+    several: bool = False
     readers: str = ""
     extras: tuple[str, ...] = ()
     limits: str = ""
@@ -173,7 +175,7 @@ def format_of(path: Path, name: str | None = None) -> Format:
 
 
 def export_map(
-    universal: MapFile,
+    universal: Readable,
     path: str | Path,
     selection: Selection | None = None,
     *,
@@ -183,16 +185,29 @@ def export_map(
 ) -> Exported:
     """Write a part of a map in the format that `path` ends in, or that `format` names.
 
-    The output appears when it is complete, or not at all. `options` are those of the format.
-    Raises ConfigError for what cannot be asked, MapExistsError when `path` exists and may not be
-    overwritten, MapWriteError when it cannot be written.
+    Formats that are `several` can be of a `Farm`, too. The output appears when it is complete, or
+    not at all. `options` are those of the format. Raises ConfigError for what cannot be asked,
+    MapExistsError when `path` exists and may not be overwritten, MapWriteError when it cannot be
+    written.
     """
     path, selection = Path(path), selection or Selection()
     chosen = format_of(path, format)
     checked = _checked(chosen, options or {})
     _check_layer(chosen, selection.layer)
     _refuse_map(path)
-    return chosen.write(universal, path, selection, checked, overwrite=overwrite)
+    if not (chosen.several or isinstance(universal, MapFile)):
+        others = ", ".join(one.name for one in formats().values() if one.several)
+        raise ConfigError(
+            f"The format {chosen.name} is of one map; export the maps one by one, make one of them "
+            f"with `fieldgrid merge`, or choose one of the formats {others}."
+        )
+    return chosen.write(
+        universal,  # type: ignore[arg-type]
+        path,
+        selection,
+        checked,
+        overwrite=overwrite,
+    )
 
 
 def _checked(chosen: Format, options: Mapping[str, Any]) -> Settings:

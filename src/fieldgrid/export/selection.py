@@ -11,9 +11,9 @@ from fieldgrid.lattice import Bounds, Lattice, check_inside
 from fieldgrid.mapfile import (
     LAYERS,
     Blocks,
-    MapFile,
     MapView,
     OverviewBlock,
+    Readable,
     in_drive_order,
 )
 
@@ -33,7 +33,7 @@ class Selection:
             known = ", ".join(dict.fromkeys(("density", *LAYERS)))
             raise ConfigError(f"{self.layer!r} is no layer of a map; known are {known}.")
 
-    def view(self, universal: MapFile, layers: Sequence[str] = ()) -> MapView:
+    def view(self, universal: Readable, layers: Sequence[str] = ()) -> MapView:
         """The part of the map, with the layer asked for and `layers` beside it.
 
         Raises ConfigError for bounds outside the map, a cell that the evidence cannot fill, and a
@@ -44,7 +44,7 @@ class Selection:
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
 
-    def area(self, universal: MapFile) -> Bounds | None:
+    def area(self, universal: Readable) -> Bounds | None:
         """The ground that the cells of the part cover, None for all that there is."""
         if self.bounds is None:
             return None
@@ -52,23 +52,23 @@ class Selection:
         return lattice.bounds(lattice.window(self.bounds))
 
     @contextmanager
-    def blocks(self, universal: MapFile, layers: Sequence[str] = ()) -> Iterator[Blocks]:
+    def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[Blocks]:
         """The same as `view` in blocks from the north, of one state of the map, however large."""
         if self.bounds is not None:
             check_inside(self.bounds, universal.bounds)
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
-        with universal.blocks(self.bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
+        with universal.read_blocks(self.bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
             yield blocks
 
     @contextmanager
-    def overviews(self, universal: MapFile, levels: int) -> Iterator[Iterator[OverviewBlock]]:
+    def overviews(self, universal: Readable, levels: int) -> Iterator[Iterator[OverviewBlock]]:
         """The same with cells of 2, 4, ... 2^levels times the side, from the north-west corner."""
         with universal.overviews(
             levels, self.bounds, self.cell_m, layers=(self.layer,), at=self.at
         ) as blocks:
             yield blocks
 
-    def sessions(self, universal: MapFile) -> list[str]:
+    def sessions(self, universal: Readable) -> list[str]:
         """The names of the sessions that are in the part, in the order of their drives."""
         if self.at is not None:
             return universal.sessions_at(self.at)

@@ -10,9 +10,7 @@ from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Lattice, Window
-from fieldgrid.mapfile.evidence import Evidence
-from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.reading import Request, read_view
+from fieldgrid.mapfile.reading import Content, Request, read_view
 from fieldgrid.mapfile.view import MapView
 
 MAX_CELLS = 10_000_000_000
@@ -34,7 +32,7 @@ class Blocks(NamedTuple):
     views: Iterator[MapView]
 
 
-def read_blocks(evidence: Evidence, header: Header, request: Request) -> Blocks:
+def blocks_of(content: Content, request: Request) -> Blocks:
     """The view that is asked for in blocks; ConfigError when it has too many cells."""
     window = request.window
     if window.width * window.height > MAX_CELLS:
@@ -42,7 +40,7 @@ def read_blocks(evidence: Evidence, header: Header, request: Request) -> Blocks:
             f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
-    views = (read_view(evidence, header, request._replace(window=w)) for w in windows(window))
+    views = (read_view(content, request._replace(window=w)) for w in windows(window))
     return Blocks(
         request.lattice,
         window,

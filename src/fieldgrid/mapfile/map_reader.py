@@ -10,22 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import check_layers
 from fieldgrid.mapfile.arrays import Array
-from fieldgrid.mapfile.blocks import Blocks, read_blocks
+from fieldgrid.mapfile.blocks import Blocks, blocks_of
 from fieldgrid.mapfile.change import ChangeView
 from fieldgrid.mapfile.codec import EncodedChannel
+from fieldgrid.mapfile.content import MapContent, extent_of, read_change, sessions_at
 from fieldgrid.mapfile.database import reading
 from fieldgrid.mapfile.evidence import Evidence, loader, reaches
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import Header, check_plane
 from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
 from fieldgrid.mapfile.provenance import Provenance, trace
-from fieldgrid.mapfile.reading import Request, extent_of, read_change, read_view, sessions_at
+from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.mapfile.root import read_root
 from fieldgrid.mapfile.transform import Transform
@@ -43,6 +44,16 @@ class MapReader:
         self._connection = connection
         self._header = header
         self._evidence = Evidence(connection, path)
+
+    @property
+    def _content(self) -> MapContent:
+        return MapContent(self._evidence, self._header)
+
+    @contextmanager
+    def content(self) -> Iterator[MapContent]:
+        """What views are made of, in one state of the map, for whoever joins several maps."""
+        with reading(self._connection, self.path):
+            yield self._content
 
     @property
     def datum(self) -> Datum:
@@ -96,6 +107,17 @@ class MapReader:
         """The root digest: of settings, plane, sessions and marks, and so of all evidence."""
         with reading(self._connection, self.path):
             return read_root(self._connection).of_content
+
+    def check_quickly(self) -> None:
+        """Raise MapError unless the settings, the plane, the list of sessions and the marks are as
+        they were written. No frame and no tile is read: `verify` does that."""
+        with reading(self._connection, self.path):
+            check_plane(self._connection, self.path, self.datum)
+            if not read_root(self._connection).trusted:
+                raise MapError(
+                    f"The settings, the list of sessions or the marks of {self.path} have changed "
+                    "since they were written; see `fieldgrid verify`, or restore a copy."
+                )
 
     def verify(self, jobs: int | None = None) -> HealthReport:
         """Check the file, the evidence against its hashes, and that all else follows from it.
@@ -188,7 +210,7 @@ class MapReader:
                 frame_filter=frame_filter,
                 layers=names,
             )
-            return read_view(self._evidence, self._header, request)
+            return read_view(self._content, request)
 
     def deciding(self, cell_m: float | None) -> tuple[str, ...]:
         """The layers by which cells of this size are free or obstacles: none where they are the
@@ -197,7 +219,7 @@ class MapReader:
         return () if is_own else DECISION_LAYERS
 
     @contextmanager
-    def blocks(
+    def read_blocks(
         self,
         bounds: Bounds | None = None,
         cell_m: float | None = None,
@@ -214,7 +236,7 @@ class MapReader:
         with reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
             request = request._replace(sessions=self._chosen(at, None), layers=names)
-            yield read_blocks(self._evidence, self._header, request)
+            yield blocks_of(self._content, request)
 
     @contextmanager
     def overviews(
@@ -232,7 +254,7 @@ class MapReader:
         with reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
             request = request._replace(sessions=self._chosen(at, None), layers=names)
-            yield read_overviews(self._evidence, self._header, request, levels)
+            yield read_overviews(self._content, request, levels)
 
     def diff(
         self,
@@ -247,7 +269,7 @@ class MapReader:
         """
         with reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
-            return read_change(self._evidence, self._header, request, (from_, to), self.path)
+            return read_change(self._content, request, (from_, to), self.path)
 
     def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
         """Which sessions and frames observed the cell at a point, and what each said of it."""

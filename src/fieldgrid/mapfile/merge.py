@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,22 +87,24 @@ def merge_maps(
                     merged.append(_take(universal, info, target, taken))
         if not merged:
             raise ConfigError(f"{paths[0]} has no session to copy; restore or add one first.")
-        marks = _marks(maps, target.datum)
+        marks = marks_together(maps, target.datum)
         if marks:
             target.add_marks(marks)
         return merged
 
 
-def _marks(maps: Sequence[MapFile], datum: Datum) -> list[Mark]:
+def marks_together(maps: Iterable[MapFile], datum: Datum) -> list[Mark]:
     """The marks in the plane of a datum; the same words of the same person at the same time and
     place are one."""
     found: list[Mark] = []
     alike: defaultdict[Mark, list[Mark]] = defaultdict(list)
     for universal in maps:
         moved = None if universal.has_datum(datum) else Redatum(universal.datum, datum)
-        # On the ground that was driven, not on the plane.
-        up_m = next((frame.driven.up_m for frame in universal.frames()), 0.0)
-        for mark in universal.marks():
+        marks, up_m = universal.marks(), 0.0
+        if marks and moved is not None:
+            # On the ground that was driven, not on the plane.
+            up_m = next((frame.driven.up_m for frame in universal.frames()), 0.0)
+        for mark in marks:
             if moved is not None:
                 east, north = np.transpose(mark.corners)
                 places = moved.places(east, north, np.full(len(east), np.nan_to_num(up_m)))[:2]
@@ -160,7 +162,7 @@ def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: list[_T
             metadata = moved.metadata(metadata, first)
             first = moved.pose(first)
     seen = " ".join(f"{frame.pose.time_ns} {frame.cells_sha256}" for frame in frames)
-    name = _free_name(info.name, universal.path.stem, {one.name for one in taken})
+    name = free_name(info.name, universal.path.stem, {one.name for one in taken})
     new = _Taken(name, info.digest, seen, metadata.transform, first, moved is not None)
     twin = next((one for one in taken if one.is_drive(new)), None)
     if twin is not None:
@@ -185,7 +187,8 @@ def _apart_m(one: Pose | None, other: Pose | None) -> float:
     return math.hypot(one.east_m - other.east_m, one.north_m - other.north_m)
 
 
-def _free_name(name: str, stem: str, taken: set[str]) -> str:
+def free_name(name: str, stem: str, taken: Collection[str]) -> str:
+    """The name of a session beside others: its own, or with that of its file behind it."""
     if name not in taken:
         return name
     candidate = f"{name} ({stem})"

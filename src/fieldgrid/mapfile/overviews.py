@@ -16,11 +16,9 @@ from fieldgrid.array_types import AnyArray, Bool, UInt8
 from fieldgrid.lattice import Window
 from fieldgrid.layers import GROUPS, LAYERS, Cells, groups_of
 from fieldgrid.layers.window import coarser
-from fieldgrid.mapfile.evidence import Evidence
-from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.reading import (
+    Content,
     Request,
-    cell_source,
     chunks,
     layer_values,
     reach_cells,
@@ -51,13 +49,11 @@ class OverviewBlock(NamedTuple):
         return self.density if name == "density" else self.layers[name]
 
 
-def read_overviews(
-    evidence: Evidence, header: Header, request: Request, levels: int
-) -> Iterator[OverviewBlock]:
+def read_overviews(content: Content, request: Request, levels: int) -> Iterator[OverviewBlock]:
     """The blocks of all levels in which anything was observed."""
     levels = min(levels, MAX_LEVELS)
     groups = tuple(GROUPS[name] for name in groups_of(request.layers))
-    source, factor = cell_source(evidence, header, request)
+    source, factor = content.cell_source(request)
     whole, side = request.window, 1 << MAX_LEVELS
     top = whole.j0 + whole.height
     # Cells beyond a block that its layers look at: a power of 2, so that they can be halved.

@@ -1,0 +1,74 @@
+"""What cells can be read from: a map, or several maps as one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile.blocks import Blocks
+from fieldgrid.mapfile.marks import Mark
+from fieldgrid.mapfile.overviews import OverviewBlock
+from fieldgrid.mapfile.records import SessionInfo
+from fieldgrid.mapfile.view import MapView
+
+
+class Readable(Protocol):
+    """What `Costmap` and the exports of cells need of a map; each as `MapFile` has it."""
+
+    @property
+    def datum(self) -> Datum:
+        """The origin of the plane."""
+
+    @property
+    def cell_m(self) -> float:
+        """Side of the own cells in metres."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The extent of the observed cells in metres."""
+
+    def sessions(self) -> list[SessionInfo]:
+        """The sessions, each of a name of its own."""
+
+    def sessions_at(self, at: str | int) -> list[str]:
+        """The names of the active sessions as of a moment, in the order of their drives."""
+
+    def marks(self) -> tuple[Mark, ...]:
+        """The marks that are in force."""
+
+    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
+        """The layers by which cells of this size are free or obstacles."""
+
+    def read(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> MapView:
+        """The cells within bounds as arrays."""
+
+    def read_blocks(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> AbstractContextManager[Blocks]:
+        """The same in views of some million cells."""
+
+    def overviews(
+        self,
+        levels: int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+    ) -> AbstractContextManager[Iterator[OverviewBlock]]:
+        """The same with cells of 2, 4, ... 2^levels times the side."""
