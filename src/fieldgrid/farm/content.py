@@ -18,8 +18,8 @@ from fieldgrid.errors import MapError
 from fieldgrid.farm.catalogue import Block
 from fieldgrid.farm.maps import Maps, OpenMap
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.layers import GROUPS, Cells, Channel, ChannelGroup, OverviewChannel, groups_of
-from fieldgrid.layers.window import combined, merge_sessions, with_overviews
+from fieldgrid.layers import GROUPS, Cells, ChannelGroup, groups_of
+from fieldgrid.layers.window import merge_sessions, with_overviews
 from fieldgrid.mapfile import FrameRecord, MapView, Mark
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.content import MapContent
@@ -118,7 +118,7 @@ class FarmContent:
             for part in self._parts
             if (asked := part.request(request)) is not None
         ]
-        return _Neighbours(alone, exact, request.lattice, groups, by.factor), 1
+        return _Neighbours(alone, exact, request.lattice, by.factor), 1
 
     def _own_cells(self, request: Request, groups: Sequence[ChannelGroup]) -> CellSource:
         return self._joined(
@@ -195,11 +195,9 @@ class _Neighbours:
         alone: Sequence[_FromMap],
         exact: CellSource,
         lattice: Lattice,
-        groups: Sequence[ChannelGroup],
         factor: int,
     ) -> None:
-        self._alone, self._exact, self._lattice = alone, exact, lattice
-        self._groups, self._factor = groups, factor
+        self._alone, self._exact, self._lattice, self._factor = alone, exact, lattice, factor
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
@@ -210,7 +208,9 @@ class _Neighbours:
             cells = None if part is None else source.merged(window)
             if part is not None and cells is not None:
                 near.append(part)
-                total = cells if total is None else self._apart(total, cells)
+                if total is not None:  # where both have something, `exact` follows
+                    cells = Cells({k: v + total[k] for k, v in cells.items()}, cells.base_cells)
+                total = cells
         if total is None:
             return None
         shared = {one.intersect(other) for one, other in combinations(near, 2)} - {None}
@@ -221,15 +221,6 @@ class _Neighbours:
                 for name, values in total.items():
                     values[window.slices_of(chunk)] = 0 if found is None else found[name]
         return total
-
-    def _apart(self, a: Cells, b: Cells) -> Cells:
-        """Larger cells of two maps that share no cell of their own."""
-        arrays = {}
-        for group in self._groups:
-            channels: tuple[Channel | OverviewChannel, ...] = (*group.channels, *group.overview)
-            for one in channels:
-                arrays[one.name] = combined(one.coarser, a[one.name], b[one.name])
-        return Cells(arrays, a.base_cells)
 
 
 class _WholeChunks:
