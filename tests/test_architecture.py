@@ -58,8 +58,8 @@ LAYERS = (
     ("align", "rows", "route", "changes"),
     ("coverage",),
     ("export", "costmap", "figures", "track", "evaluation"),
-    ("build", "live", "stac"),
-    ("inspection", "mounting", "convert", "view"),
+    ("build", "stac"),
+    ("inspection", "mounting", "convert", "view", "live"),
     ("cli",),
     ("__main__",),
 )

@@ -298,7 +298,7 @@ class _Build:
         self._check_bad(drive)
         staged = parts.staged()
         if drive.name in taken:
-            if not _is_in_map(universal, drive.name, staged):
+            if not is_in_map(universal, drive.name, staged):
                 check_names([drive.name], taken)
             session.report.notes += ("The drive was in the map already.",)
             session.report.frames = len(staged.entries)
@@ -386,7 +386,7 @@ class _Build:
         return any(drive.parts.frames_done for drive in self.drives if not drive.error)
 
 
-def _is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
+def is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
     """Whether a session of the map has the frames that were staged, and no others."""
     kept = {
         frame.frame_id: (frame.cells_sha256, frame.images_sha256)

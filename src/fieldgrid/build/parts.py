@@ -237,7 +237,7 @@ def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], t
         body = json.dumps(
             {
                 "frames": len(staged.entries),
-                "found": [_said(one) for one in staged.found],
+                "found": [found_to_json(one) for one in staged.found],
                 "bad": staged.bad,
                 "times": asdict(staged.times),
             }
@@ -274,7 +274,7 @@ def read_part(folder: Path, share: Share) -> Staged | None:
         return Staged(
             _Files([grids] * len(entries), entries),
             entries,
-            [_found(one) for one in said["found"]],
+            [found_from_json(one) for one in said["found"]],
             [BadFrame(*one) for one in said["bad"]],
             StageTimes(**said["times"]),
         )
@@ -286,13 +286,15 @@ def _digest(body: str) -> str:
     return hashlib.sha256(body.encode()).hexdigest()
 
 
-def _said(found: Found) -> Any:
+def found_to_json(found: Found) -> Any:
+    """What became of a step of the camera, as a value that JSON has."""
     if isinstance(found, Step):
         return [*map(float, found[:-1]), int(found.inliers)]
     return None if found is None else found.value
 
 
-def _found(said: Any) -> Found:
+def found_from_json(said: Any) -> Found:
+    """The same again; ValueError or TypeError for what is none."""
     if isinstance(said, str):
         return Refusal(said)
     return None if said is None else Step(*said)

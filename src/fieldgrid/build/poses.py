@@ -35,11 +35,12 @@ def estimate_drive(
     steps: Steps | None = None,
     *,
     carrier: Carrier | None = None,
+    level_grids: bool = True,
 ) -> Estimate:
     """Trajectory and report of a drive; `datum` is the drive's own or its first fix.
 
     `steps` are the camera's, if they have been worked out (:func:`visual_odometry`). `carrier` is
-    the vehicle of a drive that has no rig.
+    the vehicle of a drive that has no rig. `level_grids` as in `estimate_poses`.
     """
     settings = settings or BuildSettings()
     frame_ns = None
@@ -53,6 +54,7 @@ def estimate_drive(
         drive.motion()._replace(steps=steps),
         None if drive.rig is None else cell_budget(drive.rig, settings),
         frame_ns=frame_ns,
+        level_grids=level_grids,
     )
 
 

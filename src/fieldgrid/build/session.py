@@ -181,7 +181,7 @@ class NewSession:
         report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
         trajectory = self._trajectory
         if trajectory is None:
-            trajectory = _estimated(recording, settings, universal.datum, steps, report)
+            trajectory = self._estimated(universal.datum, steps)
         else:
             report.fixes, report.fixes_accepted = _fixes_in(recording, trajectory)
         report.heading_source = trajectory.heading_source
@@ -206,23 +206,19 @@ class NewSession:
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
 
-
-def _estimated(
-    recording: Recording,
-    settings: BuildSettings,
-    datum: Datum,
-    steps: Steps | None,
-    report: SessionReport,
-) -> Trajectory:
-    start = time.perf_counter()
-    estimate = estimate_drive(recording, settings, datum, steps)
-    report.stages.pose_s += time.perf_counter() - start
-    report.notes += estimate.report.notes
-    report.fixes = len(estimate.fix_row)
-    report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-    report.notes += settle(doubted_clock(recording, estimate), settings)
-    check_poses(recording, estimate.trajectory)
-    return estimate.trajectory
+    def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
+        recording, report = self.recording, self.report
+        start = time.perf_counter()
+        estimate = estimate_drive(
+            recording, self.settings, datum, steps, level_grids=self._attitude is not None
+        )
+        report.stages.pose_s += time.perf_counter() - start
+        report.notes += estimate.report.notes
+        report.fixes = len(estimate.fix_row)
+        report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
+        report.notes += settle(doubted_clock(recording, estimate), self.settings)
+        check_poses(recording, estimate.trajectory)
+        return estimate.trajectory
 
 
 def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:

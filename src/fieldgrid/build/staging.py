@@ -125,14 +125,11 @@ def stage_frames(
 
     def look(frame: Frame) -> tuple[Perceived, StagedFrame] | BadFrame:
         try:
-            seen = perceive_frame(
-                frame, work.gridder, odometry=work.odometry, attitude=work.attitude
-            )
+            return stage_frame(frame, work.gridder, odometry=work.odometry, attitude=work.attitude)
         except RecordingError as problem:
             if not work.skips_bad:
                 raise
             return BadFrame(frame.frame_id, str(problem))
-        return seen, _staged(seen, _time_ns(work, frame))
 
     # A traceback that somebody keeps would keep its threads.
     with closing(side_by_side(look, work.taken(first, last), jobs)) as looks:
@@ -174,12 +171,16 @@ def _time_ns(work: DriveWork, frame: Frame) -> int:
     return frame.time_ns + work.gridder.rig.image_time_offset_ns
 
 
-def _staged(seen: Perceived, time_ns: int) -> StagedFrame:
-    return stage(
+def stage_frame(
+    frame: Frame, gridder: LocalGridder, *, odometry: bool, attitude: Attitude | None = None
+) -> tuple[Perceived, StagedFrame]:
+    """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
+    seen = perceive_frame(frame, gridder, odometry=odometry, attitude=attitude)
+    return seen, stage(
         seen.grid,
-        seen.frame.frame_id,
-        time_ns,
-        images=tuple(source.name for source in seen.frame.sources),
+        frame.frame_id,
+        frame.time_ns + gridder.rig.image_time_offset_ns,
+        images=tuple(source.name for source in frame.sources),
         images_sha256=seen.sources_sha256,
         ground_found=seen.ground.refined,
         channels=seen.ground.channels(),

@@ -228,7 +228,7 @@ def command(
             raise partly
         return
     for report in reports:
-        _report(report)
+        report_session(report)
     if len(recordings) > 1:
         _report_drives(reports, partly)
     for pair in lies:
@@ -336,7 +336,8 @@ def _change(values: tuple[float, float] | None, decimals: int, unit: str) -> str
     return "-" if values is None else f"{values[0]:.{decimals}f} / {values[1]:.{decimals}f} {unit}"
 
 
-def _report(report: SessionReport) -> None:
+def report_session(report: SessionReport, *, rate: bool = True) -> None:
+    """What became of a drive, as a table and remarks; with the `rate` of the work, or without."""
     rows = [
         ("frames used", f"{report.used} of {report.frames}"),
         ("fixes accepted", f"{report.fixes_accepted} of {report.fixes}"),
@@ -347,9 +348,10 @@ def _report(report: SessionReport) -> None:
         ("camera steps", _steps(report)),
         ("points used up to", output.number(report.max_range_m, 1, "m")),
         ("ground plane refined in", f"{report.ground_refined} frames"),
-        # As wide for a slow machine as for a fast one, so that tables can be compared.
-        ("rate", f"{report.frames_per_s:7.1f} frames/s"),
     ]  # fmt: skip
+    if rate:
+        # As wide for a slow machine as for a fast one, so that tables can be compared.
+        rows.append(("rate", f"{report.frames_per_s:7.1f} frames/s"))
     output.report_table(("", ""), rows, title=f"session {report.session}")
     _report_remarks(report)
     stages = asdict(report.stages).items()

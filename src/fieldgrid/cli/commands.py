@@ -32,6 +32,7 @@ COMMANDS: dict[str, Entry] = {
     "mount": Entry(_DRIVES, "Estimate how the camera is mounted, from the drive alone."),
     "convert": Entry(_DRIVES, "Write a recording as one standard MCAP file."),
     "build": Entry(_MAPS, "Make a map from recordings, or append them to one."),
+    "live": Entry(_MAPS, "Map while driving: local grids and poses now, the map at the end."),
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
     "mark": Entry(_MAPS, "Draw keep-outs, corrections and places on a map; undo them."),
     "align": Entry(_MAPS, "Make the drives of a map coincide."),

@@ -77,6 +77,11 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
+def print_json_line(value: Mapping[str, Any]) -> None:
+    """One JSON object to stdout, on a line of its own, and at once."""
+    print(json.dumps(value, allow_nan=False), flush=True)
+
+
 def print_line(text: str) -> None:
     """A line that was asked for."""
     print(printable(text))

@@ -102,6 +102,18 @@ def building(out: Path, wait_s: float) -> Iterator[Building]:
         yield Building(show, wait)
 
 
+@contextmanager
+def living() -> Iterator[Callable[[str], None] | None]:
+    """A line that says how a live session is; None where no terminal watches."""
+    if not output.shows_progress():
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("") as line:
+        yield lambda text: line.update(output.printable(text))
+
+
 def _bar(*more: str) -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

@@ -168,6 +168,14 @@ class StageFile(Closing):
     def __iter__(self) -> Iterator[StagedFrame]:
         return (self[k] for k in range(len(self.entries)))
 
+    def sync(self) -> None:
+        """Return when what was appended is on the disk, and not only with the system."""
+        if self._file is not None:
+            try:
+                os.fsync(self._file)
+            except OSError as error:
+                raise self._unwritable(error) from error
+
     def close(self) -> None:
         """Close the file; a temporary one is gone."""
         self._memory = None

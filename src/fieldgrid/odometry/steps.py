@@ -80,6 +80,7 @@ class Refusal(StrEnum):
     LIFTED = "the likeliest motion lifts the vehicle off the ground"
     TIPPED = "the likeliest motion tips the vehicle over"
     RIVAL = "two motions explain the images about as well"
+    NOT_COMPARED = "the program was started again between the two frames"
 
 
 def step(start: Features, stop: Features, rig: Rig) -> Step | Refusal:

@@ -1,0 +1,308 @@
+"""`fieldgrid live`: a map while it is driven."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fieldgrid.cli import options, output, progress
+from fieldgrid.cli.build import report_session
+from fieldgrid.cli.drive_options import Drive, DriveFlags
+from fieldgrid.cli.settings_flags import SettingsFlags
+from fieldgrid.settings import Overrides
+
+if TYPE_CHECKING:
+    from fieldgrid.build import SessionReport
+    from fieldgrid.live import Counts, Live, LiveResult, LiveWindow
+
+_SESSION = "Session and map file"
+_AT_THE_END = {"out", "finish", "finish_from", "as_json", "quiet", "verbose"}
+_DROPS_S = 5.0
+
+
+def command(
+    ctx: typer.Context,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="MAP.gpkg",
+            help="The map file; MAP.gpkg.live beside it keeps the drive until it is in the map.",
+            rich_help_panel=_SESSION,
+            show_default=False,
+        ),
+    ],
+    replay: Annotated[
+        Path | None,
+        typer.Option(
+            "--replay",
+            metavar="RECORDING",
+            help="Take a recording as if it were driven now.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = None,
+    rate: Annotated[
+        str,
+        typer.Option(
+            metavar="X|max",
+            help="So many times as fast as it was driven; max: as fast as can be, without dropping "
+            "a frame.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = "1",
+    finish: Annotated[
+        bool,
+        typer.Option(
+            "--finish",
+            help="Put a drive that was ended before its map was made into the map.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = False,
+    finish_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--finish-from",
+            metavar="RECORDING",
+            help="The same, built anew from a recording of it, with the frames that were dropped.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = None,
+    discard: Annotated[
+        bool,
+        typer.Option(
+            "--discard",
+            help="Remove what an ended session has kept.",
+            rich_help_panel=_SESSION,
+        ),
+    ] = False,
+    append: Annotated[
+        bool,
+        typer.Option("--append", help="Add to an existing map.", rich_help_panel=_SESSION),
+    ] = False,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The session's name [default: the recording's own].",
+            rich_help_panel=_SESSION,
+        ),
+    ] = None,
+    datum: options.DatumText = None,
+    drive: Drive,
+    settings: Annotated[Overrides, SettingsFlags()],
+    config: options.Config = None,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print a JSON object a line: grids, poses, windows and events as they come, the "
+            "report last.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
+) -> None:
+    """Map while driving: local grids, poses and a costmap now, the same map as build at the end.
+
+    Ctrl-C and SIGTERM end the drive and make the map of it. After a kill the same command goes on
+    with the same session.
+
+    Examples:
+
+        fieldgrid live -o row.gpkg --replay june-03 --gnss rtk.nmea
+
+        fieldgrid live -o row.gpkg --replay june-03 --rate max --json
+
+        fieldgrid live -o row.gpkg --finish --accept clock-offset
+    """
+    chosen = [replay is not None, finish, finish_from is not None, discard]
+    if sum(chosen) != 1:
+        raise typer.BadParameter(
+            "give one of --replay, --finish, --finish-from and --discard", param_hint="--replay"
+        )
+    if discard:
+        options.refuse_given(
+            ctx, {"out", "discard", "quiet", "verbose"}, "--discard only removes; leave it out"
+        )
+        _discard(out)
+        return
+    if replay is None:
+        flags = set(SettingsFlags("pose", "checks").names())
+        if finish_from is not None:
+            flags |= set(DriveFlags._fields)
+        why = "the drive is over, and this cannot be changed any more; leave it out"
+        options.refuse_given(ctx, _AT_THE_END | flags, why)
+        _report(_finished(out, finish_from, drive, settings), None, out, as_json=as_json)
+        return
+    report, counts = _replayed(
+        *(out, replay, _rate(rate), append, name, datum, drive),
+        *(settings, config),
+        as_json=as_json,
+    )
+    _report(report, counts, out, as_json=as_json)
+
+
+def _rate(text: str) -> float | None:
+    """How fast, None for as fast as can be."""
+    if text == "max":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not 0.01 <= rate <= 1000.0:
+        raise typer.BadParameter(f"{text!r} is neither 0.01 to 1000 nor max", param_hint="--rate")
+    return rate
+
+
+def _replayed(
+    out: Path,
+    recording: Path,
+    rate: float | None,
+    append: bool,
+    name: str | None,
+    datum: str | None,
+    drive: DriveFlags,
+    settings: Overrides,
+    config: Path | None,
+    *,
+    as_json: bool,
+) -> tuple[SessionReport, Counts]:
+    from fieldgrid.live import Live
+    from fieldgrid.live import replay as replayed
+    from fieldgrid.recording import open_drive
+    from fieldgrid.settings import resolve
+
+    with open_drive(recording, drive.options()) as opened, progress.living() as line:
+        found = opened.recording()
+        watch = _Watch(line, as_json=as_json)
+        live = Live(
+            out,
+            found.rig,
+            resolve(config, settings),
+            name=name or found.name,
+            datum=options.datum(datum),
+            datum_hint=found.datum_hint,
+            append=append,
+            source=found.gnss_source,
+            source_sha256=found.gnss_sha256(),
+            notes=(*found.losses, *found.notes),
+            on_result=watch.take,
+        )
+        watch.live = live
+        with _ended_by_signals() as stop:
+            try:
+                all_of_it = replayed(live, found, rate=rate, stop=stop)
+            except BaseException:
+                live.stop()
+                raise
+            if not all_of_it:
+                output.message("the drive is ended and its map made; once more gives that up")
+        if line is not None:
+            line("making the map")
+        counts = live.counts
+        try:
+            return live.finish(), counts
+        except KeyboardInterrupt:
+            typer.echo(
+                f"fieldgrid: interrupted; the drive is kept in {live.folder}, and fieldgrid live "
+                f"-o {out} --finish makes the map of it.",
+                err=True,
+            )
+            raise typer.Exit(130) from None
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[threading.Event]:
+    """In the block Ctrl-C and SIGTERM set an event, and interrupt nothing."""
+    stop = threading.Event()
+    before = {
+        one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield stop
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+class _Watch:
+    """Prints what a session tells."""
+
+    def __init__(self, line: Any, *, as_json: bool) -> None:
+        self.live: Live | None = None
+        self._line, self._as_json = line, as_json
+        self._said_s = -math.inf
+
+    def take(self, result: LiveResult) -> None:
+        """Print a result, or let the status line say it."""
+        from fieldgrid.live import LiveEvent, LiveWindow, What
+
+        if self._as_json:
+            output.print_json_line(result.as_dict())
+            return
+        if isinstance(result, LiveEvent):
+            drops = result.what is What.FRAME_DROPPED
+            if not drops or time.monotonic() - self._said_s > _DROPS_S:
+                output.message(result.text)
+            if drops:
+                self._said_s = time.monotonic()
+        elif isinstance(result, LiveWindow) and self._line is not None and self.live is not None:
+            self._line(_status(result, self.live.counts))
+
+
+def _status(window: LiveWindow, counts: Counts) -> str:
+    pose = window.pose
+    where = ""
+    if pose is not None and math.isfinite(pose.heading_sigma_deg):
+        where = (
+            f", {pose.east_m:.1f} E {pose.north_m:.1f} N ± {pose.position_sigma_m:.2f} m, "
+            f"{pose.heading_deg:.0f} ± {pose.heading_sigma_deg:.1f}°"
+        )
+    doubt = f", NOT TO BE TRUSTED: {window.doubt}" if window.doubt else ""
+    return f"{counts.frames} frames, {counts.dropped} dropped{where}{doubt}"
+
+
+def _finished(
+    out: Path, recording: Path | None, drive: DriveFlags, settings: Overrides
+) -> SessionReport:
+    from fieldgrid.live import finish_from, finish_session
+
+    if recording is None:
+        return finish_session(out, settings)
+    with progress.building(out, 0.0) as tell:
+        return finish_from(out, recording, drive.options(), settings, progress=tell.show)
+
+
+def _discard(out: Path) -> None:
+    from fieldgrid.live import discard_session
+
+    name, frames = discard_session(out)
+    output.report_line(f"removed the session {name} with {frames} frames")
+
+
+def _report(report: SessionReport, counts: Counts | None, out: Path, *, as_json: bool) -> None:
+    if as_json:
+        pushed = None if counts is None else counts._asdict()
+        output.print_json_line({"map": str(out), "session": report.as_dict(), "pushed": pushed})
+        return
+    if counts is not None:
+        rows = [
+            ("frames kept", str(counts.frames)),
+            ("frames dropped", str(counts.dropped)),
+            ("frames late or twice", str(counts.late)),
+            ("frames that cannot be read", str(counts.bad)),
+            ("fixes", str(counts.fixes)),
+        ]
+        output.report_table(("", ""), rows, title=f"live {report.session}")
+    report_session(report, rate=False)
+    output.report_line(f"map {out}")

@@ -1,0 +1,203 @@
+"""The end of a live session: the drive smoothed as a whole, and placed by the code of a build."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from fieldgrid.build import (
+    Progress,
+    SessionReport,
+    build_map,
+    check_output,
+    check_poses,
+    estimate_drive,
+)
+from fieldgrid.build.drives import is_in_map
+from fieldgrid.build.perception import follows_camera
+from fieldgrid.build.poses import check_images
+from fieldgrid.build.session import NewSession, check_names
+from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
+from fieldgrid.live.kept import About, Kept
+from fieldgrid.mapfile import Patience, create_map, open_map
+from fieldgrid.pose import tells_attitude
+from fieldgrid.recording import DriveOptions, Recording, open_drive
+from fieldgrid.settings import BuildSettings, Overrides
+from fieldgrid.settings.declare import first_problem
+from fieldgrid.transfer import check_cell_sizes
+
+NOT_LEVELLED = (
+    "The drive tells how its vehicle leans, which is known to the end of it only, so live grids "
+    "stay square to the ground ahead. They are placed by the full attitude; to have them level, "
+    "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
+)
+
+AT_THE_END = frozenset({"pose", "checks"})
+"""Tables of settings that may be others at the end: grids do not depend on them."""
+
+
+def check_target(out: Path, about: About) -> None:
+    """Raise before the drive what the map would refuse at its end."""
+    check_output(out, append=about.append, overwrite=False)
+    if not about.append:
+        if out.exists():
+            raise MapExistsError(
+                f"{out} exists already; give another name, or --append to add the drive to it."
+            )
+        check_names([about.name], [])
+        return
+    chosen = about.settings.map
+    with open_map(out, cell_m=chosen.cell_m, transfer=chosen.transfer) as universal:
+        check_names([about.name], [info.name for info in universal.sessions()])
+        check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
+
+
+def finish_session(
+    out: str | Path,
+    overrides: Overrides | None = None,
+    *,
+    patience: Patience | None = None,
+) -> SessionReport:
+    """Put what a live session has kept for the map `out` into it, and remove what was kept.
+
+    `overrides` are settings of poses and checks that replace those of the session. On an error the
+    drive stays where it is kept, and the error says so.
+    """
+    with Kept(Path(out), None) as kept:
+        return finish(kept, overrides or {}, patience)
+
+
+def finish_from(
+    out: str | Path,
+    recording: str | Path,
+    options: DriveOptions | None = None,
+    overrides: Overrides | None = None,
+    *,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> SessionReport:
+    """Build the drive of a live session from a recording of it, under the session's name and by its
+    settings, and remove what the session has kept: the map has the frames that were dropped, too,
+    and grids that are level where the drive tells how its vehicle leans. ConfigError for a
+    recording that lacks a frame of the session: it is of another drive."""
+    with Kept(Path(out), None) as kept:
+        about = kept.drive.about
+        with open_drive(recording, options) as drive:
+            found = drive.recording()
+            times_ns = found.frame_times_ns() + found.rig.image_time_offset_ns
+            for entry in kept.staged().entries:
+                if entry.time_ns not in times_ns:
+                    raise ConfigError(
+                        f"{recording} has no frame of the time {entry.time_ns} ns, as the session "
+                        f"{about.name!r} in {kept.folder} has; give the recording of that drive."
+                    )
+        (report,) = build_map(
+            [recording],
+            kept.out,
+            with_overrides(about.settings, overrides or {}),
+            options,
+            datum=about.datum,
+            append=about.append,
+            name=about.name,
+            jobs=jobs,
+            progress=progress,
+        )
+        kept.remove()
+    return report
+
+
+def discard_session(out: str | Path) -> tuple[str, int]:
+    """Remove what a session that was ended has kept; its name, and how many frames it had."""
+    with Kept(Path(out), None) as kept:
+        name, frames = kept.drive.about.name, len(kept.drive.frames)
+        kept.remove()
+    return name, frames
+
+
+def finish(kept: Kept, overrides: Overrides, patience: Patience | None = None) -> SessionReport:
+    """The same of a folder that is open."""
+    started = time.perf_counter()
+    recording, about = kept.recording(), kept.drive.about
+    settings = with_overrides(about.settings, overrides)
+    try:
+        if not kept.staged().entries:
+            raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
+        report = _placed(kept, recording, settings, patience or Patience())
+    except FieldgridError as error:
+        sentence = str(error).removesuffix(".")
+        raise type(error)(
+            f"{sentence}. The drive is kept in {kept.folder}; fieldgrid live -o {kept.out} "
+            "--finish tries again, with pose options or --accept, and --discard gives it up."
+        ) from error
+    kept.remove()
+    report.wall_s = time.perf_counter() - started
+    return report
+
+
+def _placed(
+    kept: Kept, recording: Recording, settings: BuildSettings, patience: Patience
+) -> SessionReport:
+    about, staged, out = kept.drive.about, kept.staged(), kept.out
+    session = NewSession(recording, settings, None, None, about.name, 1, skips_bad=True)
+    if out.exists() and _is_done(out, about.name, staged):
+        session.report.notes += ("The drive was in the map already.",)
+        session.report.frames = len(staged.entries)
+        return session.report
+    check_target(out, about)
+    if tells_attitude(recording.motion()):
+        session.report.notes += (NOT_LEVELLED,)
+    datum = about.datum
+    if about.append and datum is None:
+        with open_map(out) as existing:
+            datum = existing.datum
+    trajectory = estimate_drive(recording, settings, datum, level_grids=False).trajectory
+    check_images(recording, trajectory)
+    if not follows_camera(recording.rig, settings):
+        check_poses(recording, trajectory)
+    datum = datum or trajectory.datum
+    chosen = settings.map
+    if about.append:
+        universal = open_map(
+            out, datum=datum, cell_m=chosen.cell_m, transfer=chosen.transfer, patience=patience
+        )
+    else:
+        universal = create_map(
+            out, datum, cell_m=settings.universal_cell_m, transfer=chosen.transfer
+        )
+    with universal:
+        session.check(universal)
+        session.add(universal, staged)
+    return session.report
+
+
+def _is_done(out: Path, name: str, staged: Any) -> bool:
+    """Whether an end that was killed had put the drive into the map already."""
+    with open_map(out) as universal:
+        return name in {info.name for info in universal.sessions()} and is_in_map(
+            universal, name, staged
+        )
+
+
+def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettings:
+    """The settings of a session with those that may be others at its end; ConfigError for such as
+    may not."""
+    tables: dict[str, Any] = settings.model_dump(mode="json")
+    for table, values in overrides.items():
+        given: Mapping[str, Any] = {k: v for k, v in values.items() if v is not None}
+        if given and table not in AT_THE_END:
+            raise ConfigError(
+                f"The setting {table}.{next(iter(given))} is that of the grids, which are made; "
+                "build the drive from a recording to change it."
+            )
+        tables[table] = {**tables[table], **given}
+    try:
+        return BuildSettings.model_validate(tables)
+    except ValidationError as error:
+        problem = first_problem(error)
+        raise ConfigError(
+            f"Setting {problem.name} = {problem.value!r} cannot be: {problem.why}."
+        ) from error

@@ -1,0 +1,141 @@
+"""Poses while the vehicle drives: the batch estimate over the last seconds, again and again."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from fieldgrid.build import cell_budget
+from fieldgrid.errors import FieldgridError, GnssError
+from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.geodesy import Datum
+from fieldgrid.live.sensed import Rows, motion_of
+from fieldgrid.motion import Motion
+from fieldgrid.odometry import Refusal, Step, steps_of
+from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.rig import Rig
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose, Status, Trajectory
+
+KEPT_S = 60.0
+"""What is older than this before the newest is forgotten, however silent the receiver is."""
+
+BEFORE_NS = 5_000_000_000
+"""How long before a frame that waits for its pose an estimate begins."""
+
+AHEAD_S, TIMES_AHEAD = 600.0, 10
+"""A fix that is stamped so far ahead of all else is not used here, unless so many follow it."""
+
+
+class Trailing:
+    """What the sensors said in the last seconds, and the poses that follow from it.
+
+    Not safe to call from several threads. `window_s` is how much of the drive before the newest
+    fix goes into an estimate.
+    """
+
+    def __init__(
+        self, rig: Rig, settings: BuildSettings, datum: Datum | None, window_s: float
+    ) -> None:
+        self._rig, self._settings = rig, settings
+        self._budget = cell_budget(rig, settings)
+        self.datum = datum
+        self._window_ns = round(window_s * 1e9)
+        self._fixes: deque[Fix] = deque()
+        self._parts: dict[str, deque[Rows]] = {}
+        self._frames: deque[tuple[int, Step | None]] = deque()
+        self._last_fix_ns: int | None = None
+        self._ahead = 0
+        self.newest_ns = 0
+
+    @property
+    def last_fix_ns(self) -> int | None:
+        """The time of the newest fix, None before the first."""
+        return self._last_fix_ns
+
+    def add_fix(self, fix: Fix) -> str:
+        """A fix, in any order. Returns why it is not used, or nothing."""
+        ahead_s = (fix.time_ns - self.newest_ns) / 1e9 if self.newest_ns else 0.0
+        self._ahead = self._ahead + 1 if ahead_s > AHEAD_S else 0
+        if 0 < self._ahead < TIMES_AHEAD:
+            return f"A fix is stamped {ahead_s:.0f} s ahead of all else, so poses do without it."
+        self._fixes.append(fix)
+        self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
+        self._seen(fix.time_ns)
+        return ""
+
+    def add_rows(self, part: str, rows: Rows) -> None:
+        """Rows of gyro, wheels, IMU or tilt, in any order."""
+        if len(rows.time_ns):
+            self._parts.setdefault(part, deque()).append(rows)
+            self._seen(int(rows.time_ns.max()))
+
+    def add_frame(self, time_ns: int, step: Step | None) -> None:
+        """A frame, in order of time, and the camera's step to it from the one before."""
+        self._frames.append((time_ns, step))
+        self._seen(time_ns)
+
+    def _seen(self, time_ns: int) -> None:
+        self.newest_ns = max(self.newest_ns, time_ns)
+        oldest_ns = self.newest_ns - round(KEPT_S * 1e9)
+        while self._fixes and self._fixes[0].time_ns < oldest_ns:
+            self._fixes.popleft()
+        while self._frames and self._frames[0][0] < oldest_ns:
+            self._frames.popleft()
+        for chunks in self._parts.values():
+            while chunks and chunks[0].time_ns[-1] < oldest_ns:
+                chunks.popleft()
+
+    def estimate(self, oldest_ns: int) -> Estimate:
+        """The poses of the last seconds, and from before `oldest_ns` on if that is still there.
+        GnssError where there are none, which says why."""
+        if self._last_fix_ns is None:
+            raise GnssError("There is no fix yet; wait for the receiver.")
+        since_ns = min(self._last_fix_ns - self._window_ns, oldest_ns - BEFORE_NS)
+        fixes = [fix for fix in self._fixes if fix.time_ns >= since_ns]
+        if not fixes:
+            silent_s = (self.newest_ns - self._last_fix_ns) / 1e9
+            raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
+        found = estimate_poses(
+            FixColumns.of_rows(fixes),
+            self._rig,
+            self.datum,
+            self._settings.pose,
+            self._motion(since_ns),
+            self._budget,
+            frame_ns=np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
+            level_grids=False,
+        )
+        self.datum = found.trajectory.datum
+        return found
+
+    def _motion(self, since_ns: int) -> Motion:
+        parts = {
+            part: [rows for rows in chunks if rows.time_ns[-1] >= since_ns]
+            for part, chunks in self._parts.items()
+        }
+        motion = motion_of(parts)
+        frames = [frame for frame in self._frames if frame[0] >= since_ns]
+        steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]
+        if any(isinstance(step, Step) for step in steps):
+            motion = motion._replace(steps=steps_of([time_ns for time_ns, _ in frames], steps))
+        return motion
+
+
+def pose_at(trajectory: Trajectory, time_ns: int) -> tuple[Pose, int]:
+    """The pose at an instant and its gear; rejected, with the reason, where nothing is known."""
+    try:
+        pose = trajectory.at(time_ns)
+    except FieldgridError:
+        reason = trajectory.reason[-1] if len(trajectory) else "no fix can be used"
+        return unknown_pose(time_ns, reason), 0
+    row = min(int(np.searchsorted(trajectory.time_ns, time_ns)), len(trajectory) - 1)
+    return pose, int(trajectory.gear[row]) if pose.status is not Status.REJECTED else 0
+
+
+def unknown_pose(time_ns: int, reason: str) -> Pose:
+    """A pose of which nothing is known, and why."""
+    nan = math.nan
+    return Pose(time_ns, nan, nan, nan, nan, nan, nan, nan, Status.REJECTED, reason)

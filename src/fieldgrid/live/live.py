@@ -1,0 +1,381 @@
+"""A session on the vehicle: pushed to while it drives, durable at once, a map at its end."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.build import SessionReport
+from fieldgrid.build.perception import follows_camera
+from fieldgrid.closing import Closing
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.fixes import Fix
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import NmeaStream
+from fieldgrid.live.finish import check_target, finish
+from fieldgrid.live.kept import About, Kept
+from fieldgrid.live.lag import KEPT_S
+from fieldgrid.live.perceiving import Perceiver, Seen
+from fieldgrid.live.posing import LiveOptions, Poser
+from fieldgrid.live.results import Deliverer, LiveEvent, LiveResult, Outbox, What
+from fieldgrid.live.sensed import Rows, rows_of
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
+from fieldgrid.rig import Rig
+from fieldgrid.settings import BuildSettings, Overrides
+
+SYNC_S = 0.5
+"""What is pushed is on the disk after this and the time that the disk takes."""
+
+CLIENT_S = 2.0
+"""So long a client that does not take its results is waited for at the end."""
+
+
+class Counts(NamedTuple):
+    """What has been pushed in all, also before a restart; `frames` are those that are kept."""
+
+    frames: int
+    dropped: int
+    late: int
+    bad: int
+    fixes: int
+    rows: dict[str, int]
+    missed_results: int
+    callback_errors: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Pushed:
+    """An image, depths or a cloud in memory, as a source of a frame."""
+
+    name: str
+    values: Any
+
+    def read(self) -> Any:
+        """The values."""
+        return self.values
+
+    def sha256(self) -> str:
+        """The hash of the values, row by row."""
+        return hashlib.sha256(np.ascontiguousarray(self.values).tobytes()).hexdigest()
+
+    def encoded(self) -> bytes:
+        """Nothing: it is no file."""
+        return b""
+
+
+class Live(Closing):
+    """A live session for a map: push what sensors say, take grids, poses and the window around.
+
+    What is pushed is kept in a folder beside the map, `MAP.live`, within a second; the map is made
+    at the end of the block, by the code of a build, from the drive as a whole. A program that was
+    killed goes on with the same session when it opens it again. When an error that is none of
+    Ctrl-C and SIGTERM ends the block, the drive is kept and not placed: `finish_session` does it
+    later.
+
+    Results are given to `on_result` in a thread of its own, or taken with `results`; the oldest
+    give way when nobody takes them, and what a callback raises or how long it takes changes nothing
+    else. Pushing is safe from any thread. Raises MapExistsError, ConfigError and others that say
+    what the map would refuse, before anything is pushed.
+    """
+
+    def __init__(
+        self,
+        map_path: str | Path,
+        rig: Rig,
+        settings: BuildSettings | None = None,
+        *,
+        name: str,
+        datum: Datum | None = None,
+        datum_hint: Datum | None = None,
+        append: bool = False,
+        source: str = "live",
+        source_sha256: str = "",
+        notes: tuple[str, ...] = (),
+        options: LiveOptions | None = None,
+        on_result: Callable[[LiveResult], None] | None = None,
+    ) -> None:
+        settings, options = settings or BuildSettings(), options or LiveOptions()
+        about = About(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes)
+        gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
+        check_target(Path(map_path), about)
+        self.name, self._settings = name, settings
+        self._kept = Kept(Path(map_path), about)
+        drive = self._kept.drive
+        self._lock = threading.Lock()
+        self._nmea = NmeaStream(late_epochs=1)
+        self._fixes, self._bad = len(drive.fixes), len(drive.bad)
+        self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
+        self._pushed = 0
+        self._is_full = False
+        self.is_resumed = self._kept.is_resumed
+        self.newest_frame_ns: int | None = None
+        """The time of the last frame that is kept, by the receiver's clock; None before the
+        first."""
+        if drive.frames:
+            self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1][0]].time_ns
+        self._outbox = Outbox()
+        self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
+        self._poser = Poser(rig, settings, datum or datum_hint, options, self._tell)
+        self._go_on()
+        self._perceiver = Perceiver(
+            self._kept,
+            gridder,
+            odometry=follows_camera(rig, settings),
+            most_waiting=options.queue_frames,
+            tell=self._tell,
+            pass_on=self._perceived,
+        )
+        self._kept.forget()
+        self._stopping = threading.Event()
+        self._syncer = threading.Thread(target=self._sync, name="fieldgrid-sync", daemon=True)
+        self._syncer.start()
+        self._is_open = True
+
+    def _go_on(self) -> None:
+        """Let poses begin with the end of what was pushed before a restart."""
+        drive = self._kept.drive
+        if not self.is_resumed:
+            return
+        text = f"The session {self.name!r} goes on: {len(drive.frames)} frames are kept."
+        newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
+        self._tell(LiveEvent(What.SESSION, text, newest_ns))
+        since_ns = newest_ns - round(KEPT_S * 1e9)
+        for fix in drive.fixes:
+            if fix.time_ns >= since_ns:
+                self._poser.put(fix)
+        for part, chunks in drive.parts.items():
+            for rows in chunks:
+                if len(rows.time_ns) and rows.time_ns[-1] >= since_ns:
+                    self._poser.put((part, rows))
+
+    @property
+    def folder(self) -> Path:
+        """Where the session is kept."""
+        return self._kept.folder
+
+    @property
+    def counts(self) -> Counts:
+        """What has been pushed so far, and what became of it."""
+        failed = 0 if self._deliverer is None else self._deliverer.failed
+        frames = self._perceiver
+        return Counts(
+            frames.frames,
+            frames.dropped,
+            frames.late,
+            self._bad,
+            self._fixes,
+            dict(self._rows),
+            self._outbox.missed,
+            failed,
+        )
+
+    def push_pair(
+        self,
+        left: npt.NDArray[np.uint8],
+        right: npt.NDArray[np.uint8],
+        time_ns: int,
+        *,
+        frame_id: str | None = None,
+        wait: bool = False,
+    ) -> bool:
+        """A rectified pair of grey images, 8 bit, of the rig's camera, taken at `time_ns` by the
+        camera's clock (UTC). It must not be written to afterwards.
+
+        False where it is not taken: frames come in order of time, so one that is not newer than the
+        one before is left out. When more wait than may, the oldest is dropped; with `wait` this
+        waits instead.
+        """
+        camera = self._kept.drive.about.rig.camera
+        name, size_px = self._frame_id(frame_id), (camera.width_px, camera.height_px)
+        sides = _Pushed(f"{name}/left", left), _Pushed(f"{name}/right", right)
+        return self.push_frame(StereoFrame(name, int(time_ns), *sides, size_px), wait=wait)
+
+    def push_depth(
+        self,
+        depth_m: npt.NDArray[np.float32],
+        time_ns: int,
+        *,
+        frame_id: str | None = None,
+        wait: bool = False,
+    ) -> bool:
+        """An image of depths along the optical axis, metres, NaN where there is none; the rest as
+        in `push_pair`."""
+        camera = self._kept.drive.about.rig.depth_camera
+        name = self._frame_id(frame_id)
+        size_px = (camera.width_px, camera.height_px)
+        frame = DepthFrame(name, int(time_ns), _Pushed(f"{name}/depth", depth_m), size_px)
+        return self.push_frame(frame, wait=wait)
+
+    def push_cloud(
+        self,
+        points_m: npt.NDArray[np.float32],
+        time_ns: int,
+        *,
+        frame_id: str | None = None,
+        wait: bool = False,
+    ) -> bool:
+        """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres; the rest as in
+        `push_pair`."""
+        name = self._frame_id(frame_id)
+        frame = CloudFrame(name, int(time_ns), _Pushed(f"{name}/cloud", points_m))
+        return self.push_frame(frame, wait=wait)
+
+    def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:
+        """A frame as recordings have it, which is read by the session's own thread; the rest as in
+        `push_pair`."""
+        self._check_open()
+        return self._perceiver.push(frame, wait=wait)
+
+    def push_fix(self, fix: Fix) -> None:
+        """A fix, in any order; one that comes later than the lag counts at the end only."""
+        self._check_open()
+        with self._lock:
+            self._fixes += 1
+            self._note_disk(self._kept.add_fix(fix), fix.time_ns)
+        self._poser.put(fix)
+
+    def push_nmea(self, data: bytes) -> int:
+        """Bytes of a receiver as they come, cut anywhere; returns how many fixes they made whole.
+        One is given when the next epoch begins."""
+        with self._lock:
+            fixes = self._nmea.feed(data)
+        for fix in fixes:
+            self.push_fix(fix)
+        return len(fixes)
+
+    def push_gyro(self, time_ns: npt.ArrayLike, rate_rad_s: npt.ArrayLike) -> None:
+        """Rates of turn, clockwise seen from above, one or [n], in any order."""
+        self.push_rows("gyro", rows_of("gyro", time_ns, rate_rad_s))
+
+    def push_wheels(self, time_ns: npt.ArrayLike, speed_mps: npt.ArrayLike) -> None:
+        """Speeds over ground, negative in reverse, one or [n], in any order."""
+        self.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
+
+    def push_imu(
+        self, time_ns: npt.ArrayLike, rate_rad_s: npt.ArrayLike, force_mps2: npt.ArrayLike
+    ) -> None:
+        """All axes of an IMU in the vehicle's axes, [3] or [n, 3], as `motion.Inertial` has them.
+        Push the rate about the vertical as gyro, too."""
+        self.push_rows("inertial", rows_of("inertial", time_ns, rate_rad_s, force_mps2))
+
+    def push_tilt(
+        self,
+        time_ns: npt.ArrayLike,
+        roll_deg: npt.ArrayLike,
+        pitch_deg: npt.ArrayLike,
+        sigma_deg: npt.ArrayLike,
+    ) -> None:
+        """Roll and pitch that something states, with their error, as `motion.RecordedTilt`."""
+        self.push_rows("tilt", rows_of("tilt", time_ns, roll_deg, pitch_deg, sigma_deg))
+
+    def results(self, timeout_s: float | None = None) -> Iterator[LiveResult]:
+        """The results as they come, until the session ends or nothing comes for so long. Not beside
+        a callback."""
+        if self._deliverer is not None:
+            raise ConfigError("The results go to the callback; leave out on_result to take them.")
+        while (result := self._outbox.take(timeout_s)) is not None:
+            yield result
+
+    def drain(self, timeout_s: float | None = None) -> bool:
+        """Wait until every frame that was pushed is perceived; False when that takes longer."""
+        return self._perceiver.drain(timeout_s)
+
+    def finish(self, overrides: Overrides | None = None) -> SessionReport:
+        """End the session and put it into the map; `overrides` are other settings of poses and
+        checks. On an error the drive stays kept, and the error says how to finish it."""
+        self._check_open()
+        self._end()
+        try:
+            return finish(self._kept, overrides or {})
+        finally:
+            self._kept.close()
+
+    def stop(self) -> None:
+        """End the session without a map: what is kept is there for the next start or for
+        `finish_session`."""
+        if self._is_open:
+            self._end()
+            self._kept.close()
+
+    def close(self) -> None:
+        """`finish`, unless the session has ended or has no frame: then nothing is kept."""
+        if self._is_open and self.counts.frames == 0 and self._perceiver.drain():
+            self._end()
+            self._kept.remove() if self.counts.frames == 0 else self._kept.close()
+        elif self._is_open:
+            self.finish()
+
+    def __exit__(self, *error: object) -> None:
+        if len(error) > 1 and isinstance(error[1], Exception):
+            self.stop()
+        else:
+            self.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _end(self) -> None:
+        """End the threads, in the order in which data go through them."""
+        self._is_open = False
+        for fix in self._nmea.finish():
+            self._kept.add_fix(fix)
+            self._poser.put(fix)
+        self._perceiver.close()
+        self._poser.close()
+        self._stopping.set()
+        self._syncer.join()
+        self._kept.sync()
+        self._outbox.close()
+        if self._deliverer is not None:
+            self._deliverer.join(CLIENT_S)
+
+    def _perceived(self, seen: Seen) -> None:
+        self._poser.put(seen)
+
+    def push_rows(self, part: str, rows: Rows) -> None:
+        """Rows of a part of the motion (`live.sensed.PARTS`), in any order."""
+        self._check_open()
+        if not len(rows.time_ns):
+            return
+        with self._lock:
+            self._rows[part] = self._rows.get(part, 0) + len(rows.time_ns)
+            self._note_disk(self._kept.add_rows(part, rows), int(rows.time_ns[-1]))
+        self._poser.put((part, rows))
+
+    def _note_disk(self, taken: bool, time_ns: int) -> None:
+        if taken == self._is_full:
+            self._is_full = not taken
+            text = "The disk takes what is pushed again."
+            if not taken:
+                text = (
+                    f"The disk of {self._kept.folder} takes nothing: what is pushed waits in "
+                    "memory and is lost with a kill; free some space there."
+                )
+            self._tell(LiveEvent(What.DISK, text, time_ns))
+
+    def _sync(self) -> None:
+        while not self._stopping.wait(SYNC_S):
+            self._kept.sync()
+
+    def _tell(self, result: LiveResult) -> None:
+        if isinstance(result, LiveEvent) and result.what is What.FRAME_BAD:
+            self._bad += 1
+        self._outbox.put(result)
+
+    def _frame_id(self, given: str | None) -> str:
+        with self._lock:
+            self._pushed += 1
+            number = self._perceiver.frames + self._pushed
+        return given if given is not None else f"{number:06d}"
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise RecordingError(f"The session {self.name!r} has ended; begin another.")

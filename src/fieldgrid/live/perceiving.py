@@ -1,0 +1,185 @@
+"""Frames to local grids while the vehicle drives: one thread, and a queue that has an end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from fieldgrid.build import BadFrame
+from fieldgrid.build.report import StageTimes
+from fieldgrid.build.staging import Found, stage_frame
+from fieldgrid.errors import FieldgridError, MapWriteError
+from fieldgrid.grids import LocalGrid
+from fieldgrid.live.kept import Kept
+from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.odometry import Features, Step, features, step
+from fieldgrid.recording import Frame
+
+
+class Seen(NamedTuple):
+    """A frame that was perceived. `step` is the camera's to it from the last one that `is_kept`."""
+
+    frame_id: str
+    time_ns: int
+    grid: LocalGrid
+    ground_found: bool
+    step: Step | None
+    is_kept: bool
+    pushed_s: float
+
+
+class _Waiting(NamedTuple):
+    frame: Frame
+    pushed_s: float
+
+
+class Perceiver:
+    """Takes frames in order of time, and keeps and tells what they saw.
+
+    When as many wait as may, the oldest of them is dropped: what is in front of the vehicle now
+    matters more than what was.
+    """
+
+    def __init__(
+        self,
+        kept: Kept,
+        gridder: LocalGridder,
+        *,
+        odometry: bool,
+        most_waiting: int,
+        tell: Callable[[LiveResult], None],
+        pass_on: Callable[[Seen], None],
+    ) -> None:
+        self._kept, self._gridder, self._odometry = kept, gridder, odometry
+        self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
+        self._queue: deque[_Waiting] = deque()
+        self._changed = threading.Condition()
+        self._busy = self._closed = False
+        self._last: Features | None = None
+        frames = kept.drive.frames
+        last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
+        self._newest_ns = last_ns
+        # The last frame before the restart, pushed again, is looked at for the step from it.
+        self._again_ns = last_ns if odometry else None
+        self.frames = len(frames)
+        self.dropped = kept.drive.dropped
+        self.late = 0
+        self._disk_full = False
+        self._thread = threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
+        self._thread.start()
+
+    def push(self, frame: Frame, *, wait: bool) -> bool:
+        """Let a frame be perceived; False where it is not, since it is not newer than the one
+        before or since no frame is taken any more. With `wait` it waits for its turn where none
+        may be dropped."""
+        time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+        dropped = None
+        with self._changed:
+            is_again = time_ns == self._again_ns and self._last is None
+            is_late = self._newest_ns is not None and time_ns <= self._newest_ns and not is_again
+            if not is_late:
+                if wait:
+                    self._changed.wait_for(lambda: self._closed or len(self._queue) < self._most)
+                if self._closed:
+                    return False
+                if len(self._queue) >= self._most:
+                    dropped = self._queue.popleft().frame
+                    self.dropped += 1
+                self._queue.append(_Waiting(frame, time.monotonic()))
+                self._newest_ns, self._again_ns = time_ns, None
+                self._changed.notify_all()
+            else:
+                self.late += 1
+        if is_late:
+            text = f"Frame {frame.frame_id} is not newer than the one before; it was left out."
+            self._tell(LiveEvent(What.FRAME_LATE, text, time_ns))
+        if dropped is not None:
+            self._kept.add_dropped(dropped.frame_id, dropped.time_ns)
+            text = (
+                f"Frame {dropped.frame_id} was dropped, since newer ones wait: {self.dropped} so "
+                "far."
+            )
+            self._tell(LiveEvent(What.FRAME_DROPPED, text, time_ns))
+        return not is_late
+
+    def drain(self, timeout_s: float | None = None) -> bool:
+        """Wait until every frame is perceived; False when that takes longer."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._queue and not self._busy, timeout_s)
+
+    def close(self) -> None:
+        """Perceive what waits, and end."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._queue or self._closed)
+                if not self._queue:
+                    return
+                waiting, self._busy = self._queue.popleft(), True
+                self._changed.notify_all()
+            try:
+                self._look(waiting)
+            except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
+                reason = str(error) if isinstance(error, FieldgridError) else repr(error)
+                self._bad(waiting.frame, reason)
+
+    def _bad(self, frame: Frame, reason: str) -> None:
+        time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+        self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
+        text = f"Frame {frame.frame_id} cannot be used: {reason}"
+        self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
+
+    def _look(self, waiting: _Waiting) -> None:
+        frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
+        time_ns = frame.time_ns + rig.image_time_offset_ns
+        entries = kept.stage.entries
+        if self._odometry and self._last is None and entries and entries[-1].time_ns == time_ns:
+            self._last = features(rig.camera, *frame.images())
+            return
+        seen, staged = stage_frame(frame, self._gridder, odometry=self._odometry)
+        latency_s = time.monotonic() - waiting.pushed_s
+        self._tell(LiveGrid(frame.frame_id, time_ns, seen.grid, seen.ground.refined, latency_s))
+        start = time.thread_time()
+        found: Found = None
+        if self._last is not None and seen.features is not None:
+            found = step(self._last, seen.features, rig)
+        odometry_s = seen.odometry_s + time.thread_time() - start
+        is_kept = True
+        try:
+            number = kept.stage.append(staged)
+        except MapWriteError as error:
+            is_kept = False
+            if not self._disk_full:
+                text = f"{error} Frames are not kept until there is room; the mapping goes on."
+                self._tell(LiveEvent(What.DISK, text, time_ns))
+            self._kept.add_dropped(frame.frame_id, frame.time_ns)
+            self.dropped += 1
+        else:
+            if self._disk_full:
+                text = "The disk takes frames again."
+                self._tell(LiveEvent(What.DISK, text, time_ns))
+            self._last = seen.features
+            self.frames += 1
+            times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
+            kept.add_frame(number, frame.frame_id, found, times)
+        self._disk_full = not is_kept
+        one_step = found if isinstance(found, Step) else None
+        self._pass_on(
+            Seen(
+                *(frame.frame_id, time_ns, seen.grid, seen.ground.refined),
+                *(one_step, is_kept, waiting.pushed_s),
+            )
+        )
+        if is_kept and self._odometry and kept.wants_pair(number):
+            kept.add_pair(number, *frame.images())

@@ -1,0 +1,275 @@
+"""Poses and the window around the vehicle, again with each frame: a thread of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from fieldgrid.build import cell_budget
+from fieldgrid.build.poses import no_ground
+from fieldgrid.cost import CostCurve
+from fieldgrid.costmap import Costmap, Inflation
+from fieldgrid.errors import ConfigError, FieldgridError
+from fieldgrid.fixes import Fix
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import Gate
+from fieldgrid.live.lag import Trailing, pose_at, unknown_pose
+from fieldgrid.live.perceiving import Seen
+from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.sensed import Rows
+from fieldgrid.live.window import Placed, RollingWindow
+from fieldgrid.pose import Estimate
+from fieldgrid.rig import Rig
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose, Status
+from fieldgrid.transfer import Transfer
+
+EVERY_S = 0.2
+"""Without a new frame poses are estimated so often."""
+
+MOST_SHARE = 0.5
+"""Of one core, estimates take no more: frames come first."""
+
+SILENT_S = 3.0
+"""Without a frame or a pose for longer, the window is not to be trusted."""
+
+GIVEN_UP_S = 12.0
+"""A frame without fixes after it waits for them for so long."""
+
+UNSEEN_DEG = 20.0
+"""How much a heading may change in a second, 1 sigma, that nothing measures: the smoother's."""
+
+MOST_INBOX = 100_000
+SAID_AGAIN_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """What a live session does beside the map.
+
+    `queue_frames` wait at most; of more the oldest is dropped. A pose is settled when there are
+    fixes `lag_s` after it; those that come later count at the end only. An estimate takes the last
+    `window_s` seconds before the newest fix. The map around the vehicle is `map_side_m` wide;
+    `curve` and `inflation` make costs of it.
+    """
+
+    queue_frames: int = 2
+    lag_s: float = 2.0
+    window_s: float = 20.0
+    map_side_m: float = 40.0
+    curve: CostCurve = field(default_factory=CostCurve)
+    inflation: Inflation = field(default_factory=Inflation)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.queue_frames <= 1000:
+            raise ConfigError(
+                f"A queue of {self.queue_frames} frames is outside 1..1000; 2 is usual."
+            )
+        for name, value, least, most in (
+            ("lag", self.lag_s, 0.0, 10.0),
+            ("window", self.window_s, 5.0, 50.0),
+        ):
+            if not least <= value <= most:
+                raise ConfigError(f"A {name} of {value} s is outside {least:g}..{most:g} s.")
+
+
+class Poser:
+    """Takes what sensors and frames say, and tells poses, the window and what is doubtful."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        settings: BuildSettings,
+        datum: Datum | None,
+        options: LiveOptions,
+        tell: Callable[[LiveResult], None],
+    ) -> None:
+        self._rig, self._options, self._tell = rig, options, tell
+        self._trailing = Trailing(rig, settings, datum, options.window_s)
+        self._reach_m = cell_budget(rig, settings).reach_m
+        self._window = RollingWindow(
+            settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE, options.map_side_m
+        )
+        self._inbox: deque[Fix | Seen | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
+        self._changed = threading.Condition()
+        self._closed = self._has_frame = False
+        self._waiting: list[Seen] = []
+        self._told: set[int] = set()
+        self._refused_ns: dict[Gate, int] = {}
+        self._newest: Seen | None = None
+        self._doubt: str | None = None
+        self._pose: Pose | None = None
+        self._heard_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
+        self._thread.start()
+
+    def put(self, said: Fix | Seen | tuple[str, Rows]) -> None:
+        """Take what was pushed; it never blocks."""
+        with self._changed:
+            self._inbox.append(said)
+            self._heard_s = time.monotonic()
+            if isinstance(said, Seen):
+                self._has_frame = True
+                self._changed.notify()
+
+    def close(self) -> None:
+        """Tell what there is, and end."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        took_s = 0.0
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, took_s * (1.0 / MOST_SHARE - 1.0))
+                self._changed.wait_for(lambda: self._has_frame or self._closed, EVERY_S)
+                said, self._has_frame, closed = list(self._inbox), False, self._closed
+                self._inbox.clear()
+            start_s = time.thread_time()
+            try:
+                for one in said:
+                    self._take(one)
+                if said or time.monotonic() - self._heard_s > SILENT_S:
+                    self._estimate()
+            except Exception as error:  # noqa: BLE001 - an estimate that fails does not end the mapping
+                self._say(What.POSE, f"Poses could not be estimated: {error!r}")
+            took_s = time.thread_time() - start_s
+            if closed:
+                return
+
+    def _take(self, said: Fix | Seen | tuple[str, Rows]) -> None:
+        if isinstance(said, Fix):
+            if why := self._trailing.add_fix(said):
+                self._say(What.FIX_REFUSED, why)
+        elif isinstance(said, Seen):
+            if said.is_kept:
+                self._trailing.add_frame(said.time_ns, said.step)
+            self._waiting.append(said)
+            self._newest = said
+        else:
+            self._trailing.add_rows(*said)
+
+    def _estimate(self) -> None:
+        estimate, doubt = None, ""
+        try:
+            newest_ns = self._trailing.newest_ns
+            estimate = self._trailing.estimate(
+                min((w.time_ns for w in self._waiting), default=newest_ns)
+            )
+        except FieldgridError as error:
+            doubt = str(error)
+        if estimate is not None:
+            self._say_refused(estimate)
+            self._pose, doubt = self._now(estimate)
+            if self._pose.status is not Status.REJECTED:
+                self._window.follow(self._pose)
+        if self._newest is not None:
+            silent_s = (self._trailing.newest_ns - self._newest.time_ns) / 1e9
+            if silent_s > SILENT_S:
+                doubt = doubt or f"no frame for {silent_s:.1f} s"
+        if (still_s := time.monotonic() - self._heard_s) > SILENT_S:
+            doubt = doubt or f"nothing was pushed for {still_s:.0f} s"
+        placed = self._placed(estimate, doubt)
+        if self._trailing.datum is not None:
+            self._show(self._trailing.datum, placed, doubt)
+        if bool(doubt) != bool(self._doubt) or self._doubt is None:
+            how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
+            self._say(What.POSE, f"The window around the vehicle {how}")
+        self._doubt = doubt
+
+    def _now(self, estimate: Estimate) -> tuple[Pose, str]:
+        """The latest pose with what may have happened since, and why it is not to be trusted."""
+        trajectory, newest_ns = estimate.trajectory, self._trailing.newest_ns
+        known = trajectory.time_ns[trajectory.accepted]
+        if not len(known):
+            pose, _ = pose_at(trajectory, newest_ns)
+            return pose, pose.reason
+        pose, _ = pose_at(trajectory, min(newest_ns, int(known[-1])))
+        since_s = max(newest_ns - int(known[-1]), 0) / 1e9
+        if since_s > 0.0:
+            speed_mps = abs(pose.speed_mps)
+            turned_deg = UNSEEN_DEG * math.sqrt(since_s) if speed_mps > 0.1 else 0.0
+            pose = replace(
+                pose,
+                time_ns=newest_ns,
+                position_sigma_m=math.hypot(pose.position_sigma_m, speed_mps * since_s),
+                heading_sigma_deg=math.hypot(pose.heading_sigma_deg, turned_deg),
+            )
+        if since_s > SILENT_S / 2.0:
+            after = trajectory.time_ns > known[-1]
+            why = trajectory.reason[-1] if after.any() else "the receiver wrote none"
+            return pose, f"no pose that can be used for {since_s:.1f} s: {why}"
+        return pose, pose.reason if pose.status is Status.REJECTED else ""
+
+    def _placed(self, estimate: Estimate | None, doubt: str) -> list[Placed]:
+        """Tell the poses of the frames that wait, place those that are settled for good, and return
+        those that are good enough but may still move."""
+        still: list[Seen] = []
+        moving: list[Placed] = []
+        settled: list[Placed] = []
+        fix_ns, newest_ns = self._trailing.last_fix_ns or 0, self._trailing.newest_ns
+        for seen in self._waiting:
+            since_s = (fix_ns - seen.time_ns) / 1e9
+            is_settled = since_s >= self._options.lag_s
+            is_settled = is_settled or (newest_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
+            pose, gear = unknown_pose(seen.time_ns, doubt), 0
+            if estimate is not None:
+                pose, gear = pose_at(estimate.trajectory, seen.time_ns)
+            if pose.status is not Status.REJECTED and not seen.ground_found:
+                pose = replace(pose, status=Status.REJECTED, reason=no_ground(self._rig))
+            is_good = pose.status is not Status.REJECTED
+            if is_settled or (is_good and seen.time_ns not in self._told):
+                self._tell(LivePose(seen.frame_id, pose, gear, is_settled))
+                self._told.add(seen.time_ns)
+            if is_good:
+                off_m = self._reach_m * math.radians(pose.heading_sigma_deg)
+                sigma_m = math.hypot(pose.position_sigma_m, off_m)
+                frame = Placed(seen.grid, pose, seen.time_ns, sigma_m)
+                (settled if is_settled else moving).append(frame)
+            if is_settled:
+                self._told.discard(seen.time_ns)
+            else:
+                still.append(seen)
+        self._waiting = still
+        self._window.settle(settled)
+        return moving
+
+    def _show(self, datum: Datum, moving: list[Placed], doubt: str) -> None:
+        newest, now_ns = self._newest, self._trailing.newest_ns
+        view, age_s, sigma_m = self._window.view(moving, datum, now_ns)
+        inflation = self._options.inflation
+        costmap = Costmap.from_view(
+            view,
+            curve=self._options.curve,
+            robot_radius_m=inflation.robot_radius_m,
+            inflation_m=inflation.inflation_m,
+            decay_per_m=inflation.decay_per_m,
+        )
+        # Its time counts once the newest frame is in it.
+        is_in = newest is not None and any(one.time_ns == newest.time_ns for one in moving)
+        latency_s = time.monotonic() - newest.pushed_s if is_in and newest else None
+        self._tell(
+            LiveWindow(
+                *(now_ns, costmap, view, age_s, sigma_m, self._pose, doubt),
+                self._window.frames + len(moving),
+                newest.frame_id if is_in and newest else "",
+                latency_s,
+            )
+        )
+
+    def _say_refused(self, estimate: Estimate) -> None:
+        """Tell what the receiver said that is not used, of each kind once in a while."""
+        for refused in estimate.report.conditioning.rejected:
+            told_ns = self._refused_ns.get(refused.gate)
+            if told_ns is None or refused.last_ns > told_ns + SAID_AGAIN_S * 1e9:
+                self._refused_ns[refused.gate] = refused.last_ns
+                self._say(What.FIX_REFUSED, f"A fix is not used: {refused.example}")
+
+    def _say(self, what: What, text: str) -> None:
+        self._tell(LiveEvent(what, text, self._trailing.newest_ns))

@@ -1,0 +1,218 @@
+"""What a live session gives, as frozen values, and the bounded queue to whoever takes them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.array_types import Float32
+from fieldgrid.costmap import Costmap
+from fieldgrid.grids import LocalGrid
+from fieldgrid.mapfile import MapView
+from fieldgrid.trajectory import Pose
+
+MOST_WAITING = 256
+"""Results that wait for a client; the oldest give way, and are counted."""
+
+
+class What(StrEnum):
+    """What an event is about."""
+
+    SESSION = "session"
+    FRAME_DROPPED = "frame dropped"
+    FRAME_BAD = "frame bad"
+    FRAME_LATE = "frame late"
+    FIX_REFUSED = "fix refused"
+    POSE = "pose"
+    INPUT = "input"
+    DISK = "disk"
+    CLIENT = "client"
+
+
+@dataclass(frozen=True, slots=True)
+class LiveEvent:
+    """Something that the driver or the program may want to know, in words. `time_ns` is the latest
+    time of what was pushed."""
+
+    what: What
+    text: str
+    time_ns: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {"event": self.what.value, "text": self.text, "time_ns": self.time_ns}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveGrid:
+    """The local grid of a frame, in the vehicle frame: no pose is in it. `latency_s` is from the
+    push to here."""
+
+    frame_id: str
+    time_ns: int
+    grid: LocalGrid
+    ground_found: bool
+    latency_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, without the cells."""
+        obstacles = int((self.grid.observed & (self.grid.density > 100)).sum())
+        return {
+            "grid": self.frame_id,
+            "time_ns": self.time_ns,
+            "observed_cells": int(self.grid.observed.sum()),
+            "obstacle_cells": obstacles,
+            "ground_found": self.ground_found,
+            "latency_ms": round(1e3 * self.latency_s, 1),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LivePose:
+    """The pose of a frame. `is_settled` when nothing that is pushed later changes it here: the
+    fixes of the lag after it are in. `gear` is +1 forward, -1 reverse, 0 at rest or not known."""
+
+    frame_id: str
+    pose: Pose
+    gear: int
+    is_settled: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; None for what is not known."""
+        pose = self.pose
+        return {
+            "pose": self.frame_id,
+            "time_ns": pose.time_ns,
+            "east_m": pose.east_m,
+            "north_m": pose.north_m,
+            "heading_deg": _known(pose.heading_deg),
+            "position_sigma_m": _known(pose.position_sigma_m),
+            "heading_sigma_deg": _known(pose.heading_sigma_deg),
+            "speed_mps": _known(pose.speed_mps),
+            "gear": self.gear,
+            "status": pose.status.value,
+            "reason": pose.reason,
+            "settled": self.is_settled,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveWindow:
+    """The map around the vehicle, from the frames of this session whose pose is good enough.
+
+    `doubt` says why it is not to be trusted now; it is empty where it is. `pose` is the latest one
+    of the vehicle, None before the first. `age_s` [rows north, columns east] is how long before the
+    latest data a cell was last seen, `sigma_m` how far off a cell at the far end of the frame that
+    saw it last may be (1 sigma); both NaN where nothing was seen. `latency_s` is from the push of
+    `frame_id`, the newest frame, to here; None, and no name, while that is not in it.
+    """
+
+    time_ns: int
+    costmap: Costmap
+    view: MapView
+    age_s: Float32
+    sigma_m: Float32
+    pose: Pose | None
+    doubt: str
+    frames: int
+    frame_id: str
+    latency_s: float | None
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether a controller may drive by it."""
+        return not self.doubt
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, without the cells."""
+        seen = self.view.observed
+        return {
+            "window": self.frame_id,
+            "time_ns": self.time_ns,
+            "trusted": self.is_trusted,
+            "doubt": self.doubt,
+            "frames": self.frames,
+            "known_cells": int(seen.sum()),
+            "bounds_m": [float(value) for value in self.view.bounds],
+            "oldest_s": _known(float(np.max(self.age_s[seen]))) if seen.any() else None,
+            "worst_sigma_m": _known(float(np.max(self.sigma_m[seen]))) if seen.any() else None,
+            "latency_ms": None if self.latency_s is None else round(1e3 * self.latency_s, 1),
+        }
+
+
+LiveResult = LiveEvent | LiveGrid | LivePose | LiveWindow
+
+
+class Outbox:
+    """Results on their way to a client that may be slow, dead, or none: it never blocks."""
+
+    def __init__(self, most: int = MOST_WAITING) -> None:
+        self._waiting: deque[LiveResult] = deque(maxlen=most)
+        self._changed = threading.Condition()
+        self._closed = False
+        self.missed = 0
+        """Results that gave way to newer ones before a client took them."""
+
+    def put(self, result: LiveResult) -> None:
+        """Add a result, in the place of the oldest where there is no room."""
+        with self._changed:
+            self.missed += len(self._waiting) == self._waiting.maxlen
+            self._waiting.append(result)
+            self._changed.notify()
+
+    def take(self, timeout_s: float | None = None) -> LiveResult | None:
+        """The next result; None when there is none in time, or none any more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._closed, timeout_s)
+            return self._waiting.popleft() if self._waiting else None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it is closed and empty."""
+        with self._changed:
+            return self._closed and not self._waiting
+
+    def close(self) -> None:
+        """Nothing more comes; what waits can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+class Deliverer:
+    """A thread that calls a client's callback; what this raises is counted, and told once."""
+
+    def __init__(self, outbox: Outbox, callback: Callable[[LiveResult], None]) -> None:
+        self._outbox, self._callback = outbox, callback
+        self.failed = 0
+        self._thread = threading.Thread(target=self._run, name="fieldgrid-results", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._outbox.is_done:
+            result = self._outbox.take(0.5)
+            if result is None:
+                continue
+            try:
+                self._callback(result)
+            except Exception as error:  # noqa: BLE001 - a client's mistake does not end the mapping
+                self.failed += 1
+                if self.failed == 1:
+                    what = f"{type(error).__name__}: {error}"
+                    text = f"The callback raised {what}; later ones are counted, not told."
+                    self._outbox.put(LiveEvent(What.CLIENT, text, time.time_ns()))
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for what was not delivered yet, but no longer: a client may block."""
+        self._thread.join(timeout_s)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

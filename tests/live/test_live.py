@@ -1,0 +1,332 @@
+"""A live session gives the map of a build, whatever its sensors, its disk and its clients do."""
+
+from __future__ import annotations
+
+import errno
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fieldgrid.build import build_map
+from fieldgrid.errors import ConfigError, GnssError, MapExistsError, MapWriteError, RecordingError
+from fieldgrid.live import (
+    Live,
+    LiveGrid,
+    LiveOptions,
+    LivePose,
+    LiveResult,
+    LiveWindow,
+    discard_session,
+    finish_from,
+    finish_session,
+    live_folder,
+    perceiving,
+    replay,
+)
+from fieldgrid.live.journal import Journal
+from fieldgrid.live.perceiving import stage_frame
+from fieldgrid.mapfile import StagedFrame, StageFile, open_map
+from fieldgrid.recording import open_recording
+from fieldgrid.settings import BuildSettings
+from tests.build.making import content
+from tests.conftest import TWO_LANES, make_small_drive
+from tests.live.making import Told, begin, drive_live
+
+
+def test_the_map_is_that_of_a_build(short_drive: Path, built: Path, tmp_path: Path) -> None:
+    out, told = tmp_path / "m.gpkg", Told()
+    drive_live(short_drive, out, told)
+    assert content(out) == content(built)
+    with open_map(out) as universal:
+        assert universal.verify().problems == ()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.gpkg"]
+    frames = [f"{k:06d}" for k in range(20, 26)]
+    assert [grid.frame_id for grid in told.of(LiveGrid)] == frames
+    settled = {one.frame_id: one.pose for one in told.of(LivePose) if one.is_settled}
+    assert sorted(settled) == frames
+    # At the end of the log the vehicle is elsewhere, and the window with it.
+    window = max(told.of(LiveWindow), key=lambda one: one.view.observed.sum())
+    assert window.view.observed.sum() > 10_000
+    seen = window.view.observed
+    assert np.isfinite(window.age_s[seen]).all()
+    assert np.isnan(window.age_s[~seen]).all()
+    assert window.costmap.costs.shape == seen.shape
+
+
+def test_pushed_arrays_and_bytes_make_a_map(short_drive: Path, tmp_path: Path) -> None:
+    out, log = tmp_path / "m.gpkg", (short_drive / "gnss" / "gnss_rtk.nmea").read_bytes()
+    with open_recording(short_drive) as recording:
+        fixes = len(recording.fixes())
+        with Live(out, recording.rig, name="pushed") as live:
+            made = sum(live.push_nmea(log[k : k + 777]) for k in range(0, len(log), 777))
+            for frame in recording.frames():
+                assert live.push_pair(*frame.images(), frame.time_ns, wait=True)
+            assert made + 1 == fixes  # the last one is whole at the end
+    with open_map(out) as universal:
+        (session,) = universal.sessions()
+        assert (session.frames, session.accepted) == (6, 6)
+        assert len(universal.session_inputs("pushed")["fix.time_ns"]) == fixes
+        assert [frame.frame_id for frame in universal.frames("pushed")][0] == "000001"
+
+
+def test_fixes_may_come_late_twice_and_in_any_order(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        fixes = list(recording.fixes())
+        rng = np.random.default_rng(7)
+        order = np.argsort(np.arange(len(fixes)) + rng.uniform(0.0, 8.0, len(fixes)))
+        with begin(recording, out) as live:
+            for k in order.tolist():
+                live.push_fix(fixes[k])
+                if k % 9 == 0:
+                    live.push_fix(fixes[k])
+            for frame in recording.frames():
+                live.push_frame(frame, wait=True)
+    with open_map(out) as ours, open_map(built) as theirs:
+        assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
+        np.testing.assert_array_equal(ours.read().density, theirs.read().density)
+
+
+def test_images_that_come_late_or_twice_are_left_out_and_told(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out, told = tmp_path / "m.gpkg", Told()
+    with open_recording(short_drive) as recording:
+        frames = list(recording.frames())
+        with begin(recording, out, on_result=told) as live:
+            for fix in recording.fixes():
+                live.push_fix(fix)
+            pushed = [frames[0], *frames, frames[2], frames[5]]
+            taken = [live.push_frame(frame, wait=True) for frame in pushed]
+            assert taken == [True, False, *[True] * 5, False, False]
+            assert live.counts.late == 3
+    assert len(told.texts("frame late")) == 3
+    assert content(out) == content(built)
+
+
+def test_of_frames_that_wait_the_oldest_is_dropped(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free, begun, told = threading.Event(), threading.Event(), Told()
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        begun.set()
+        assert free.wait(60)
+        return stage_frame(*arguments, **options)
+
+    monkeypatch.setattr(perceiving, "stage_frame", slow)
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        first, *frames = recording.frames()
+        with begin(recording, out, on_result=told) as live:
+            for fix in recording.fixes():
+                live.push_fix(fix)
+            live.push_frame(first)
+            assert begun.wait(60)
+            for frame in frames:
+                live.push_frame(frame)  # returns at once
+            assert live.counts.dropped == 3
+            free.set()
+    assert [grid.frame_id for grid in told.of(LiveGrid)] == ["000020", "000024", "000025"]
+    assert ["000021" in text for text in told.texts("frame dropped")] == [True, False, False]
+    # The map is that of a drive of these frames.
+    kept = make_small_drive(tmp_path / "kept" / "drive", (20, 24, 25))
+    build_map([kept], tmp_path / "kept.gpkg", BuildSettings())
+    with open_map(out) as ours, open_map(tmp_path / "kept.gpkg") as theirs:
+        assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
+        np.testing.assert_array_equal(ours.read().density, theirs.read().density)
+
+
+@pytest.mark.parametrize("kind", ["raises", "blocks"])
+def test_a_client_that_fails_changes_nothing(
+    kind: str, short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldgrid.live.live.CLIENT_S", 0.1)
+    held = threading.Event()
+
+    def client(result: LiveResult) -> None:
+        if kind == "raises":
+            raise RuntimeError("the client's own mistake")
+        held.wait(60)
+
+    drive_live(short_drive, tmp_path / "m.gpkg", client)
+    held.set()
+    assert content(tmp_path / "m.gpkg") == content(built)
+
+
+def test_a_disk_that_is_full_for_a_while_costs_the_frames_of_that_while(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, told, append, write = tmp_path / "m.gpkg", Told(), StageFile.append, Journal._write
+    full = [False]
+
+    def appending(self: StageFile, frame: StagedFrame) -> int:
+        full[0] = frame.frame_id in ("000022", "000023")
+        if full[0]:
+            raise MapWriteError(errno.ENOSPC, "The disk is full.")
+        return append(self, frame)
+
+    monkeypatch.setattr(StageFile, "append", appending)
+    monkeypatch.setattr(Journal, "_write", lambda self: not full[0] and write(self))
+    drive_live(short_drive, out, told)
+    monkeypatch.undo()
+    assert len(told.of(LiveGrid)) == 6
+    assert len(told.texts("disk")) >= 2
+    kept = make_small_drive(tmp_path / "kept" / "drive", (20, 21, 24, 25))
+    build_map([kept], tmp_path / "kept.gpkg", BuildSettings())
+    with open_map(out) as ours, open_map(tmp_path / "kept.gpkg") as theirs:
+        assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
+        np.testing.assert_array_equal(ours.read().density, theirs.read().density)
+
+
+def test_a_frame_that_cannot_be_read_is_told_and_left_out(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    out, told = tmp_path / "m.gpkg", Told()
+    with open_recording(short_drive) as recording:
+        with begin(recording, out, on_result=told) as live:
+            for fix in recording.fixes():
+                live.push_fix(fix)
+            for k, frame in enumerate(recording.frames()):
+                size = (9, 9) if k == 2 else (480, 640)
+                left, right = frame.images()
+                live.push_pair(
+                    *(left[: size[0], : size[1]], right[: size[0], : size[1]], frame.time_ns),
+                    wait=True,
+                )
+            live.drain()
+            assert live.counts.bad == 1
+    (text,) = told.texts("frame bad")
+    assert "9 x 9 px" in text
+    with open_map(out) as universal:
+        assert universal.sessions()[0].frames == 5
+        assert universal.sessions()[0].config["bad_frames"] == 1
+
+
+def test_an_end_that_is_refused_keeps_the_drive_and_says_how_to_finish_it(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        wrong = replace(recording.rig, image_time_offset_ns=-700_000_000)
+        with pytest.raises(GnssError, match="--accept clock-offset") as told:
+            with begin(replace(recording, rig=wrong), out) as live:
+                replay(live, recording, rate=None)
+    assert f"The drive is kept in {live_folder(out)}" in str(told.value)
+    assert "--finish" in str(told.value)
+    assert not out.exists()
+    with pytest.raises(ConfigError, match="grids, which are made"):
+        finish_session(out, {"grid": {"cell_m": 0.1}})
+    report = finish_session(out, {"checks": {"accept": ["clock-offset"]}})
+    assert report.frames == 6
+    assert any("Accepted clock-offset" in note for note in report.notes)
+    assert not live_folder(out).exists()
+
+
+def test_a_session_without_a_fix_is_kept_until_it_is_discarded(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        with pytest.raises(GnssError, match="no position at all"):
+            with begin(recording, out) as live:
+                for frame in recording.frames(0, 2):
+                    live.push_frame(frame, wait=True)
+        # Of other settings it is another session.
+        with pytest.raises(ConfigError, match="holds the session 'drive'"):
+            begin(recording, out, settings=BuildSettings(map={"cell_m": 0.2}))
+    assert discard_session(out) == ("drive", 2)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ConfigError, match="no live session"):
+        finish_session(out)
+
+
+def test_what_the_map_would_refuse_is_refused_before_the_drive(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    with open_recording(short_drive) as recording:
+        with pytest.raises(MapExistsError, match="--append"):
+            begin(recording, built)
+        with pytest.raises(ConfigError, match="has a session 'drive' already"):
+            begin(recording, built, append=True)
+        with pytest.raises(ConfigError, match="no map"):
+            begin(recording, tmp_path / "m.gpkg", append=True)
+        with begin(recording, tmp_path / "m.gpkg") as live:
+            with pytest.raises(ConfigError, match="not finite"):
+                live.push_gyro(1, float("nan"))
+            with pytest.raises(ConfigError, match="shape"):
+                live.push_gyro([1, 2], [0.0, 0.0, 0.0])
+    with pytest.raises(RecordingError, match="has ended"):
+        live.push_gyro(1, 0.0)
+    assert list(tmp_path.iterdir()) == []  # nothing was driven
+    for wrong in ({"queue_frames": 0}, {"lag_s": -1.0}, {"window_s": 1.0}):
+        with pytest.raises(ConfigError, match="is outside"):
+            LiveOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_an_error_of_the_clients_program_keeps_the_drive(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        with pytest.raises(ZeroDivisionError):
+            with begin(recording, out) as live:
+                replay(live, recording, rate=None)
+                1 / 0  # noqa: B018
+        assert not out.exists()
+        told = Told()
+        # The same session goes on; it had everything already.
+        with begin(recording, out, on_result=told) as live:
+            assert live.is_resumed
+            assert live.counts.frames == 6
+            replay(live, recording, rate=None)
+    assert "goes on: 6 frames are kept" in told.texts("session")[0]
+    assert content(out) == content(built)
+
+
+def test_a_drive_that_tells_how_it_leans_says_that_live_grids_are_not_level(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    drive = make_small_drive(tmp_path / "drive", range(20, 24))
+    (drive / "imu").symlink_to(TWO_LANES / "imu")
+    build_map([drive], tmp_path / "built.gpkg", BuildSettings())
+    with open_recording(drive) as recording:
+        live = begin(recording, tmp_path / "live.gpkg")
+        replay(live, recording, rate=None)
+        report = live.finish()
+        assert any("finish-from" in note for note in report.notes)
+        live = begin(recording, tmp_path / "anew.gpkg")
+        replay(live, recording, rate=None)
+        live.stop()
+    finish_from(tmp_path / "anew.gpkg", drive)
+    assert content(tmp_path / "anew.gpkg") == content(tmp_path / "built.gpkg")
+    with open_map(tmp_path / "live.gpkg") as ours, open_map(tmp_path / "built.gpkg") as theirs:
+        assert ours.sessions()[0].config["level_grids"] is False
+        assert theirs.sessions()[0].config["level_grids"] is True
+        # Its poses say so, too: they lie below the sensor along the vehicle's own axis.
+        moved = [
+            np.hypot(a.pose.east_m - b.pose.east_m, a.pose.north_m - b.pose.north_m)
+            for a, b in zip(ours.frames("drive"), theirs.frames("drive"), strict=True)
+        ]
+        assert 0.0 < max(moved) < 0.3
+    assert {path.name for path in tmp_path.iterdir()} >= {"live.gpkg", "built.gpkg"}
+
+
+def test_a_recording_of_another_drive_does_not_finish_a_session(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    other = make_small_drive(tmp_path / "other", range(30, 33))
+    with pytest.raises(ConfigError, match="no frame of the time"):
+        finish_from(out, other)
+    assert live_folder(out).is_dir()
