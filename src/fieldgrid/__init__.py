@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from fieldgrid.grids import GridSpec, LocalGrid
     from fieldgrid.inspection import inspect_recording
     from fieldgrid.lattice import Bounds
+    from fieldgrid.live import Live
     from fieldgrid.mapfile import Mark, MarkKind, merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
     from fieldgrid.recording import DriveOptions, open_drive, open_recording
@@ -54,6 +55,7 @@ _HOMES = {
     "Farm": "farm",
     "FieldgridError": "errors",
     "GridSpec": "grids",
+    "Live": "live",
     "LocalGrid": "grids",
     "Mark": "mapfile",
     "MarkKind": "mapfile",
@@ -103,6 +105,7 @@ __all__ = [
     "Farm",
     "FieldgridError",
     "GridSpec",
+    "Live",
     "LocalGrid",
     "Mark",
     "MarkKind",

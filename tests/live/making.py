@@ -46,6 +46,8 @@ def drive_live(
     drive: Path, out: Path, told: Callable[[LiveResult], None] | None = None, **options: Any
 ) -> None:
     """Replay a whole drive, no frame dropped, and make its map."""
-    with open_recording(drive) as recording:
-        with begin(recording, out, on_result=told, **options) as live:
-            replay(live, recording, rate=None)
+    with (
+        open_recording(drive) as recording,
+        begin(recording, out, on_result=told, **options) as live,
+    ):
+        replay(live, recording, rate=None)

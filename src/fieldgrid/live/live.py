@@ -307,11 +307,14 @@ class Live(Closing):
 
     def close(self) -> None:
         """`finish`, unless the session has ended or has no frame: then nothing is kept."""
-        if self._is_open and self.counts.frames == 0 and self._perceiver.drain():
-            self._end()
-            self._kept.remove() if self.counts.frames == 0 else self._kept.close()
-        elif self._is_open:
+        if not self._is_open:
+            return
+        self.drain()
+        if self.counts.frames:
             self.finish()
+        else:
+            self._end()
+            self._kept.remove()
 
     def __exit__(self, *error: object) -> None:
         if len(error) > 1 and isinstance(error[1], Exception):

@@ -53,8 +53,8 @@ class LiveOptions:
 
     `queue_frames` wait at most; of more the oldest is dropped. A pose is settled when there are
     fixes `lag_s` after it; those that come later count at the end only. An estimate takes the last
-    `window_s` seconds before the newest fix. The map around the vehicle is `map_side_m` wide;
-    `curve` and `inflation` make costs of it.
+    `window_s` seconds before the newest fix. The map around the vehicle is at least `map_side_m`
+    wide; `curve` and `inflation` make costs of it.
     """
 
     queue_frames: int = 2
@@ -92,7 +92,8 @@ class Poser:
         self._trailing = Trailing(rig, settings, datum, options.window_s)
         self._reach_m = cell_budget(rig, settings).reach_m
         self._window = RollingWindow(
-            settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE, options.map_side_m
+            *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
+            *(options.map_side_m, settings.grid.spec().reach_m),
         )
         self._inbox: deque[Fix | Seen | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
@@ -135,8 +136,9 @@ class Poser:
             try:
                 for one in said:
                     self._take(one)
-                if said or time.monotonic() - self._heard_s > SILENT_S:
-                    self._estimate()
+                still_s = 0.0 if said else time.monotonic() - self._heard_s
+                if said or still_s > SILENT_S:
+                    self._estimate(still_s)
             except Exception as error:  # noqa: BLE001 - an estimate that fails does not end the mapping
                 self._say(What.POSE, f"Poses could not be estimated: {error!r}")
             took_s = time.thread_time() - start_s
@@ -155,7 +157,8 @@ class Poser:
         else:
             self._trailing.add_rows(*said)
 
-    def _estimate(self) -> None:
+    def _estimate(self, still_s: float) -> None:
+        """Estimate, place and tell; nothing was pushed for so long."""
         estimate, doubt = None, ""
         try:
             newest_ns = self._trailing.newest_ns
@@ -173,7 +176,7 @@ class Poser:
             silent_s = (self._trailing.newest_ns - self._newest.time_ns) / 1e9
             if silent_s > SILENT_S:
                 doubt = doubt or f"no frame for {silent_s:.1f} s"
-        if (still_s := time.monotonic() - self._heard_s) > SILENT_S:
+        if still_s > SILENT_S:
             doubt = doubt or f"nothing was pushed for {still_s:.0f} s"
         placed = self._placed(estimate, doubt)
         if self._trailing.datum is not None:

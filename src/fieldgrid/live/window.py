@@ -18,8 +18,8 @@ from fieldgrid.transfer import MeanFold, Transfer, footprint, mean_density
 
 UNSEEN_NS = -(1 << 62)
 
-MOVES_ON = 0.25
-"""The window moves when the vehicle is this share of its side away from its middle."""
+MOVES_M = 1.0
+"""The window moves when the vehicle is farther than this from its middle."""
 
 
 class Placed(NamedTuple):
@@ -52,13 +52,14 @@ class _Cells(NamedTuple):
 
 
 class RollingWindow:
-    """A square of `side_m` around the vehicle, in cells of the map."""
+    """A square of `side_m` around the vehicle, in cells of the map, or more where grids reach
+    farther: what a frame sees must lie in it while it is new, or is not in it later either."""
 
-    def __init__(self, cell_m: float, transfer: Transfer, side_m: float) -> None:
+    def __init__(self, cell_m: float, transfer: Transfer, side_m: float, reach_m: float) -> None:
         if not 4.0 <= side_m <= 500.0:
             raise ConfigError(f"A window of {side_m} m is outside 4..500 m; 40 is usual.")
         self.lattice, self._transfer = Lattice(cell_m), transfer
-        self._side = max(round(side_m / cell_m), 8)
+        self._side = round(max(side_m, 2.0 * (reach_m + 2.0 * MOVES_M)) / cell_m)
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
         self._cells = _Cells.empty(self._window)
         self.frames = 0
@@ -69,7 +70,7 @@ class RollingWindow:
         i, j = (int(value) for value in self.lattice.index(pose.east_m, pose.north_m))
         old, half = self._window, self._side // 2
         away = max(abs(i - old.i0 - half), abs(j - old.j0 - half))
-        if away <= MOVES_ON * self._side:
+        if away <= MOVES_M * self.lattice.cells_per_m:
             return
         self._window = Window(i - half, j - half, self._side, self._side)
         kept, self._cells = self._cells, _Cells.empty(self._window)

@@ -1,0 +1,206 @@
+"""Poses and the window while driving: what is sure, what is not, and when fixes stop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fieldgrid.fixes import Fix
+from fieldgrid.geodesy import Datum
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.live.lag import TIMES_AHEAD, Trailing
+from fieldgrid.live.perceiving import Seen
+from fieldgrid.live.posing import LiveOptions, Poser
+from fieldgrid.live.results import LiveEvent, LivePose, LiveWindow, Outbox, What
+from fieldgrid.live.sensed import rows_of
+from fieldgrid.live.window import Placed, RollingWindow
+from fieldgrid.odometry import Step
+from fieldgrid.quality import Quality
+from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose, Status
+from fieldgrid.transfer import MeanFold, Transfer
+from tests.live.making import Told
+
+DATUM = Datum(41.65, -4.72, 787.4)
+RIG = Rig(
+    StereoCamera(640, 480, 500.0, 320.0, 240.0, 0.12),
+    Mount(1.0, 20.0),
+    LeverArm(0.0, 0.0, 1.0),
+    rear_axle_forward_m=0.0,
+)
+SPEC = GridSpec(4.0, 6.0, 0.1)
+SETTINGS = BuildSettings(grid={"width_m": 4.0, "length_m": 6.0, "cell_m": 0.1})
+START_NS = 1_700_000_000_000_000_000
+SPEED_MPS = 1.0
+GRID = LocalGrid(SPEC, np.full(SPEC.shape, 10, np.uint8), np.ones(SPEC.shape, np.bool_))
+
+
+def at_ns(seconds: float) -> int:
+    return START_NS + round(1e9 * seconds)
+
+
+def fix(seconds: float, quality: Quality = Quality.RTK_FIXED) -> Fix:
+    """A receiver on a vehicle that drives north, with some noise."""
+    noise_m = 0.01 * math.sin(37.0 * seconds), 0.01 * math.cos(53.0 * seconds)
+    lat, lon, height = DATUM.to_geodetic(noise_m[0], SPEED_MPS * seconds + noise_m[1], 1.0)
+    return Fix(at_ns(seconds), float(lat), float(lon), float(height), quality, 14, sigma_m=0.02)
+
+
+def frame(seconds: float, period_s: float | None) -> Seen:
+    """What a camera sees, which tells its own way since `period_s` ago or not at all."""
+    step = None
+    if period_s is not None:
+        step = Step(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
+    return Seen(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
+
+
+def driven(until_s: float, fixes_until_s: float, *, follows: bool) -> Told:
+    """What is told of a drive at 5 Hz whose fixes end before it."""
+    told = Told()
+    poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
+    for k in range(round(5.0 * until_s) + 1):
+        seconds = k / 5.0
+        if seconds <= fixes_until_s:
+            poser.put(fix(seconds))
+        poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+        if seconds >= until_s - 15.0:  # further back nothing hangs on frames here
+            poser.put(frame(seconds, 0.2 if follows else None))
+    poser.close()
+    return told
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_when_fixes_stop_sigma_grows_until_the_window_is_not_trusted(follows: bool) -> None:
+    last = [
+        driven(20.0 + silent_s, 20.0, follows=follows).of(LiveWindow)[-1]
+        for silent_s in (0.0, 1.0, 4.0, 14.0, 30.0)
+    ]
+    assert last[0].is_trusted
+    assert last[0].pose is not None
+    assert last[0].pose.position_sigma_m < 0.3
+    known = [window.pose for window in last[:4]]
+    sigmas_m = [pose.position_sigma_m for pose in known if pose is not None]
+    assert len(sigmas_m) == 4
+    assert all(b > a for a, b in pairwise(sigmas_m))
+    assert not last[3].is_trusted
+    assert not last[4].is_trusted
+    assert "no fix for 30 s" in last[4].doubt or "no pose" in last[4].doubt
+    # The camera carries it on.
+    assert last[2].is_trusted is follows
+    # True places stay within three of their sigmas.
+    for pose in known:
+        assert pose is not None
+        off_m = math.hypot(pose.east_m, pose.north_m - SPEED_MPS * (pose.time_ns - START_NS) / 1e9)
+        assert off_m < 3.0 * pose.position_sigma_m + 0.05
+
+
+def test_poses_are_told_when_they_are_good_and_again_when_they_are_settled() -> None:
+    told = driven(20.0, 20.0, follows=True)
+    by_frame: dict[str, list[LivePose]] = {}
+    for pose in told.of(LivePose):
+        by_frame.setdefault(pose.frame_id, []).append(pose)
+    for poses in by_frame.values():
+        assert len(poses) <= 2
+        assert all(one.pose.status is Status.OK for one in poses)
+        assert all(one.gear == 1 for one in poses)
+        assert abs(poses[-1].pose.heading_deg) < 3.0 * poses[-1].pose.heading_sigma_deg
+    settled = [float(name) for name, poses in by_frame.items() if poses[-1].is_settled]
+    assert max(settled) == pytest.approx(18.0)
+    assert (
+        not told.of(LiveEvent)[-1].text.endswith("trusted.") or told.of(LiveWindow)[-1].is_trusted
+    )
+
+
+def test_grids_of_poses_that_are_not_good_enough_stay_out_of_the_window() -> None:
+    told = Told()
+    poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
+    for k in range(100):
+        poser.put(fix(0.2 * k, Quality.NONE))
+        poser.put(frame(0.2 * k, 0.2))
+    poser.close()
+    assert not told.of(LiveWindow) or not told.of(LiveWindow)[-1].view.observed.any()
+    assert any("not to be trusted" in text for text in told.texts("pose"))
+    assert all(pose.pose.status is Status.REJECTED for pose in told.of(LivePose))
+
+
+def test_fixes_that_are_not_used_are_told_with_the_reason() -> None:
+    told = Told()
+    poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
+    for k in range(60):
+        away = fix(0.2 * k)
+        if 30 <= k < 33:
+            away = away._replace(lat_deg=away.lat_deg + 0.001)
+        poser.put(away)
+    poser.put(frame(11.8, None))
+    poser.close()
+    (text,) = told.texts("fix refused")
+    assert text.startswith("A fix is not used: ")
+    assert "m" in text
+
+
+def test_a_receiver_whose_clock_jumps_is_not_followed_at_once() -> None:
+    trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
+    assert [trailing.add_fix(fix(0.2 * k)) for k in range(50)] == [""] * 50
+    refusal = trailing.add_fix(fix(9.0)._replace(time_ns=at_ns(86_400.0)))
+    assert "86390 s ahead" in refusal
+    assert trailing.add_fix(fix(10.0)) == ""
+    assert trailing.estimate(trailing.newest_ns).trajectory.time_ns[-1] == at_ns(10.0)
+    # A log that goes on another day is.
+    day = [trailing.add_fix(fix(86_400.0 + 0.2 * k)) for k in range(TIMES_AHEAD)]
+    assert day[-1] == ""
+    assert all(day[:-1])
+
+
+def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
+    trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
+    for k in range(5 * 600):
+        trailing.add_fix(fix(0.2 * k))
+        trailing.add_frame(at_ns(0.2 * k), None)
+        trailing.add_rows("gyro", rows_of("gyro", at_ns(0.2 * k), 0.0))
+    sizes = len(trailing._fixes), len(trailing._frames), len(trailing._parts["gyro"])
+    assert max(sizes) <= 5 * 60 + 1
+    outbox = Outbox(3)
+    for k in range(5):
+        outbox.put(LiveEvent(What.INPUT, str(k), 0))
+    assert outbox.missed == 2
+    outbox.close()
+    taken: Iterator[str] = (
+        one.text for one in iter(outbox.take, None) if isinstance(one, LiveEvent)
+    )
+    assert list(taken) == ["2", "3", "4"]
+
+
+def test_a_window_that_moves_along_has_what_a_fold_over_all_has() -> None:
+    rng = np.random.default_rng(5)
+    window = RollingWindow(0.1, Transfer.AREA, 12.0, SPEC.reach_m)
+    placed = []
+    for k in range(40):
+        density = rng.integers(0, 255, SPEC.shape, dtype=np.uint8)
+        grid = LocalGrid(SPEC, density, rng.random(SPEC.shape) < 0.7)
+        pose = Pose(at_ns(k), 0.3 * k, 0.5 * k, 0.0, 10.0 * k, 0.02, 0.3, 1.0)
+        placed.append(Placed(grid, pose, at_ns(k), 0.01 * (k + 1)))
+        window.follow(pose)
+        window.settle(placed[-2:-1])
+    view, age_s, sigma_m = window.view(placed[-1:], DATUM, at_ns(41.0))
+    fold = MeanFold(window.lattice, view.window, Transfer.AREA)
+    # The window has forgotten what it left behind, so only its last frames are compared.
+    middle = window.lattice.bounds(view.window)
+    for one in placed[-8:]:
+        fold.add(one.grid, one.pose)
+    density, observed = fold.density()
+    assert middle.west_m < placed[-1].pose.east_m < middle.east_m
+    late = np.nan_to_num(age_s, nan=99.0) < 9.5
+    untouched = MeanFold(window.lattice, view.window, Transfer.AREA)
+    for one in placed[:-8]:
+        untouched.add(one.grid, one.pose)
+    alone = late & (untouched.sums[0] == 0)
+    assert alone.sum() > 500
+    np.testing.assert_array_equal(view.density[alone], density[alone])
+    np.testing.assert_array_equal(view.observed[alone], observed[alone])
+    assert np.nanmin(age_s) == pytest.approx(2.0)
+    assert sigma_m[age_s == np.nanmin(age_s)] == pytest.approx(0.4)
