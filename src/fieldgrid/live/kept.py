@@ -177,7 +177,7 @@ class Kept(Closing):
         journal = self.folder / _JOURNAL
         if about is None and not journal.is_file():
             raise ConfigError(
-                f"There is no live session to finish for {out}: {self.folder} holds none."
+                f"There is no live session to finish for {out}: {journal} does not exist."
             )
         try:
             if about is not None:
