@@ -195,9 +195,9 @@ def _calm_rms(differences: Float64) -> float:
 
     Not the median: differences of rounded positions have few values, and it would be one of them.
     """
-    size = np.sort(np.abs(differences).ravel())
-    if size.size < 2 * _FEWEST_DIFFERENCES:
+    if differences.shape[-1] < _FEWEST_DIFFERENCES:
         return math.nan
+    size = np.sort(np.abs(differences).ravel())
     calm = size[: round(_CALM_SHARE * size.size)]
     return _CALM_TO_SIGMA * float(np.sqrt(np.mean(calm**2)))
 

@@ -175,6 +175,8 @@ def _drive(
     turns_seen = at.has_gyro() or len(measured.step) > 0
     if turns_seen and smoothed.declared.contradicts:
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
+    if at.has_gyro():
+        sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.unverified))
     if axle.sigma_m:
         unsure_rad = unsure_heading_rad(smoothed, axle.sigma_m)
         sigma_deg = np.hypot(sigma_deg, np.degrees(unsure_rad))

@@ -13,6 +13,7 @@ from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import GearHints
+from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.smoother import MOST_MISFIT
 
 MOST_SCALE = 0.25
@@ -97,15 +98,26 @@ def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
 
 
 def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
-    """The motion without a gyro that turns otherwise than the path, and what was wrong with it."""
+    """The motion without a gyro that turns otherwise than the path, or of which the drive does not
+    show which way it turns; and what was wrong with it."""
     gyro = motion.gyro
-    ratio = None if gyro is None or len(gyro.time_ns) < 2 else turn_ratio(fixes, gyro)
-    if ratio is None or not ratio.is_wrong:
+    if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
-    note = (
-        f"For each degree of the gyro the path turns {ratio.value:.2g}° ± {ratio.sigma:.1g}°: the "
-        f"gyro {CHECK}"
-    )
+    ratio, sense = turn_ratio(fixes, gyro), gyro_sense(fixes, motion.steps, gyro)
+    if ratio is not None and ratio.is_wrong:
+        note = (
+            f"For each degree of the gyro the path turns {ratio.value:.2g}° ± {ratio.sigma:.1g}°: "
+            f"the gyro {CHECK}"
+        )
+    elif sense.is_wrong:
+        note = f"The path turns the other way than the gyro: the gyro {CHECK}"
+    elif sense.is_unknown:
+        note = (
+            "The fixes are too few or too noisy where the vehicle turned to show which way the "
+            "gyro turns, so it was not used. Drive a curve with good reception."
+        )
+    else:
+        return motion, None
     return motion._replace(gyro=None, inertial=None), note
 
 

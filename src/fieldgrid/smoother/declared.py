@@ -19,6 +19,16 @@ LATE = 2
 TESTED_SIGMAS = np.array([5.0, 5.0, 5.0, 2.0])
 """What each could be off by, before the drive."""
 
+UNVERIFIED_SIGMAS = np.array([0.1, 0.1, 0.2, 0.04])
+"""How far off they usually are where nobody verified them: a measured place of the antenna, the
+stamps of two clocks, and a gyro's scale with its mounting."""
+
+TOLD_SHARE = 0.5
+"""Of what a drive tells of them: the noise of its fixes is known to a third."""
+
+TURN_EDGE_S = 0.5
+"""A gyro that is late is wrong for so long before and after a turn, too."""
+
 MOST_MISFIT = 5.0
 """Four numbers that are right are more sigmas away once in 20,000 drives."""
 
@@ -61,10 +71,13 @@ class Declared(NamedTuple):
 class HeadingResponse(NamedTuple):
     """How headings [n] would change, radians: with an antenna a metre farther ahead than was
     declared; and at most with what is tested as the drive has it, all of it or what explains the
-    misfit alone."""
+    misfit alone. `unverified` is their 1-sigma error by a gyro whose clock and scale are usual
+    ones (:data:`UNVERIFIED_SIGMAS`), as far as the drive leaves them open, in the clock of the
+    fixes."""
 
     per_ahead_m: Float64
     at_most: Float64
+    unverified: Float64
 
 
 def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared, HeadingResponse]:
@@ -83,7 +96,8 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     if len(linear.active):
         shared = linear.coupling.T @ border
         followed -= linear.coupling @ (inverse(linear.schur) @ shared)
-    schur = corner - border.T @ followed + np.diag(1.0 / TESTED_SIGMAS**2)
+    information = corner - border.T @ followed
+    schur = information + np.diag(1.0 / TESTED_SIGMAS**2)
     right = right - followed.T @ linear.system.right
     values = np.linalg.solve(schur, right)
     sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
@@ -95,15 +109,37 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     heading = -followed[PHI::STATES]
     alone = right / np.diagonal(schur)
     at_most = np.abs(heading @ values)
+    turned = _rates(found.x[:, PHI], measured.time_s)
     for k in range(len(alone)):
         if left[k] < misfit / 2.0:
             # Nobody knows whose stamps are late: those of the gyro are late by as much as those of
             # the fixes seem early, and headings with them.
-            turned = found.x[:, V] * found.x[:, KAPPA] if k == LATE else 0.0
-            at_most = np.maximum(
-                at_most, np.abs((np.abs(turned) + np.abs(heading[:, k])) * alone[k])
-            )
-    return declared, HeadingResponse(heading[:, 1], at_most)
+            late = np.abs(turned) if k == LATE else 0.0
+            at_most = np.maximum(at_most, np.abs((late + np.abs(heading[:, k])) * alone[k]))
+    usual = np.linalg.inv(TOLD_SHARE * information + np.diag(1.0 / UNVERIFIED_SIGMAS**2))
+    expected = usual @ (TOLD_SHARE * right)
+    second_moment = (usual + np.outer(expected, expected))[LATE:, LATE:]
+    by_gyro = heading[:, LATE:].copy()
+    by_gyro[:, 0] -= turned  # in the clock of the fixes
+    variance = np.einsum("na,ab,nb->n", by_gyro, second_moment, by_gyro)
+    unverified = np.sqrt(_most_near(np.maximum(variance, 0.0), measured.time_s))
+    return declared, HeadingResponse(heading[:, 1], at_most, unverified)
+
+
+def _rates(heading_rad: Float64, time_s: Float64) -> Float64:
+    """How fast the headings [n] turn, rad/s. A curvature and a speed do not say it: with a gyro
+    they follow only loosely."""
+    if len(time_s) < 2:
+        return np.zeros(len(time_s))
+    return np.asarray(np.gradient(heading_rad, time_s))
+
+
+def _most_near(values: Float64, time_s: Float64) -> Float64:
+    """The largest of the values [n] within :data:`TURN_EDGE_S` of each."""
+    first = np.searchsorted(time_s, time_s - TURN_EDGE_S)
+    last = np.searchsorted(time_s, time_s + TURN_EDGE_S, side="right") - 1
+    reach = max(int((last - first).max(initial=0)), 1)
+    return np.asarray(np.max([values[np.clip(np.arange(len(values)) + k, first, last)] for k in range(-reach, reach + 1)], axis=0))
 
 
 @kernel
