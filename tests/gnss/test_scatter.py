@@ -212,3 +212,17 @@ def test_of_few_fixes_a_share_of_the_stated_error_is_taken() -> None:
     assert few.late_s == 0.0
     none = fix_noise(np.zeros(0), np.zeros(0), times(0, 1.0), np.zeros(0), np.zeros(0), 0.0)
     assert len(none.across_m) == 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_few_fixes_the_noise_is_what_it_hardly_exceeds(seed: int) -> None:
+    """Four pieces of five fixes with holes between, of a receiver that states metres."""
+    rng, time_s = np.random.default_rng(seed), np.arange(40.0)
+    seen = time_s % 10.0 < 5.0
+    east_m, north_m = rng.normal(0.0, 0.3, (2, 40)) + np.stack([time_s, 1.5 * time_s])
+    n = int(seen.sum())
+    found = fix_noise(
+        *(east_m[seen], north_m[seen], times(40, 1.0)[seen], np.full(n, 1.5)),
+        *(np.full(n, 4), 0.0),
+    )
+    assert 0.15 < found.across_m[0] < 0.9

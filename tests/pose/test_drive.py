@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.pose.drive import MISPLACED_S, lasting
+from fieldgrid.angles import wrap_deg
+from fieldgrid.choices import GearName
+from fieldgrid.pose import estimate_poses
+from fieldgrid.pose.drive import MISPLACED_S, contradicted_gear, lasting
+from fieldgrid.pose.nodes import Nodes
+from fieldgrid.rig import Carrier
+from fieldgrid.settings import GearSpan, PoseSettings
+from tests.simulated import DATUM, Command, fixes_of, simulate
 
 
 @pytest.mark.parametrize("hz", [1, 5, 20])
@@ -21,3 +28,62 @@ def test_a_contradiction_at_the_ends_counts_too() -> None:
     against = (time_s < 2.0) | (time_s > 6.0)
     np.testing.assert_array_equal(lasting(against, time_s), against)
     assert not lasting(np.zeros(40, dtype=np.bool_), time_s).any()
+
+
+K_TURNS_UNSEEN = [
+    *(Command(20.0, 1.5), Command(5.0, 1.0, 0.35), Command(5.0, -0.8, -0.3)),
+    *(Command(4.0, 1.2, 0.2), Command(20.0, 1.5)),
+]
+
+
+@pytest.mark.parametrize("shift_s", [1.0, 4.0, 7.0])
+def test_a_hole_that_is_crossed_backwards_puts_its_gears_in_doubt(shift_s: float) -> None:
+    """Of a K-turn whose cusps lie in holes, what is seen looks like turns forward."""
+    drive = simulate(K_TURNS_UNSEEN, 35.0)
+    fixes = fixes_of(drive, 1.0, 0.01)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    settings = PoseSettings(quality=4, accuracy_m=0.02)
+    seen = fixes[(late_s + shift_s) % 10.0 < 5.0]
+    track = estimate_poses(seen, Carrier(0.0), DATUM, settings).trajectory
+    truth = drive.at((track.time_ns - fixes.time_ns[0]) / 1e9)
+    off = np.abs(wrap_deg(track.heading_deg - np.degrees(truth.heading_rad)))
+    assert not (off[track.accepted] > 90.0).any()
+
+
+def test_gears_that_the_user_names_are_not_denied() -> None:
+    drive = simulate(K_TURNS_UNSEEN, 35.0)
+    fixes = fixes_of(drive, 1.0, 0.01)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    first, last = int(fixes.time_ns[0]), int(fixes.time_ns[-1])
+    span = GearSpan(start_ns=first - 1, stop_ns=last, gear=GearName.FORWARD)
+    settings = PoseSettings(quality=4, accuracy_m=0.02)
+    accepted = [
+        estimate_poses(
+            fixes[(late_s + 4.0) % 10.0 < 5.0],
+            Carrier(0.0),
+            DATUM,
+            settings.model_copy(update={"gear_spans": spans}),
+        ).trajectory.accepted
+        for spans in ((), (span,))
+    ]
+    assert accepted[0].sum() < accepted[1].sum()
+
+
+def test_the_shorter_stretch_beside_such_a_hole_is_in_doubt() -> None:
+    """Fixes from 0 to 4 s, 10 to 12 s and 20 to 30 s; in the first hole it drives back."""
+    time_s = np.arange(0.0, 30.1, 0.5)
+    seen = (time_s <= 4.0) | ((time_s >= 10.0) & (time_s <= 12.0)) | (time_s >= 20.0)
+    fix = np.where(seen, np.cumsum(seen) - 1, -1)
+    at = Nodes(np.round(time_s * 1e9).astype(np.int64), fix, np.full(len(time_s) - 1, np.nan))
+    forward = np.ones(len(time_s), dtype=np.int64)
+    speed = np.where((time_s > 5.0) & (time_s < 8.0), -1.0, 1.0)
+    assert not contradicted_gear(at, forward, np.ones(len(time_s))).any()
+    # What follows the hole is seen for longer than what comes before it.
+    np.testing.assert_array_equal(contradicted_gear(at, forward, speed), time_s <= 4.0)
+    both = np.where((time_s > 14.0) & (time_s < 17.0), -1.0, speed)
+    denied = contradicted_gear(at, forward, both)
+    assert denied[(time_s >= 10.0) & (time_s <= 12.0)].all()
+    assert not denied[time_s >= 20.0].any()
+    # With a change of gear in the hole there is nothing to deny.
+    changed = np.where(time_s >= 10.0, -1, 1)
+    assert not contradicted_gear(at, changed, np.where(time_s > 7.0, -1.0, 1.0)).any()

@@ -124,3 +124,53 @@ def test_an_antenna_that_is_declared_wrongly_does_not_blame_the_gyro() -> None:
     assert np.isfinite(found.report.gyro_bias_dps)
     assert any("farther ahead than mounting.json says" in note for note in found.report.notes)
     assert within_3_sigma(found, drive) > 0.97
+
+
+def poor_estimate(
+    drive: Drive, wrong: Gyro, period_s: float = 0.2, *, holes: bool = False
+) -> Estimate:
+    """By fixes that scatter by 0.3 m, with half of the drive not seen when there are holes."""
+    fixes = fixes_of(drive, period_s, 0.3)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    some = fixes[late_s % 10.0 < 5.0] if holes else fixes
+    settings = PoseSettings(quality=4, accuracy_m=1.5)
+    return estimate_poses(some, Carrier(0.0), DATUM, settings, Motion(gyro=wrong))
+
+
+@pytest.mark.parametrize(
+    ("commands", "size", "late_s", "period_s"),
+    [
+        (SLALOM, 1.0, 0.5, 0.2),
+        (SLALOM, 1.0, -0.5, 1.0),
+        (ROWS, 1.0, 0.5, 1.0),
+        (K_TURN, 0.9, 0.0, 1.0),
+    ],
+)
+def test_what_poor_fixes_leave_open_of_a_gyro_is_in_the_sigma(
+    commands: list[Command], size: float, late_s: float, period_s: float
+) -> None:
+    drive = simulate(commands, 35.0)
+    found = poor_estimate(drive, gyro(drive, size, late_s), period_s)
+    start = found.trajectory.time_ns[found.fix_row[0]]
+    truth = drive.at((found.trajectory.time_ns - start) / 1e9)
+    off = np.abs(wrap_deg(found.trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    assert off.max() > 5.0  # the gyro does harm, and nothing tells
+    assert np.mean(off < 3.0 * found.trajectory.heading_sigma_deg) > 0.98
+    assert found.trajectory.accepted.any()
+
+
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_good_fixes_leave_nothing_open(commands: list[Command]) -> None:
+    drive = simulate(commands, 35.0)
+    found = estimate(drive, Motion(gyro=gyro(drive)))
+    assert found.trajectory.accepted.mean() > 0.99
+    assert np.quantile(found.trajectory.heading_sigma_deg, 0.95) < 2.0
+
+
+@pytest.mark.parametrize("size", [1.0, -1.0])
+def test_a_gyro_whose_sense_the_drive_does_not_show_is_not_used(size: float) -> None:
+    drive = simulate(K_TURN, 35.0)
+    found = poor_estimate(drive, gyro(drive, size), holes=True)
+    assert np.isnan(found.report.gyro_bias_dps)
+    assert "which way the gyro turns" in found.report.notes[0]
+    assert not found.trajectory.accepted.any()

@@ -20,7 +20,7 @@ M_PER_DEG = 111_195.0
 
 _LEAST_SIGMA_M = 0.001
 _ORDERS = (3, 4, 5)
-_FEWEST_DIFFERENCES = 12
+_FEWEST_DIFFERENCES, _FEWEST_AT_ALL, _FEW_SIGMAS = 12, 5, 1.5
 _MAX_STEP = 2.5  # steps longer than this many usual ones are gaps
 _CALM_SHARE = 0.7
 _CALM_TO_SIGMA = 1.7976  # sigma of a normal distribution over the RMS of its inner 70 %
@@ -129,14 +129,14 @@ def _axis_sigmas(points: Float64, time_s: Float64, even: Bool, stride: int = 1) 
         chord = points[:, first + stride * order] - points[:, first]
         length_m, span_s = np.hypot(*chord), time_s[first + stride * order] - time_s[first]
         moving = length_m > _MOVING_MPS * span_s
-        if np.count_nonzero(moving) < _FEWEST_DIFFERENCES:
+        if np.count_nonzero(moving) < min(_FEWEST_DIFFERENCES, len(first)):
             both = _calm_rms(differences)
             found.append(_Scatter(both, both, 0.0))
             continue
         unit = chord[:, moving] / length_m[moving]
         d = differences[:, moving]
-        along = _calm_rms(d[0] * unit[0] + d[1] * unit[1])
-        across = _calm_rms(d[0] * unit[1] - d[1] * unit[0])
+        along = _axis_rms(d[0] * unit[0] + d[1] * unit[1])
+        across = _axis_rms(d[0] * unit[1] - d[1] * unit[0])
         found.append(_Scatter(along, across, float(np.median(length_m[moving] / span_s[moving]))))
     known = [one for one in found if math.isfinite(one.across_m)]
     if not known:
@@ -188,6 +188,14 @@ def _differences(
     # From the first position of each, so that large coordinates do not cost digits.
     local = values[:, rows] - values[:, rows[:, :1]]
     return np.asarray(np.einsum("awi,wi->aw", local, weights)), first
+
+
+def _axis_rms(differences: Float64) -> float:
+    """The same of one axis; of few differences what their sigma hardly exceeds."""
+    count = len(differences)
+    if not _FEWEST_AT_ALL <= count < _FEWEST_DIFFERENCES:
+        return _calm_rms(differences)
+    return float(np.sqrt(np.mean(differences**2))) * (1.0 + _FEW_SIGMAS / math.sqrt(count))
 
 
 def _calm_rms(differences: Float64) -> float:

@@ -11,7 +11,15 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle, unsure_heading_rad
-from fieldgrid.pose.gears import NO_HINTS, GearHints, StationGears, first_guess, station_gears
+from fieldgrid.pose.gears import (
+    HOLE_PERIODS,
+    HOLE_S,
+    NO_HINTS,
+    GearHints,
+    StationGears,
+    first_guess,
+    station_gears,
+)
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest
@@ -31,6 +39,12 @@ DRIVING_MPS = 0.2
 
 RECORDED_NEAR_S = 2.0
 """For so long a recorded heading vouches for those around it."""
+
+BACK_M = 0.5
+"""Who drives farther back in a hole has changed the gear there."""
+
+SETTLED_DOUBT = 1e-30
+"""So little doubt leaves only the user, whose word no estimate outweighs."""
 
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
@@ -165,8 +179,10 @@ def _drive(
 ) -> Drive:
     assigned, doubt = _assigned(at, found)
     resting = measured.standing
-    doubt = np.where(_near_recorded(measured), 0.0, doubt)
     east, north, heading, speed = smoothed.state[:, :4].T
+    denied = contradicted_gear(at, assigned, speed) & (doubt > SETTLED_DOUBT)
+    doubt = np.where(denied, 1.0, doubt)
+    doubt = np.where(_near_recorded(measured), 0.0, doubt)
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
     sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
@@ -217,6 +233,28 @@ def lasting(against: Bool, time_s: Float64) -> Bool:
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
         found[first:stop] = time_s[stop - 1] - time_s[first] > MISPLACED_S
     return found
+
+
+def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
+    """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes whose two
+    sides have the same gear, so that one of them is wrong. That is rather the shorter one of the
+    two stretches between such holes; the gear of each node is `assigned`."""
+    node = np.flatnonzero(at.fix >= 0)
+    gap_s = np.diff(at.time_ns[node]) / 1e9
+    denied = np.zeros(len(assigned), dtype=np.bool_)
+    if len(gap_s) == 0:
+        return denied
+    hole = gap_s > max(HOLE_S, HOLE_PERIODS * float(np.median(gap_s)))
+    against_m = np.maximum(-(speed_mps * assigned)[:-1], 0.0) * np.diff(at.time_ns) / 1e9
+    back_m = np.diff(np.concatenate([[0.0], np.cumsum(against_m)])[node])
+    wrong = hole & (back_m > BACK_M) & (np.diff(assigned[node]) == 0)
+    starts = np.concatenate([[0], np.flatnonzero(wrong) + 1])
+    seen_s = np.add.reduceat(np.concatenate([[0.0], np.where(hole, 0.0, gap_s)]), starts)
+    shorter = np.arange(len(starts) - 1) + (seen_s[1:] <= seen_s[:-1])
+    stops = np.append(starts[1:], len(node))
+    for first, last in zip(node[starts[shorter]], node[stops[shorter] - 1], strict=True):
+        denied[first : last + 1] = True
+    return denied
 
 
 def _near_recorded(measured: Measurements) -> Bool:

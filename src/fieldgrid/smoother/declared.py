@@ -136,10 +136,9 @@ def _rates(heading_rad: Float64, time_s: Float64) -> Float64:
 
 def _most_near(values: Float64, time_s: Float64) -> Float64:
     """The largest of the values [n] within :data:`TURN_EDGE_S` of each."""
-    first = np.searchsorted(time_s, time_s - TURN_EDGE_S)
-    last = np.searchsorted(time_s, time_s + TURN_EDGE_S, side="right") - 1
-    reach = max(int((last - first).max(initial=0)), 1)
-    return np.asarray(np.max([values[np.clip(np.arange(len(values)) + k, first, last)] for k in range(-reach, reach + 1)], axis=0))
+    near_s = np.linspace(-TURN_EDGE_S, TURN_EDGE_S, 9)
+    at = np.searchsorted(time_s, time_s + near_s[:, None], side="right") - 1
+    return np.asarray(np.max(values[np.clip(at, 0, len(values) - 1)], axis=0))
 
 
 @kernel
