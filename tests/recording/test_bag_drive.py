@@ -23,6 +23,7 @@ from fieldgrid.ros.gnss import quality_of
 from tests.conftest import TWO_LANES
 from tests.recording import bags
 from tests.recording.bags import CONTAINERS, Container, Maker, Said
+from tests.recording.test_packed_depth import config, png, rvl
 
 SharedData = Callable[[str], Path]
 
@@ -448,13 +449,20 @@ def test_disparities_are_of_the_left_camera_and_the_mounting_of_the_middle(
     assert rig.rear_axle_forward_m == middle.rear_axle_forward_m
 
 
-def test_depth_images_are_depth_frames(opened: Opened) -> None:
+@pytest.mark.parametrize("transport", ["", "/compressed", "/compressedDepth"])
+def test_depth_images_are_depth_frames(transport: str, opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
         for k in range(3):
             time_ns = UTC + k * STEP
             depth = np.full((24, 32), 1500 + k, dtype=np.uint16)
             image = maker.image(time_ns, depth, "16UC1")
-            yield Said(time_ns, "/camera/depth/image_rect_raw", image)
+            if transport == "/compressed":
+                image = maker.compressed(time_ns, png(depth), "16UC1; png compressed ")
+            elif transport:
+                image = maker.compressed(
+                    time_ns, config() + rvl(depth), "16UC1; compressedDepth rvl"
+                )
+            yield Said(time_ns, f"/camera/depth/image_rect_raw{transport}", image)
             info = maker.info(time_ns, (32, 24), P)
             yield Said(time_ns, "/camera/depth/camera_info", info)
 

@@ -155,6 +155,17 @@ def test_the_sensor_is_stereo_then_disparity_then_depth_then_cloud_or_the_given_
     assert "give those of one" in str(problem)
 
 
+def test_plain_depths_before_packed_ones_and_those_without_loss_first() -> None:
+    info = "info /d/depth/camera_info"
+    plain, whole, lossy = (
+        f"/d/depth/image_rect{end}" for end in ("", "/compressedDepth", "/compressed")
+    )
+    found = chosen(f"image {plain}\npacked {whole}\npacked {lossy}\n{info}")
+    assert found.roles["depth"] == plain
+    found = chosen(f"packed {whole}\npacked {lossy}\n{info}")
+    assert (found.roles["depth"], found.roles["depth_info"]) == (whole, "/d/depth/camera_info")
+
+
 def test_the_depth_of_a_camera_may_be_called_stereo() -> None:
     text = "image /oak/stereo/image_raw\ninfo /oak/stereo/camera_info\nimage /oak/rgb/image_raw\n"
     found = chosen(text)

@@ -35,7 +35,7 @@ MILLIMETRES, KITTI_DISPARITY = 0.001, 1.0 / 256.0
 
 _MAX_BYTES = 8 * MAX_PIXELS
 _NEAREST_M, _FARTHEST_M = 0.001, 1e6
-_MOST_PACKED = 2000
+MOST_PACKED = 2000
 """No PNG or TIFF packs as many pixels into a byte."""
 _PFM = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+(-?[0-9.eE+-]{1,20})\s")
 
@@ -126,7 +126,7 @@ def _decode(data: bytes, path: Path) -> _Any:
     elif data.startswith(b"Pf"):
         values = _pfm(data, path)
     else:
-        values = _image(data, path)
+        values = decode_depth_image(data, str(path))
     if values.ndim != 2 or 0 in values.shape:
         raise RecordingError(
             f"{path} has numbers of shape {values.shape}; depths have one channel, [row, column]."
@@ -149,27 +149,29 @@ def _pfm(data: bytes, path: Path) -> _Any:
     return upwards[::-1]
 
 
-def _image(data: bytes, path: Path) -> _Any:
+def decode_depth_image(data: bytes, name: str) -> _Any:
+    """The numbers in a PNG or plain TIFF of one channel, [row, column]; RecordingError for what is
+    none."""
     header = read_header(data, tiff_bits=(8, 16, 32))
     if header is None:
         raise RecordingError(
-            f"{path} is no PNG, plain TIFF, NumPy array or PFM; convert it, or restore it."
+            f"{name} is no PNG, plain TIFF, NumPy array or PFM; convert it, or restore it."
         )
     grey = data[25:26] in (b"", b"\0") if data.startswith(b"\x89PNG") else True
     if not grey:
-        raise RecordingError(f"{path} is a colour image; depths have one channel.")
+        raise RecordingError(f"{name} is a colour image; depths have one channel.")
     if header.width_px * header.height_px > MAX_PIXELS:
         raise RecordingError(
-            f"{path} claims {header.width_px} x {header.height_px} px, more than {MAX_PIXELS} in "
+            f"{name} claims {header.width_px} x {header.height_px} px, more than {MAX_PIXELS} in "
             "all; scale the images down."
         )
     pixels: _Any | None = None
-    if header.is_whole and header.width_px * header.height_px <= _MOST_PACKED * len(data):
+    if header.is_whole and header.width_px * header.height_px <= MOST_PACKED * len(data):
         flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
         try:
             pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
         except cv2.error:
             pixels = None
     if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
-        raise RecordingError(f"{path} is truncated or damaged; copy it again.")
+        raise RecordingError(f"{name} is truncated or damaged; copy it again.")
     return pixels

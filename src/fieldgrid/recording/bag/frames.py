@@ -19,6 +19,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.images import CompressedImage, DepthImage, DisparityImage, RawImage
 from fieldgrid.recording.bag.order import WINDOW, Clock, Ordered, clock, ordered, pair
+from fieldgrid.recording.bag.packed_depth import PackedDepthImage
 from fieldgrid.recording.frames import (
     CloudFrame,
     DepthFrame,
@@ -92,7 +93,7 @@ class DepthMaker:
     """Makes images of depths of messages that `kind` reads."""
 
     roles: ClassVar[tuple[str, ...]] = ("depth",)
-    kind: type[DepthImage] | type[DisparityImage]
+    kind: type[DepthImage] | type[DisparityImage] | type[PackedDepthImage]
     size_px: tuple[int, int]
 
     def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Float32
+from fieldgrid.array_types import AnyArray, Float32, UInt16
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.frames import Image
 from fieldgrid.recording.images import MAX_PIXELS, decode_image, self_contained
@@ -101,16 +101,13 @@ class DepthImage(MessageSource):
         """Depth along the optical axis, metres; NaN where there is none."""
         message = self.decoded()
         if message.encoding in MILLIMETRES:
-            millimetres = pixels_of(message, np.dtype(np.uint16), 1, self.name)
-            depth_m = millimetres.astype(np.float32) * np.float32(0.001)
-        elif message.encoding == METRES:
-            depth_m = pixels_of(message, np.dtype(np.float32), 1, self.name).copy()
-        else:
-            raise RecordingError(
-                f"{self.name}: depths are encoded as {str(message.encoding)[:40]!r}, which is not "
-                "read; record them as 16UC1 (millimetres) or 32FC1 (metres)."
-            )
-        return _known(depth_m)
+            return depths_of_millimetres(pixels_of(message, np.dtype(np.uint16), 1, self.name))
+        if message.encoding == METRES:
+            return known_depths(pixels_of(message, np.dtype(np.float32), 1, self.name).copy())
+        raise RecordingError(
+            f"{self.name}: depths are encoded as {str(message.encoding)[:40]!r}, which is not "
+            "read; record them as 16UC1 (millimetres) or 32FC1 (metres)."
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +137,15 @@ class DisparityImage(MessageSource):
         depth_m = np.full(disparity.shape, np.nan, dtype=np.float32)
         with np.errstate(over="ignore", under="ignore"):
             np.divide(np.float32(product), disparity, out=depth_m, where=known)
-        return _known(depth_m)
+        return known_depths(depth_m)
 
 
-def _known(depth_m: Float32) -> Float32:
+def depths_of_millimetres(millimetres: UInt16) -> Float32:
+    """Metres, NaN where there is no depth."""
+    return known_depths(millimetres.astype(np.float32) * np.float32(0.001))
+
+
+def known_depths(depth_m: Float32) -> Float32:
     """The depths, NaN in place of those that are none."""
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
     return depth_m

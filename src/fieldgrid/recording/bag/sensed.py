@@ -24,6 +24,7 @@ from fieldgrid.recording.bag.frames import (
 )
 from fieldgrid.recording.bag.images import DepthImage, DisparityImage, RawImage
 from fieldgrid.recording.bag.mounts import SensorFrame, optical
+from fieldgrid.recording.bag.packed_depth import PackedDepthImage
 from fieldgrid.recording.bag.topics import COMPRESSED, no_frames
 from fieldgrid.recording.calibration import read_calibration
 from fieldgrid.recording.pixels import BITS, significant_bits
@@ -106,7 +107,9 @@ def _depth(content: Content) -> Sensed:
     camera = depth_camera(content, content.settings.baseline_m)
     plan = plan_single(content.bag, content.roles["depth"])
     frame = _single_frame(content.frame_id("depth_info"), content)
-    return Sensed(frame, plan, camera, DepthMaker(DepthImage, (camera.width_px, camera.height_px)))
+    is_packed = content.bag.topics[content.roles["depth"]].type == COMPRESSED
+    kind = PackedDepthImage if is_packed else DepthImage
+    return Sensed(frame, plan, camera, DepthMaker(kind, (camera.width_px, camera.height_px)))
 
 
 def _cloud(content: Content) -> Sensed:

@@ -29,7 +29,7 @@ TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TYPES: dict[str, tuple[str, ...]] = {
     **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
     **{"left_info": (INFO,), "right_info": (INFO,), "depth_info": (INFO,)},
-    **{"disparity": (DISPARITY,), "depth": (IMAGE,), "cloud": (CLOUD,)},
+    **{"disparity": (DISPARITY,), "depth": (IMAGE, COMPRESSED), "cloud": (CLOUD,)},
     **{"fix": (FIX,), "nmea": (NMEA,), "imu": (IMU,), "odometry": (ODOMETRY,)},
 }
 _SENSORS: dict[Sensing, tuple[str, ...]] = {
@@ -258,14 +258,20 @@ class _Finder:
         return True
 
     def _depth(self) -> bool:
-        depths = [n for n in _of_types(self._topics, (IMAGE,)) if _DEPTH.search(n.lower())]
+        images = _of_types(self._topics, (IMAGE, COMPRESSED))
+        depths = [n for n in images if _DEPTH.search(_base(n).lower())]
         depths = [n for n in depths if "confidence" not in n.lower()]
-        found = self._one_of("depth", depths, lambda n: ("aligned" in n, not is_rectified(n)))
+        found = self._one_of("depth", depths, self._depth_rank)
         if not found:
             return False
         self.roles["depth"] = found
         self._info("depth_info", found, "")
         return True
+
+    def _depth_rank(self, name: str) -> tuple[bool, bool, bool, bool]:
+        """Of the depth camera itself, rectified, plain, without loss first."""
+        packed = self._topics[name].type == COMPRESSED
+        return "aligned" in name, not is_rectified(name), packed, not name.endswith("Depth")
 
     def _cloud(self) -> bool:
         clouds = _of_types(self._topics, (CLOUD,))
@@ -348,7 +354,7 @@ def _image_rank(name: str, topics: Mapping[str, Topic]) -> tuple[bool, bool, boo
 
 def _base(name: str) -> str:
     """An image topic without what its transport appends."""
-    return name.removesuffix("/compressed")
+    return name.removesuffix("/compressed").removesuffix("/compressedDepth")
 
 
 def _namespace(name: str) -> str:
