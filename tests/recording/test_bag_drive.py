@@ -409,6 +409,22 @@ def test_places_agree_whichever_way_they_are_asked(seed: int) -> None:
 # Other sensors
 
 
+def test_cameras_whose_names_say_nothing_are_told_by_their_calibration(opened: Opened) -> None:
+    def said(maker: Maker, more: bool = False) -> Iterator[Said]:
+        names = {"left": "/port", "right": "/starboard"}
+        for one in stereo_said(maker):
+            _, side, last = one.topic.strip("/").split("/")
+            yield one._replace(topic=f"{names[side]}/{last}")
+            if more and side == "right":
+                yield one._replace(topic=f"/roof/{last}")
+
+    with opened(said) as recording:
+        assert recording.rig.camera.baseline_m == pytest.approx(0.2)
+        assert numbers(recording) == [(k, k) for k in range(4)]
+    with pytest.raises(RecordingError, match="no pair of a left and a right image"):
+        opened(lambda maker: said(maker, more=True))
+
+
 def test_disparity_images_are_depth_frames(opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
         yield from fixes_said(maker)

@@ -109,7 +109,8 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
     log_path, gnss_topic = _choose_gnss(bag, options.gnss)
     given = {**options.topics, **gnss_topic}
     unwanted = FIXES - given.keys() if options.gnss is not None else frozenset[str]()
-    choice = choose(bag.topics, given, path, unwanted, settings.sensor)
+    partners = readings.stereo_infos()
+    choice = choose(bag.topics, given, path, unwanted, settings.sensor, partners)
     if log_path is None:
         options.refuse("The fixes of a bag are no table", "columns")
         fixes = _fixes_of_topics(bag, readings, choice.roles)

@@ -322,6 +322,26 @@ class Readings:
         heard = self.of(topic, First)
         return None if heard is None else heard.message
 
+    def stereo_infos(self) -> dict[str, str]:
+        """The calibrations of left cameras with those of their right ones: of one size and one
+        projection, but for T, which only the right one has. Empty where that leaves a choice."""
+        lefts: dict[Any, list[str]] = {}
+        rights: dict[Any, list[str]] = {}
+        for name, heard in self._heard.items():
+            info = heard.message if isinstance(heard, First) else None
+            projection = np.asarray(getattr(info, "p", ()), dtype=np.float64)
+            if projection.shape != (12,) or not projection[0] > 0.0:
+                continue
+            times_baseline = projection[3]  # f·T
+            camera = (int(info.width), int(info.height), np.delete(projection, 3).tobytes())
+            if times_baseline <= 0.0:
+                side = lefts if times_baseline == 0.0 else rights
+                side.setdefault(camera, []).append(name)
+        both = lefts.keys() & rights.keys()
+        if any(len(lefts[camera]) + len(rights[camera]) > 2 for camera in both):
+            return {}
+        return {lefts[camera][0]: rights[camera][0] for camera in both}
+
     def rig(self) -> Rig | None:
         """The rig that the bag says exactly."""
         message = self.first(RIG)

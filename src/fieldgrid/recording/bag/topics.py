@@ -73,16 +73,19 @@ def choose(
     path: Path,
     unwanted: Collection[str] = (),
     sensor: str | None = None,
+    partners: Mapping[str, str] | None = None,
 ) -> Choice:
     """The topics of a bag that are used; `given` names some by their role and outranks names.
 
     `sensor` is the kind of frames to take where nothing of it is given, None for the best.
+    `partners` are calibrations of left cameras with those of their right ones, for images whose
+    names say nothing.
     Roles that are `unwanted` stay empty. Raises RecordingError for a given topic that is not
     there or of another type, and where the names leave a choice open; what is open about the
     frames is told in the choice, since not everybody wants them.
     """
     filled = {name: topic for name, topic in topics.items() if topic.count and name != DATUM}
-    finder = _Finder(filled, {**given}, path)
+    finder = _Finder(filled, {**given}, path, partners or {})
     finder.check_given(topics)
     kind: Sensing = ""
     problem = None
@@ -151,8 +154,15 @@ _KNOWN_TYPES = frozenset(kind for kinds in _TYPES.values() for kind in kinds)
 class _Finder:
     """One search; `roles` is what it has found so far."""
 
-    def __init__(self, topics: Mapping[str, Topic], given: dict[str, str], path: Path) -> None:
+    def __init__(
+        self,
+        topics: Mapping[str, Topic],
+        given: dict[str, str],
+        path: Path,
+        partners: Mapping[str, str],
+    ) -> None:
         self._topics, self._given, self._path = topics, given, path
+        self._partners = partners
         self.roles: dict[str, str] = {}
 
     def check_given(self, everything: Mapping[str, Topic]) -> None:
@@ -225,7 +235,8 @@ class _Finder:
         return True
 
     def _pairs(self) -> list[tuple[str, str]]:
-        """Left and right topics whose names differ in nothing but the side."""
+        """Left and right topics whose names differ in nothing but the side, else those beside
+        the calibrations of one pair."""
         left, right = self._given.get("left"), self._given.get("right")
         if left and right:
             return [(left, right)]
@@ -237,6 +248,15 @@ class _Finder:
             if partner in images
             and not _NO_PICTURE.search(name.lower())
             and self._topics[name].type == self._topics[partner].type
+        ]
+        pairs = pairs or [
+            (name, partner)
+            for name in images
+            for partner in images
+            if (other := self._partners.get(_beside(name)))
+            and other == _beside(partner)
+            and name.rpartition("/")[2] == partner.rpartition("/")[2]
+            and not _NO_PICTURE.search(name.lower())
         ]
         return [p for p in pairs if left in (None, p[0]) and right in (None, p[1])]
 
@@ -359,6 +379,11 @@ def _base(name: str) -> str:
 
 def _namespace(name: str) -> str:
     return _base(name).rpartition("/")[0]
+
+
+def _beside(image: str) -> str:
+    """The calibration beside an image."""
+    return f"{_namespace(image)}/camera_info"
 
 
 def _partners(left: str) -> list[str]:
