@@ -8,6 +8,9 @@ PY     := $(BIN)/python
 PIP    := $(BIN)/pip -qq --disable-pip-version-check
 SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
+# The tests start hundreds of Pythons, each of which would compile the whole package.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help demo test long check docs page dist bench crash accuracy heading fuzz format lock clean
