@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import subprocess
 import sys
@@ -63,6 +64,41 @@ def test_what_a_killed_program_left_is_swept_and_what_is_held_is_not(tmp_path: P
     assert (tmp_path / "out" / "ours").read_text() == "first"
 
 
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_draft_that_was_killed_before_anything_was_in_it_is_swept(
+    kind: str, tmp_path: Path
+) -> None:
+    target = tmp_path / "out.gpkg"
+    if kind == "folder":
+        (tmp_path / ".out.gpkg.0123abcd.partial").mkdir()
+        draft_of(target).discard()
+    else:
+        (tmp_path / ".out.gpkg.0123abcd.partial.gpkg").touch()
+        Draft(target, overwrite=False).discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_draft_that_another_program_swept_before_it_was_held_is_made_again(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, swept = fcntl.flock, list[str]()
+
+    def late(descriptor: int, how: int) -> None:
+        if not swept:
+            swept.append("")
+            publish._remove_orphans(target)
+            assert list(tmp_path.iterdir()) == []
+        real(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    target = tmp_path / "out.gpkg"
+    draft = draft_of(target) if kind == "folder" else Draft(target, overwrite=False)
+    (made,) = tmp_path.iterdir()
+    assert made == (draft.folder if isinstance(draft, DraftFolder) else draft.file)
+    draft.discard()
+
+
 def test_a_file_of_the_name_leaves_the_drafts_of_others(tmp_path: Path) -> None:
     draft = draft_of(tmp_path / "out")
     (draft.folder / "ours").write_text("first")
@@ -77,7 +113,7 @@ def test_a_file_of_the_name_leaves_the_drafts_of_others(tmp_path: Path) -> None:
 def test_a_signal_in_the_first_moment_leaves_nothing(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(descriptor: int) -> None:
+    def interrupted(descriptor: int, draft: Path) -> None:
         assert len(list(tmp_path.iterdir())) == 1
         raise SystemExit(143)
 

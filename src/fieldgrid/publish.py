@@ -10,7 +10,6 @@ import os
 import secrets
 import shutil
 import tempfile
-import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -19,9 +18,6 @@ from pathlib import Path
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
-
-_YOUNG_S = 60.0
-"""An empty draft may be of another program that is just about to hold it."""
 
 
 @contextmanager
@@ -115,21 +111,24 @@ class Draft:
                 "another name, or remove it first."
             )
         place = target.resolve()
-        # With the target's ending, by which other programs tell what to write.
-        self.file = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial{place.suffix}")
-        held: list[int] = []
-        self.discard = weakref.finalize(self, _discard, self.file, held, os.getpid())
-        """Remove what was made so far; nothing happens when it is published or gone.
+        is_held = False
+        while not is_held:
+            # With the target's ending, by which other programs tell what to write.
+            name = f".{place.name}.{secrets.token_hex(4)}.partial{place.suffix}"
+            self.file = place.with_name(name)
+            held: list[int] = []
+            self.discard = weakref.finalize(self, _discard, self.file, held, os.getpid())
+            """Remove what was made so far; nothing happens when it is published or gone.
 
-        It is there before the file is, and is called at the exit at the latest: a signal that ends
-        the program at any moment leaves no draft."""
-        try:
-            # Made here, so that it gets the usual permissions and nobody else's file is taken.
-            held.append(os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
-        except OSError as error:
-            self.discard.detach()
-            raise _unwritable(target, error) from error
-        _hold(held[0])
+            It is there before the file is, and is called at the exit at the latest: a signal that
+            ends the program at any moment leaves no draft."""
+            try:
+                # Made here, so that it gets the usual permissions and nobody else's file is taken.
+                held.append(os.open(self.file, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
+            except OSError as error:
+                self.discard.detach()
+                raise _unwritable(target, error) from error
+            is_held = _hold(held[0], self.file)
         _remove_orphans(place)
 
     def publish(self) -> None:
@@ -200,17 +199,24 @@ class DraftFolder:
                 "name."
             )
         place = target.resolve()
-        self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
-        held: list[int] = []
-        self.discard = weakref.finalize(self, _discard, self.folder, held, os.getpid())
-        """As that of :class:`Draft`."""
-        try:
-            self.folder.mkdir()
-            held.append(os.open(self.folder, os.O_RDONLY))
-        except OSError as error:
-            self.discard.detach()
-            raise _unwritable(target, error) from error
-        _hold(held[0])
+        is_held = False
+        while not is_held:
+            self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+            held: list[int] = []
+            self.discard = weakref.finalize(self, _discard, self.folder, held, os.getpid())
+            """As that of :class:`Draft`."""
+            try:
+                self.folder.mkdir()
+                held.append(os.open(self.folder, os.O_RDONLY))
+            except FileNotFoundError as error:
+                if not place.parent.is_dir():
+                    self.discard.detach()
+                    raise _unwritable(target, error) from error
+                continue  # taken for an orphan before it could be opened
+            except OSError as error:
+                self.discard.detach()
+                raise _unwritable(target, error) from error
+            is_held = _hold(held[0], self.folder)
         _remove_orphans(place)
 
     def publish(self) -> None:
@@ -237,10 +243,15 @@ class DraftFolder:
             self.discard()
 
 
-def _hold(descriptor: int) -> None:
-    """Mark a draft as in use; the system lets go of it when this program ends, however it does."""
-    with suppress(OSError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _hold(descriptor: int, draft: Path) -> bool:
+    """Mark a draft as in use; the system lets go of it when this program ends, however it does.
+    False where another program has taken it for an orphan in the moment before."""
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        return os.path.samestat(os.fstat(descriptor), draft.stat())
+    except FileNotFoundError:
+        return False
 
 
 @contextmanager
@@ -300,15 +311,11 @@ def _remove_orphans(place: Path) -> None:
             held = os.open(orphan, os.O_RDONLY)
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                # A draft of this very moment is not held yet, and is empty.
-                found = orphan.stat()
-                filled = any(orphan.iterdir()) if orphan.is_dir() else found.st_size > 0
-                if filled or time.time() - found.st_mtime > _YOUNG_S:
-                    if orphan.is_dir():
-                        shutil.rmtree(orphan)
-                        continue
-                    for stray in (*_companions(orphan), orphan):
-                        stray.unlink(missing_ok=True)
+                if orphan.is_dir():
+                    shutil.rmtree(orphan)
+                    continue
+                for stray in (*_companions(orphan), orphan):
+                    stray.unlink(missing_ok=True)
             finally:
                 os.close(held)
 

@@ -50,11 +50,13 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
     hit: Counter[str] = Counter()
     for _ in range(count):
         out.unlink()
+        kills: list[str] = []
         for kill in range(MOST_KILLS + 1):
             build = _started(drives, out, resume=kill > 0)
             if kill < MOST_KILLS:
                 time.sleep(float(random.uniform(0.2, longest_s)))
-                hit[_kill_one(build, random)] += 1
+                kills.append(_kill_one(build, random))
+                hit[kills[-1]] += 1
             assert build.stderr is not None
             with build.stderr as errors:
                 said = errors.read().decode()
@@ -65,7 +67,8 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
                 break  # it was killed when all was done
         assert content(out) == expected
         assert not parts_folder(out).exists()
-        assert not list(folder.glob(".m.gpkg.*"))
+        left = [path.name for path in folder.glob(".m.gpkg.*")]
+        assert not left, (left, kills)
         with open_map(out) as universal:
             assert universal.verify().sound
     return hit
