@@ -138,6 +138,22 @@ export interface FeatureTable {
   cut: boolean;
 }
 
+/** An object that changed between two moments of a map. */
+export interface ChangedObject {
+  id: string;
+  kind: "appeared" | "vanished" | "moved" | "grown" | "cut_back";
+  geometry: Feature["geometry"];
+  east_m: number;
+  north_m: number;
+  from: [number, number] | null;
+  area_m2: number;
+  length_m: number;
+  width_m: number;
+  confidence: number;
+  stood: string[];
+  freed: string[];
+}
+
 export interface About {
   maps: MapAbout[];
   writable: boolean;
@@ -180,6 +196,8 @@ export interface Source {
   track(map: MapAbout, session: number): Promise<Track>;
   frames(map: MapAbout, bounds: Bounds, sessions: number[] | null): Promise<Frames>;
   features(map: MapAbout): Promise<FeatureTable[]>;
+  /** The objects that changed between two sessions, in a part or all of the map. */
+  changes: ((map: MapAbout, from: number, to: number, bounds: Bounds | null) => Promise<ChangedObject[]>) | null;
   /** Why a cell has its value; null where the source does not have the evidence. */
   cell: ((map: MapAbout, east: number, north: number, sessions: number[] | null) => Promise<Cell>) | null;
   image: ((map: MapAbout, frame: SeenBy, image: number) => Promise<Picture>) | null;
@@ -230,6 +248,12 @@ export class Server implements Source {
     const found = await this.json<{ tables: FeatureTable[] }>(`api/maps/${map.number}/features`);
     return found.tables;
   }
+
+  changes = async (map: MapAbout, from: number, to: number, bounds: Bounds | null): Promise<ChangedObject[]> => {
+    const query = new URLSearchParams({ from: String(from), to: String(to) });
+    if (bounds) query.set("bounds", bounds.map((v) => v.toFixed(1)).join(","));
+    return (await this.json<{ objects: ChangedObject[] }>(`api/maps/${map.number}/changes?${query}`)).objects;
+  };
 
   cell = (map: MapAbout, east: number, north: number, sessions: number[] | null): Promise<Cell> => {
     const query = new URLSearchParams({ east: east.toFixed(4), north: north.toFixed(4) });

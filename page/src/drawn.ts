@@ -11,7 +11,7 @@ import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Circle, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
 
-import type { Bounds, Cell, FeatureTable, Frames, SeenBy, Track } from "./data";
+import type { Bounds, Cell, Feature as Told, FeatureTable, Frames, SeenBy, Track } from "./data";
 import { markStyle, outline } from "./marks";
 import { announce } from "./dom";
 import type { Overlay, Store } from "./state";
@@ -19,6 +19,7 @@ import { type Row, type Tracks, isHole, usualStep } from "./tracks";
 
 const ARROW_PX = 48;
 const FOOTPRINTS_BELOW_M_PX = 0.35;
+const SURE = 0.9;
 
 export class Drawn {
   private readonly layers = new Map<string, VectorLayer<VectorSource>>();
@@ -26,7 +27,7 @@ export class Drawn {
   private tracks!: Tracks;
 
   constructor(private readonly map: OlMap, private readonly store: Store) {
-    for (const [k, name] of ["footprints", "features", "marks", "tracks", "headings", "frames", "selected", "hover"].entries()) {
+    for (const [k, name] of ["footprints", "features", "changes", "marks", "tracks", "headings", "frames", "selected", "hover"].entries()) {
       const layer = new VectorLayer({ source: new VectorSource({ wrapX: false }), zIndex: 10 + k });
       this.layers.set(name, layer);
       map.addLayer(layer);
@@ -36,6 +37,7 @@ export class Drawn {
       void this.loadFrames();
     });
     store.on(["overlays", "sessions"], () => this.redraw());
+    store.on(["changed"], () => this.drawChanges());
   }
 
   /** Begins with the tracks of another map. */
@@ -231,13 +233,32 @@ export class Drawn {
     }
   }
 
+  private drawChanges(): void {
+    const source = this.source("changes");
+    source.clear();
+    for (const object of this.store.state.changed) {
+      const casing = new Style({ stroke: new Stroke({ color: "#ffffff", width: 5 }) });
+      const line = new Stroke({ color: "#000000", width: 2, lineDash: object.confidence < SURE ? [5, 4] : undefined });
+      const text = new Text({ text: object.id, offsetY: -14, overflow: true, font: "bold 13px sans-serif", fill: new Fill({ color: "#000000" }), stroke: new Stroke({ color: "#ffffff", width: 4 }) });
+      for (const geometry of shapes(object.geometry)) {
+        const feature = new Feature(geometry);
+        feature.setStyle([casing, new Style({ stroke: line, text })]);
+        source.addFeature(feature);
+      }
+      if (object.from) {
+        const way = new Feature(new LineString([object.from, [object.east_m, object.north_m]]));
+        way.setStyle([casing, new Style({ stroke: line })]);
+        source.addFeature(way);
+      }
+    }
+  }
+
   private drawFeatures(tables: FeatureTable[]): void {
     const source = this.source("features");
     source.clear();
     for (const table of tables) {
       for (const one of table.features) {
-        for (const [kind, rings] of one.geometry) {
-          const geometry = kind === 1 ? new Point(rings[0][0]) : kind === 2 ? new LineString(rings[0]) : new Polygon(rings);
+        for (const geometry of shapes(one.geometry)) {
           const feature = new Feature(geometry);
           const label = one.attributes.name ?? one.attributes.label ?? one.attributes.row;
           feature.setStyle(
@@ -308,6 +329,11 @@ export class Drawn {
     source.addFeature(feature);
   }
 
+}
+
+function shapes(geometry: Told["geometry"]): (Point | LineString | Polygon)[] {
+  return geometry.map(([kind, rings]) =>
+    kind === 1 ? new Point(rings[0][0]) : kind === 2 ? new LineString(rings[0]) : new Polygon(rings));
 }
 
 function at(track: Track, row: number): [number, number] | null {

@@ -25,6 +25,7 @@ export function embedded(): Source | null {
 class EmbeddedMaps implements Source {
   readonly cell = null;
   readonly image = null;
+  readonly changes = null;
   readonly actions = null;
 
   constructor(private readonly data: Embedded) {}

@@ -46,7 +46,7 @@ function build(about: About, source: Source): void {
   const readout = el("output", { id: "readout", "aria-label": "Position" });
   const target = el("div", { id: "map", tabindex: 0, role: "application", "aria-label": "Map. Arrow keys move it, plus and minus zoom, Enter asks why the cell in the middle has its value." });
   const tool = el("output", { id: "tool-says", "aria-live": "polite" });
-  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), marksPanel(store, about.writable ? again : null, draw, (bounds) => view.fit(bounds)), source.cell && comparePanel(store));
+  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), marksPanel(store, about.writable ? again : null, draw, (bounds) => view.fit(bounds)), source.cell && comparePanel(store, () => view.extent(), (bounds) => view.fit(bounds)));
   const evidence = new EvidencePanel(store);
   let tracks: MapView;
   const timeline = new Timeline(store, () => tracks.tracks);

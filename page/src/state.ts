@@ -1,6 +1,6 @@
 // What is shown, in one place; whoever draws something listens to it.
 
-import type { MapAbout, Source } from "./data";
+import type { ChangedObject, MapAbout, Source } from "./data";
 
 export type Comparing = "off" | "swipe" | "fade" | "change";
 
@@ -13,6 +13,8 @@ export interface State {
   /** The two moments that are compared: the map as of these sessions. */
   before: number;
   after: number;
+  /** What changed between them, as far as it was looked for. */
+  changed: ChangedObject[];
   /** Where the swipe is, or how far the fade has come, 0..1. */
   share: number;
   colourBy: "gear" | "session";
@@ -21,7 +23,7 @@ export interface State {
 
 export type Overlay = "tracks" | "headings" | "frames" | "footprints" | "features" | "marks";
 
-export type Topic = "map" | "layer" | "sessions" | "compare" | "share" | "overlays";
+export type Topic = "map" | "layer" | "sessions" | "compare" | "changed" | "share" | "overlays";
 
 export class Store {
   private readonly listeners = new Map<Topic, (() => void)[]>();
@@ -65,6 +67,7 @@ export function initial(map: MapAbout): State {
     comparing: "off",
     before: map.order[0] ?? 0,
     after: map.order[map.order.length - 1] ?? 0,
+    changed: [],
     share: 0.5,
     colourBy: map.order.length > 1 ? "session" : "gear",
     visible: { tracks: true, headings: false, frames: false, footprints: false, features: true, marks: true },

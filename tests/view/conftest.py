@@ -14,6 +14,7 @@ import pytest
 
 from fieldgrid.grids import LocalGrid
 from fieldgrid.mapfile import open_map
+from tests.changes.worlds import Box, lane, world_map
 from tests.conftest import TWO_LANES
 from tests.view.browsing import CHROMIUM_FLAGS, Watched, chromium
 from tests.view.serving import Server, serving
@@ -62,6 +63,16 @@ def obstacle(vineyard: Path) -> tuple[float, float]:
     j, i = np.argwhere(inside)[len(np.argwhere(inside)) // 2]
     east, north = view.lattice.centres(view.window)
     return float(east[i]), float(north[j])
+
+
+@pytest.fixture(scope="session")
+def with_crate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """Serves a lane that was driven twice; before the second time a crate was put there."""
+    row, crate = Box(1.2, -1.0, 1.6, 13.0), Box(-1.5, 4.0, -0.7, 4.6)
+    drives = {"first": ([row], lane(0.0)), "second": ([row, crate], lane(0.04, 100))}
+    path = world_map(tmp_path_factory.mktemp("crate") / "map.gpkg", drives)
+    with serving(path) as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

@@ -83,13 +83,17 @@ class Server(NamedTuple):
 
 @contextmanager
 def serving(
-    *maps: Path, writable: bool = True, network: bool = False, recordings: tuple[Path, ...] = ()
+    *maps: Path,
+    writable: bool = True,
+    network: bool = False,
+    recordings: tuple[Path, ...] = (),
+    routes: tuple[Path, ...] = (),
 ) -> Iterator[Server]:
     """A server of maps, as `view_maps` makes it, until the block ends."""
     listening = listen("127.0.0.1", 0)
     port = int(listening.getsockname()[1])
     access = network_access(TOKEN, port, "0.0.0.0") if network else loopback_access(TOKEN, port)
-    server = make_server(Viewer(shown_maps(maps), access, writable, recordings))
+    server = make_server(Viewer(shown_maps(maps), access, writable, recordings, routes))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()
     try:

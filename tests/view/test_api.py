@@ -15,12 +15,16 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
+import shapely
 from PIL import Image
 
 from fieldgrid.array_types import UInt8
+from fieldgrid.changes import find_changes
+from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import open_map
+from fieldgrid.view import view_maps, write_report
 from tests.mapfile.maps import drive, track, write_map, write_session
 from tests.view.serving import Server, serving
 
@@ -100,6 +104,46 @@ def test_a_tile_of_changes(server: Server, vineyard: Path) -> None:
         server.get(f"/api/maps/0/tiles/change/0/{tile.ty}/{tile.tx}?from=0&to=1").body
     )
     np.testing.assert_array_equal(found[..., 0], change)
+
+
+def test_objects_that_changed_are_those_of_diff(with_crate: Server) -> None:
+    (told,) = with_crate.json("/api/maps/0/changes?from=0&to=1")["objects"]
+    with open_map(with_crate.folder / "map.gpkg") as universal:
+        (crate,) = find_changes(universal, "first", "second")
+    assert (told["id"], told["kind"], told["from"]) == ("c1", "appeared", None)
+    assert (told["stood"], told["freed"]) == (["second"], ["first"])
+    assert told["confidence"] == pytest.approx(crate.confidence, abs=1e-3)
+    assert told["area_m2"] == pytest.approx(crate.area_m2, abs=1e-3)
+    drawn = [shapely.Polygon(rings[0], rings[1:]) for _, rings in told["geometry"]]
+    assert shapely.union_all(drawn).symmetric_difference(crate.area).area < 0.01
+    for bounds, count in (("-3,3,0,6", 1), ("-3,8,0,11", 0)):
+        found = with_crate.json(f"/api/maps/0/changes?from=0&to=1&bounds={bounds}")["objects"]
+        assert len(found) == count
+    for query, words in (
+        ("from=0&to=1&bounds=-90000,-90000,90000,90000", "zoom in"),
+        ("from=0", "is no session"),
+        ("from=1&to=0", "first"),
+    ):
+        answer = with_crate.get(f"/api/maps/0/changes?{query}")
+        assert (answer.status, words in answer.json()["error"]) == (400, True), answer.body
+
+
+def test_a_route_is_a_feature_of_each_map(vineyard: Path, tmp_path: Path) -> None:
+    route = tmp_path / "spraying.csv"
+    route.write_text("east_m,north_m\n1,2\n3,4\n")
+    with serving(vineyard, routes=(route,)) as running:
+        table = running.json("/api/maps/0/features")["tables"][-1]
+    assert (table["table"], table["cut"]) == ("spraying.csv", False)
+    (feature,) = table["features"]
+    assert feature == {
+        "geometry": [[2, [[[1.0, 2.0], [3.0, 4.0]]]]],
+        "attributes": {"name": "spraying"},
+    }
+    write_report([vineyard], tmp_path / "report.html", routes=[route])
+    assert b"spraying" in (tmp_path / "report.html").read_bytes()
+    route.write_text("east_m\n1\n")
+    with pytest.raises(ConfigError, match=r"spraying\.csv is no table of poses"):
+        view_maps([vineyard], routes=[route])
 
 
 def test_tiles_of_nothing_are_empty_and_those_of_a_state_are_kept(server: Server) -> None:

@@ -162,6 +162,28 @@ def test_sessions_switched_off_and_two_states_beside_each_other(look: Any, serve
     assert is_colour(page.map_pixels(), vanished, 10).sum() > 100
 
 
+def test_what_changed_is_listed_outlined_and_shown(look: Any, with_crate: Server) -> None:
+    page = look(with_crate.link)
+    page.page.locator("#compare > summary").click()
+    page.page.select_option("#compare-mode", "change")
+    found = page.page.locator("#change-list button")
+    assert found.text_content() == "c1 appeared"
+    assert "free: first" in page.page.locator("#change-list").text_content()
+    found.click()
+    page.settle()
+    seen = page.page.locator("#map").get_attribute("data-extent")
+    west, south, east, north = map(float, seen.split())
+    assert west < -1.5 < -0.7 < east
+    assert south < 4.0 < 4.6 < north
+    assert min(east - west, north - south) < 8.0
+    x, y = page.place(-1.1, 4.3)
+    box = page.page.locator("#map").bounding_box()
+    near = page.map_pixels()[int(y - box["y"]) - 80 :, int(x - box["x"]) - 80 :][:160, :160]
+    assert (near.max(axis=-1) < 30).sum() > 100  # its black outline
+    page.page.select_option("#compare-mode", "off")
+    assert page.page.locator("#change-list li").count() == 0
+
+
 def test_time_lines_and_map_point_at_each_other(look: Any, server: Server, vineyard: Path) -> None:
     page = look(server.link)
     page.page.click("#show-timeline")

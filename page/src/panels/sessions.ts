@@ -1,6 +1,6 @@
 // The drives of a map: which are shown, and two moments beside each other.
 
-import type { Session } from "../data";
+import type { Bounds, ChangedObject, Session } from "../data";
 import { announce, ask, el, plural, swatch } from "../dom";
 import type { Comparing, Store } from "../state";
 
@@ -64,7 +64,19 @@ const MODES: Record<Comparing, string> = {
   change: "what changed",
 };
 
-export function comparePanel(store: Store): HTMLElement {
+const KINDS: Record<ChangedObject["kind"], string> = {
+  appeared: "appeared",
+  vanished: "vanished",
+  moved: "moved",
+  grown: "grown",
+  cut_back: "cut back",
+};
+
+const MOST_CELLS = 20e6; // of a map that is looked through as a whole
+const AROUND_M = 3;
+
+/** `seen` is the part of the map that is on the screen, and `fit` shows another. */
+export function comparePanel(store: Store, seen: () => Bounds, fit: (bounds: Bounds) => void): HTMLElement {
   const mode = el(
     "select",
     { id: "compare-mode", change: () => changed() },
@@ -84,6 +96,39 @@ export function comparePanel(store: Store): HTMLElement {
   );
   const slider = el("label", { class: "row", for: "compare-share" }, "Between them", share);
   const note = el("p", { class: "says" });
+  const objects = el("ol", { id: "change-list", class: "changes" });
+  const here = el("button", { type: "button", id: "change-here", click: () => void find(seen()) }, "Find changed objects here");
+  let asked = 0;
+
+  /** Looks for changed objects in the whole of a small map, and where it is said of a large one. */
+  async function find(bounds: Bounds | null): Promise<void> {
+    const { map, before, after, comparing } = store.state;
+    const number = ++asked;
+    store.change("changed", { changed: [] });
+    objects.replaceChildren();
+    const [west, south, east, north] = map.bounds ?? [0, 0, 0, 0];
+    const isLarge = (east - west) * (north - south) > MOST_CELLS * map.cell_m ** 2;
+    here.hidden = comparing !== "change" || !isLarge;
+    if (comparing !== "change" || (isLarge && !bounds)) return;
+    note.textContent = "Looking for changed objects …";
+    try {
+      const found = await store.source.changes!(map, before, after, isLarge ? bounds : null);
+      if (number !== asked) return;
+      note.textContent = found.length ? plural(found.length, "changed object") : "No object changed; what differs is within what positions and views explain.";
+      objects.replaceChildren(...found.map(item));
+      store.change("changed", { changed: found });
+    } catch (error) {
+      if (number === asked) note.textContent = (error as Error).message;
+    }
+  }
+
+  function item(object: ChangedObject): HTMLElement {
+    const { east_m: east, north_m: north } = object;
+    const facts = [`${object.length_m.toFixed(1)} x ${object.width_m.toFixed(1)} m`, `${object.area_m2.toFixed(2)} m²`, `${Math.floor(object.confidence * 100)} % sure`];
+    const show = () => fit([east - AROUND_M, north - AROUND_M, east + AROUND_M, north + AROUND_M]);
+    const drives = `stood: ${object.stood.join(", ") || "–"} · free: ${object.freed.join(", ") || "–"}`;
+    return el("li", {}, el("button", { type: "button", click: show }, `${object.id} ${KINDS[object.kind]}`), el("small", {}, facts.join(" · ")), el("small", {}, drives));
+  }
 
   function begin(): void {
     const { map } = store.state;
@@ -100,6 +145,7 @@ export function comparePanel(store: Store): HTMLElement {
     note.textContent = map.order.length < 2 ? "A map of one session has one state; append a drive to compare." : "";
     mode.value = store.state.comparing;
     layout();
+    void find(null);
   }
 
   function changed(): void {
@@ -113,6 +159,7 @@ export function comparePanel(store: Store): HTMLElement {
     note.textContent = "";
     store.change("compare", { comparing, before: first, after: second });
     layout();
+    void find(null);
   }
 
   function layout(): void {
@@ -130,5 +177,7 @@ export function comparePanel(store: Store): HTMLElement {
     moments,
     slider,
     note,
+    here,
+    objects,
   );
 }

@@ -17,6 +17,10 @@ def command(
         list[Path] | None,
         typer.Option(metavar="FOLDER", help="Where images of frames are; may be given again."),
     ] = None,
+    route: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="A route to draw: .geojson or .csv; may be given again."),
+    ] = None,
     port: Annotated[
         int | None, typer.Option(metavar="N", min=1, max=65535, help="Any free one if not given.")
     ] = None,
@@ -47,12 +51,14 @@ def command(
 
         fieldgrid view vineyard.gpkg --recording june-03 --port 8765
 
+        fieldgrid view vineyard.gpkg --route spraying.geojson
+
         fieldgrid view vineyard.gpkg --html vineyard.html
     """
     if html is not None:
         from fieldgrid.view import write_report
 
-        report = write_report(maps, html)
+        report = write_report(maps, html, routes=route or ())
         if as_json:
             output.print_json({"page": str(html), **report._asdict()})
             return
@@ -73,6 +79,7 @@ def command(
     view_maps(
         maps,
         recordings=recording or (),
+        routes=route or (),
         host=host,
         port=port,
         writable=not read_only if read_only is not None else host is None,

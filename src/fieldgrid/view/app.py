@@ -25,7 +25,8 @@ from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MapFile
 from fieldgrid.view import actions, drives, exports, layers, page, pyramid
 from fieldgrid.view.about import describe_map
-from fieldgrid.view.features import read_features
+from fieldgrid.view.changes import changed_objects
+from fieldgrid.view.features import read_features, route_table
 from fieldgrid.view.maps import ShownMap
 from fieldgrid.view.pictures import find_picture
 from fieldgrid.view.security import Access, Guard
@@ -49,6 +50,7 @@ class Viewer(NamedTuple):
     access: Access
     writable: bool
     recordings: tuple[Path, ...]
+    routes: tuple[Path, ...] = ()
 
     def picked(self, request: Request) -> ShownMap:
         """The map that a request is about, once it is sure that it is the one that its page was
@@ -131,8 +133,24 @@ def make_app(viewer: Viewer) -> Starlette:
         return Response(found.jpeg, media_type="image/jpeg", headers=_FRESH | size)
 
     def features(request: Request) -> Response:
-        with pyramid.stored(viewer.picked(request).path) as connection:
-            return _json({"tables": read_features(connection)})
+        shown = viewer.picked(request)
+        with pyramid.stored(shown.path) as connection:
+            tables = read_features(connection)
+        with shown.open() as universal:
+            routes = [route_table(path, universal.datum) for path in viewer.routes]
+        return _json({"tables": tables + routes})
+
+    def changes(request: Request) -> Response:
+        shown, query = viewer.picked(request), request.query_params
+        between, part = (query.get("from", ""), query.get("to", "")), query.get("bounds", "")
+
+        def find() -> list[dict[str, Any]]:
+            with shown.open() as universal:
+                before, after = (_session_name(universal, number) for number in between)
+                bounds = _bounds(part) if part else None
+                return changed_objects(universal, before, after, bounds)
+
+        return _json({"objects": shown.kept(("changes", *between, part), find)})
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -150,6 +168,7 @@ def make_app(viewer: Viewer) -> Starlette:
         Route(f"{one}/cell", cell),
         Route(f"{one}/image", image),
         Route(f"{one}/features", features),
+        Route(f"{one}/changes", changes),
         _post(f"{one}/export", actions.Export, actions.export, viewer),
     ]
     if viewer.writable:

@@ -1,4 +1,4 @@
-"""Features that others put into the map file: rows, routes, and whatever else has a geometry.
+"""Features: those that others put into the map file, and routes from files.
 
 Any table that the GeoPackage announces as features in the map's plane is shown; those that this
 package keeps of each drive come from `drives`, and marks with the map itself.
@@ -9,9 +9,13 @@ from __future__ import annotations
 import math
 import sqlite3
 import struct
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fieldgrid.errors import MapError
+from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import schema
 
 MOST_FEATURES = 5_000
@@ -40,6 +44,18 @@ def read_features(connection: sqlite3.Connection) -> list[dict[str, Any]]:
         for table, column, says in tables
         if table not in (*schema.LAYERS, "mark")
     ]
+
+
+def route_table(path: Path, datum: Datum) -> dict[str, Any]:
+    """A route from a file as such a table; ConfigError for one that cannot be read."""
+    from fieldgrid.figures import read_route
+
+    places = read_route(path, datum)
+    ends = np.flatnonzero(np.isnan(places[:, 0]))
+    lines = [part[np.isfinite(part[:, 0])].round(3).tolist() for part in np.split(places, ends)]
+    attributes = {"name": path.stem}
+    features = [{"geometry": [(_LINE, [line])], "attributes": attributes} for line in lines]
+    return {"table": path.name, "says": "a route", "features": features, "cut": False}
 
 
 def _read_table(connection: sqlite3.Connection, table: str, column: str) -> dict[str, Any]:

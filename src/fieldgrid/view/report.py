@@ -19,7 +19,7 @@ from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import replacing
 from fieldgrid.view import drives, layers, page, pyramid
 from fieldgrid.view.about import describe_map
-from fieldgrid.view.features import read_features
+from fieldgrid.view.features import read_features, route_table
 from fieldgrid.view.maps import ShownMap, shown_maps
 
 MAX_BYTES = 20_000_000
@@ -38,15 +38,22 @@ class Report(NamedTuple):
     cells_m: tuple[float, ...]
 
 
-def write_report(paths: Sequence[Path], out: Path, *, max_bytes: int = MAX_BYTES) -> Report:
-    """Write maps into one self-contained HTML file.
+def write_report(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    routes: Sequence[Path] = (),
+    max_bytes: int = MAX_BYTES,
+) -> Report:
+    """Write maps into one self-contained HTML file, with routes from files over them.
 
     Levels that would make it larger than `max_bytes` are left out, the finest first. Raises
-    MapError for a path that is no map, ConfigError where not even the coarsest level fits.
+    MapError for a path that is no map, ConfigError where not even the coarsest level fits and for a
+    file that is no route.
     """
     maps = shown_maps(paths)
     title = ", ".join(shown.name for shown in maps)
-    parts = [_without_tiles(shown, _ROWS // len(maps)) for shown in maps]
+    parts = [_without_tiles(shown, _ROWS // len(maps), routes) for shown in maps]
     data: dict[str, Any] = {
         "about": {"maps": [], "writable": False, "formats": []},
         "maps": parts,
@@ -67,10 +74,11 @@ def write_report(paths: Sequence[Path], out: Path, *, max_bytes: int = MAX_BYTES
     return Report(len(document), tuple(one["cell_m"] for one in data["about"]["maps"]))
 
 
-def _without_tiles(shown: ShownMap, rows: int) -> dict[str, Any]:
+def _without_tiles(shown: ShownMap, rows: int, routes: Sequence[Path]) -> dict[str, Any]:
     with pyramid.stored(shown.path) as connection:
         features = read_features(connection)
     with shown.open() as universal:
+        features += [route_table(path, universal.datum) for path in routes]
         scale = layers.scale_of(universal, "density")
         tracks = _tracks(universal, rows)
         frames = drives.frames_within(drives.frame_table(universal), _EVERYWHERE, None)

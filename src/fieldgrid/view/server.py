@@ -12,6 +12,7 @@ import uvicorn
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.view.app import Viewer, make_app
+from fieldgrid.view.features import route_table
 from fieldgrid.view.maps import shown_maps
 from fieldgrid.view.security import loopback_access, network_access
 
@@ -22,6 +23,7 @@ def view_maps(
     paths: Sequence[Path],
     *,
     recordings: Sequence[Path] = (),
+    routes: Sequence[Path] = (),
     host: str | None = None,
     port: int | None = None,
     writable: bool = True,
@@ -30,20 +32,25 @@ def view_maps(
 ) -> None:
     """Serve maps as a web page until interrupted.
 
-    Without `host` only this machine reaches it; `port` None is any that is free. `ready` gets the
+    `routes` are files that are drawn over each map, as `figures.read_route` reads them. Without
+    `host` only this machine reaches it; `port` None is any that is free. `ready` gets the
     link, with the token that writing needs, once the page can be opened. Raises MapError for a
-    path that is no map, ConfigError for a port that is taken.
+    path that is no map, ConfigError for a port that is taken or a file that is no route.
     """
     maps = shown_maps(paths)
     for folder in recordings:
         if not folder.exists():
             raise ConfigError(f"{folder} does not exist; give the folder of a recording.")
+    for shown in maps:
+        with shown.open() as universal:
+            for path in routes:  # what is wrong with one is said now, and not on the page
+                route_table(path, universal.datum)
     token = secrets.token_urlsafe(24)
     listening = listen(host or LOOPBACK, port or 0)
     with listening:
         port = int(listening.getsockname()[1])
         access = network_access(token, port, host) if host else loopback_access(token, port)
-        viewer = Viewer(maps, access, writable, tuple(recordings))
+        viewer = Viewer(maps, access, writable, tuple(recordings), tuple(routes))
         link = f"http://{_in_link(host)}:{port}/#token={token}"
         if ready is not None:
             ready(link)
