@@ -240,16 +240,16 @@ export class Drawn {
       const casing = new Style({ stroke: new Stroke({ color: "#ffffff", width: 5 }) });
       const line = new Stroke({ color: "#000000", width: 2, lineDash: object.confidence < SURE ? [5, 4] : undefined });
       const text = new Text({ text: object.id, offsetY: -14, overflow: true, font: "bold 13px sans-serif", fill: new Fill({ color: "#000000" }), stroke: new Stroke({ color: "#ffffff", width: 4 }) });
-      for (const geometry of shapes(object.geometry)) {
+      const middle = [object.east_m, object.north_m];
+      const way = object.from ? [new LineString([object.from, middle])] : [];
+      for (const geometry of [...shapes(object.geometry), ...way]) {
         const feature = new Feature(geometry);
-        feature.setStyle([casing, new Style({ stroke: line, text })]);
+        feature.setStyle([casing, new Style({ stroke: line })]);
         source.addFeature(feature);
       }
-      if (object.from) {
-        const way = new Feature(new LineString([object.from, [object.east_m, object.north_m]]));
-        way.setStyle([casing, new Style({ stroke: line })]);
-        source.addFeature(way);
-      }
+      const label = new Feature(new Point(middle));
+      label.setStyle(new Style({ text }));
+      source.addFeature(label);
     }
   }
 

@@ -109,6 +109,9 @@ def test_why_is_there_an_obstacle(look: Any, server: Server, obstacle: tuple[flo
     values = page.page.locator("#values").inner_text()
     assert re.search(r"density\s+\d{3}", values)
     assert "sigma of the density" in values
+    assert page.page.locator("#other-values").is_hidden()
+    page.page.click("#evidence >> text=Other layers")
+    assert re.search(r"highest density\s+\d", page.page.locator("#other-values").inner_text())
     # The two photographs that say so, with the cell marked in each.
     page.page.wait_for_selector("#evidence ol.frames > li:first-child img >> nth=1")
     photos = page.page.locator("#evidence ol.frames > li:first-child .photo")

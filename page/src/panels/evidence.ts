@@ -8,6 +8,7 @@ import { QUALITIES, type Row, type Tracks } from "../tracks";
 import { poseInWords } from "../timeline";
 
 const SHOWN_FRAMES = 12;
+const FIRST_VALUES = ["density", "sigma", "count", "sessions"];
 
 export class EvidencePanel {
   readonly element = el("aside", { id: "evidence", class: "panel", "aria-label": "What is known of a place", hidden: true });
@@ -83,7 +84,7 @@ export class EvidencePanel {
         ? el("p", {}, `Seen by ${plural(frames.length, "frame")} of ${plural(sessions.size, "session")}; ${frames.filter((f) => f.obstacle).length} of them saw an obstacle.`)
         : el("p", {}, "No frame that is switched on saw this cell."),
     );
-    if (density !== undefined) this.element.append(this.table(values));
+    if (density !== undefined) this.element.append(...this.tables(values));
     if (frames.length) this.element.append(this.frames(cell));
   }
 
@@ -94,16 +95,20 @@ export class EvidencePanel {
     this.element.replaceChildren(el("h2", { tabindex: -1 }, "Why"), close, ...children.filter((child) => child !== false));
   }
 
-  private table(values: Record<string, number | null>): HTMLElement {
-    const rows = Object.entries(values)
-      .filter(([name]) => name !== "variance")
-      .map(([name, value]) => {
-        const layer = this.store.state.map.layers.find((one) => one.name === name);
-        const title = name === "sigma" ? "sigma of the density" : (layer?.title ?? name);
-        const digits = value !== null && Number.isInteger(value) ? 0 : 2;
-        return el("tr", {}, el("th", { scope: "row" }, title), el("td", {}, number(value, digits, layer?.unit ?? "")));
-      });
-    return el("table", { id: "values" }, el("tbody", {}, ...rows));
+  /** What matters first, with the layer that is shown; the other layers on request. */
+  private tables(values: Record<string, number | null>): HTMLElement[] {
+    const first = [...new Set([...FIRST_VALUES, this.store.state.layer])].filter((name) => name in values);
+    const others = Object.keys(values).filter((name) => !first.includes(name) && name !== "variance");
+    const table = (names: string[], id: string) => el("table", { id, class: "values" }, el("tbody", {}, ...names.map((name) => this.row(name, values[name]))));
+    return [table(first, "values"), el("details", {}, el("summary", {}, "Other layers"), table(others, "other-values"))];
+  }
+
+  private row(name: string, value: number | null): HTMLElement {
+    const layer = this.store.state.map.layers.find((one) => one.name === name);
+    const title = name === "sigma" ? "sigma of the density" : (layer?.title ?? name);
+    const digits = value !== null && Number.isInteger(value) ? 0 : 2;
+    const unit = (layer?.unit ?? "").replace(/(?<=\w{4})s$/, value === 1 ? "" : "s"); // 1 session, 2 sessions
+    return el("tr", {}, el("th", { scope: "row" }, title), el("td", {}, number(value, digits, unit)));
   }
 
   private frames(cell: Cell): HTMLElement {
