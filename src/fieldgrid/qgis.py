@@ -49,6 +49,18 @@ LAYERS = ("density", *_LOOKS)
 """The layers that have a style, from the lowest to the uppermost as they are to be drawn."""
 
 
+MARKS = {"mark_area": "Polygon", "mark_point": "Point"}
+"""What people said of places, in a project: marks by their kind of geometry."""
+
+_MARK_RULES = {
+    "keepout": ("keep out", "b_diagonal"),
+    "obstacle": ("this is an obstacle", "diagonal_x"),
+    "free": ("this is free", "no"),
+    "place": ("place", "no"),
+}
+"""Each kind of mark in words, and how its areas are hatched."""
+
+
 def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
     root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering|Temporal")
@@ -61,6 +73,9 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
     """Put the parts of a layer's style into an element: a document's root, or a project's layer."""
     if layer == "density":
         _fill_density(root)
+        return
+    if layer in MARKS:
+        _fill_marks(root, layer)
         return
     look = _LOOKS[layer]
     if look.from_scale is not None:
@@ -113,6 +128,36 @@ def _fill_density(root: Element) -> None:
         )  # fmt: skip
     ET.SubElement(pipe, "rasterresampler", maxOversampling="2")
     ET.SubElement(root, "blendMode").text = "0"
+
+
+def _fill_marks(root: Element, layer: str) -> None:
+    renderer = ET.SubElement(root, "renderer-v2", type="RuleRenderer", symbollevels="0")
+    rules = ET.SubElement(renderer, "rules", key="{root}")
+    symbols = ET.SubElement(renderer, "symbols")
+    is_area = MARKS[layer] == "Polygon"
+    for key, (kind, (label, hatch)) in enumerate(_MARK_RULES.items()):
+        ET.SubElement(
+            rules, "rule", key=f"{{{key}}}", symbol=str(key), label=label,
+            filter=f"\"kind\" = '{kind}'",
+        )  # fmt: skip
+        colour = ",".join(map(str, palette.rgb(palette.MARKS[kind])))
+        shape = {"style": hatch} if is_area else {"name": "circle", "size": "3", "size_unit": "MM"}
+        symbol = ET.SubElement(
+            symbols, "symbol", name=str(key), type="fill" if is_area else "marker", alpha="1"
+        )
+        part = ET.SubElement(
+            symbol, "layer", {"class": "SimpleFill" if is_area else "SimpleMarker"}, enabled="1"
+        )
+        outline = colour if is_area else "255,255,255"
+        edge = {"outline_color": f"{outline},255", "outline_width": "0.5"}
+        _add_values(part, {**shape, **edge, "color": f"{colour},255"})
+    labels = ET.SubElement(root, "labeling", type="simple")
+    settings = ET.SubElement(labels, "settings")
+    text = ET.SubElement(
+        settings, "text-style", fieldName="name", fontSize="9", textColor="34,34,34,255"
+    )
+    white = {"bufferDraw": "1", "bufferSize": "1", "bufferColor": "255,255,255,255"}
+    ET.SubElement(text, "text-buffer", white)
 
 
 def _symbol(name: str, kind: str, layer: str, colour: str, *, rejected: bool = False) -> Element:

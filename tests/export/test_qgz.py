@@ -17,7 +17,7 @@ import pytest
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import Mark, MarkKind, open_map
 from tests.mapfile.maps import drive, track, write_map
 from tests.mapfile.test_qgis import PYTHON, is_there
 
@@ -37,6 +37,8 @@ for node in project.layerTreeRoot().findLayers():
         about["count"] = layer.featureCount()
         about["rules"] = [rule.label() for rule in layer.renderer().rootRule().children()]
         about["time"] = layer.temporalProperties().startField()
+        if layer.labelsEnabled():
+            about["labelled by"] = layer.labeling().settings().fieldName
     result["layers"][node.layerId()] = about
 result["from"] = project.timeSettings().temporalRange().begin().toString("yyyy-MM-dd")
 print(json.dumps(result))
@@ -102,7 +104,14 @@ def test_what_a_project_cannot_show_is_refused(path: Path, tmp_path: Path) -> No
 def test_qgis_opens_it_where_map_and_project_have_been_moved_to(path: Path, tmp_path: Path) -> None:
     if not is_there():
         pytest.skip("QGIS's library (Debian's python3-qgis) is not installed")
-    with open_map(path) as universal:
+    with open_map(path, writable=True) as universal:
+        universal.add_marks(
+            [
+                Mark(MarkKind.KEEPOUT, ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), "pond"),
+                Mark(MarkKind.PLACE, ((1.0, 2.0),), "gate"),
+                Mark(MarkKind.PLACE, ((2.0, 2.0),), "well"),
+            ]
+        )
         first_ns = min(info.first_time_ns or 0 for info in universal.sessions())
         moment = str(np.datetime64(first_ns, "ns"))[:10]
         export_map(universal, tmp_path / "p.qgz")
@@ -124,9 +133,15 @@ def test_qgis_opens_it_where_map_and_project_have_been_moved_to(path: Path, tmp_
     found: dict[str, Any] = json.loads(done.stdout)
     layers = found["layers"]
     assert found["read"]
-    assert list(layers) == [f"fieldgrid_{name}" for name in UPPERMOST_FIRST]
+    marks = ["mark_point", "mark_area"]
+    assert list(layers) == [f"fieldgrid_{name}" for name in [*marks, *UPPERMOST_FIRST]]
+    assert [layers[f"fieldgrid_{name}"]["count"] for name in marks] == [2, 1]
+    for name in marks:
+        assert layers[f"fieldgrid_{name}"]["rules"][0] == "keep out"
+        assert layers[f"fieldgrid_{name}"]["labelled by"] == "name"
     assert all(layer["valid"] for layer in layers.values())
-    assert [layer["visible"] for layer in layers.values()] == [True, False, True, True]
+    visible = [layer["visible"] for layer in layers.values()]
+    assert visible == [True, True, True, False, True, True]
     assert layers["fieldgrid_density"]["kind"] == "singlebandpseudocolor"
     assert layers["fieldgrid_trajectory"]["rules"] == ["0", "1", "rejected", "other sessions"]
     assert layers["fieldgrid_trajectory"]["time"] == "time"

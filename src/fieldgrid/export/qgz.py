@@ -33,6 +33,8 @@ _TITLES = {
     "trajectory": "trajectories",
     "frame_position": "frames",
     "footprint": "footprints",
+    "mark_area": "marked areas",
+    "mark_point": "marked points",
 }
 
 
@@ -71,10 +73,17 @@ def _is_ours(file: Path) -> bool:
 
 def _rows(universal: MapFile) -> tuple[tuple[str, str], ...]:
     return (
-        ("layers", ", ".join(_TITLES[name] for name in qgis.LAYERS)),
+        ("layers", ", ".join(_TITLES[name] for name in _names(universal))),
         ("datum", universal.datum.described()),
         ("map", universal.path.name),
     )
+
+
+def _names(universal: MapFile) -> list[str]:
+    """The layers of the project, from the lowest to the uppermost."""
+    kinds = {mark.is_point for mark in universal.marks()}
+    marks = [name for name in qgis.MARKS if (qgis.MARKS[name] == "Point") in kinds]
+    return [*qgis.LAYERS, *marks]
 
 
 def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
@@ -89,7 +98,8 @@ def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
     tree = ET.SubElement(root, "layer-tree-group")
     layers = ET.SubElement(root, "projectlayers")
     order = ET.SubElement(root, "layerorder")
-    for name in reversed(qgis.LAYERS):  # the uppermost first
+    names = _names(universal)
+    for name in reversed(names):  # the uppermost first
         shown = name != "frame_position"
         ET.SubElement(
             tree, "layer-tree-layer", id=_id(name), name=_TITLES[name],
@@ -97,7 +107,7 @@ def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
             providerKey="gdal" if name == "density" else "ogr", expanded="0",
         )  # fmt: skip
         ET.SubElement(order, "layer", id=_id(name))
-    for name in qgis.LAYERS:
+    for name in names:
         layers.append(_layer(universal, path, name, sessions))
     canvas = ET.SubElement(root, "mapcanvas", name="theMapCanvas", annotationsVisible="1")
     ET.SubElement(canvas, "units").text = "meters"
@@ -114,11 +124,12 @@ def _layer(universal: MapFile, path: Path, name: str, sessions: list[tuple[str, 
     is_raster = name == "density"
     layer = Element("maplayer", type="raster" if is_raster else "vector")
     if not is_raster:
-        layer.set("geometry", GEOMETRIES[name].title())
+        layer.set("geometry", qgis.MARKS.get(name) or GEOMETRIES[name].title())
     source = _relative(universal.path, path.parent)
+    table = f"mark|geometrytype={qgis.MARKS[name]}" if name in qgis.MARKS else name
     ET.SubElement(layer, "id").text = _id(name)
     ET.SubElement(layer, "datasource").text = (
-        f"GPKG:{source}:{name}" if is_raster else f"{source}|layername={name}"
+        f"GPKG:{source}:{name}" if is_raster else f"{source}|layername={table}"
     )
     ET.SubElement(layer, "layername").text = _TITLES[name]
     ET.SubElement(layer, "srs").append(_system(universal))
@@ -126,6 +137,8 @@ def _layer(universal: MapFile, path: Path, name: str, sessions: list[tuple[str, 
     provider.text = "gdal" if is_raster else "ogr"
     if not is_raster:
         provider.set("encoding", "UTF-8")
+    if name in qgis.MARKS:
+        layer.set("labelsEnabled", "1")
     qgis.fill_style(layer, name, sessions)
     return layer
 

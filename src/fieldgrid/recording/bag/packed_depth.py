@@ -54,7 +54,7 @@ class PackedDepthImage(MessageSource):
         whole = decode_depth_image(data, self.name)
         if whole.dtype != np.uint16 or whole.ndim != 2:
             raise self._unknown(said)
-        return whole
+        return np.asarray(whole, dtype=np.uint16)
 
     def _unknown(self, said: str) -> RecordingError:
         return RecordingError(

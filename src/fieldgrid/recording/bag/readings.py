@@ -328,7 +328,7 @@ class Readings:
         lefts: dict[Any, list[str]] = {}
         rights: dict[Any, list[str]] = {}
         for name, heard in self._heard.items():
-            info = heard.message if isinstance(heard, First) else None
+            info: Any = heard.message if isinstance(heard, First) else None
             projection = np.asarray(getattr(info, "p", ()), dtype=np.float64)
             if projection.shape != (12,) or not projection[0] > 0.0:
                 continue
