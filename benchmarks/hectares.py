@@ -1,6 +1,7 @@
-"""One step of the work on a map of 100 ha; prints what was done, and the peak memory in MB.
+"""One step of the work on a map of 100 ha, or of a square of another side; prints what was done,
+and the peak memory in MB.
 
-python -m benchmarks.hectares build|read|verify MAP.gpkg
+python -m benchmarks.hectares build|read|verify MAP.gpkg [SIDE_M]
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import create_map, open_map
 
 SIDE_M, ROW_M, STEP_M = 1000.0, 3.0, 4.0
-STRIPS = 20
+STRIP_M = 50.0
 
 
-def build(path: Path) -> str:
-    """Rows 3 m apart over 1000 x 1000 m, a frame every 4 m, in strips of a session each."""
+def build(path: Path, side_m: float = SIDE_M) -> str:
+    """Rows 3 m apart over a square, a frame every 4 m, in strips of a session each."""
     grids = real_grids()
-    per_strip = int(SIDE_M / STRIPS / ROW_M) * int(SIDE_M / STEP_M)
+    per_strip = int(STRIP_M / ROW_M) * int(side_m / STEP_M)
     frames = 0
     with create_map(path, DATUM) as universal:
-        for strip in range(STRIPS):
+        for strip in range(max(1, round(side_m / STRIP_M))):
             with universal.add_session(f"strip {strip:02d}") as session:
-                west_m = strip * SIDE_M / STRIPS
-                for k, pose in enumerate(rows(per_strip, SIDE_M, STEP_M, ROW_M, west_m, 0.0)):
+                west_m = strip * STRIP_M
+                for k, pose in enumerate(rows(per_strip, side_m, STEP_M, ROW_M, west_m, 0.0)):
                     session.add(grids[(7 * k + strip) % len(grids)], pose)
                     frames += 1
     return f"{frames} frames, {path.stat().st_size / 1e9:.2f} GB"
@@ -56,6 +57,10 @@ def verify(path: Path) -> str:
 
 if __name__ == "__main__":
     start = time.perf_counter()
-    said = {"build": build, "read": read, "verify": verify}[sys.argv[1]](Path(sys.argv[2]))
+    step, path, *side = sys.argv[1:]
+    if step == "build":
+        said = build(Path(path), *map(float, side))
+    else:
+        said = {"read": read, "verify": verify}[step](Path(path))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(f"{said}, {time.perf_counter() - start:.0f} s {peak_mb:.0f}")

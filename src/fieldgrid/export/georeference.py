@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import MapView
 
 VERSION = 1
@@ -15,12 +17,17 @@ CONVENTION = (
 
 
 def georeference(view: MapView) -> dict[str, Any]:
+    """`placed` of the cells of a view."""
+    return placed(view.lattice, view.window, view.datum)
+
+
+def placed(lattice: Lattice, window: Window, datum: Datum) -> dict[str, Any]:
     """The datum, the plane, the extent and its corners on Earth, as JSON can hold them.
 
     `pixel_to_map` is [a, b, c, d, e, f]: x = a·column + b·row + c and y = d·column + e·row + f,
     where column 0.5 and row 0.5 are the centre of the picture's upper left pixel.
     """
-    bounds, cell_m, datum = view.bounds, view.lattice.cell_m, view.datum
+    bounds, cell_m = lattice.bounds(window), lattice.cell_m
     east_m = [bounds.west_m, bounds.east_m, bounds.east_m, bounds.west_m]
     north_m = [bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m]
     lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
@@ -34,10 +41,10 @@ def georeference(view: MapView) -> dict[str, Any]:
             "ellipsoid": "WGS84",
         },
         "convention": CONVENTION,
-        "crs_wkt": view.crs_wkt,
+        "crs_wkt": datum.crs_wkt("WKT2_2019"),
         "cell_m": cell_m,
-        "width": view.window.width,
-        "height": view.window.height,
+        "width": window.width,
+        "height": window.height,
         "bounds_m": dict(zip(("west", "south", "east", "north"), map(float, bounds), strict=True)),
         "pixel_to_map": [cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m],
         "corners_deg": {

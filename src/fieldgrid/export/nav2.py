@@ -14,16 +14,17 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import UInt8
+from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
-from fieldgrid.errors import ConfigError
-from fieldgrid.export.georeference import georeference
+from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.export.georeference import placed
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.tiles import Whole, cut, whole_of
 from fieldgrid.export.together import write_together
-from fieldgrid.mapfile import MapView, Readable
-from fieldgrid.publish import mentions
+from fieldgrid.mapfile import Readable
+from fieldgrid.publish import mentions, replacing_folder
 from fieldgrid.settings import Flag, setting
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
@@ -33,6 +34,12 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 _FREE_GREY, _UNKNOWN_GREY, _OCCUPIED_GREY = 254, 205, 0
 _RAW_UNKNOWN = 255
 _ENDINGS = (".yaml", ".yml")
+_INDEX = "index.yaml"
+_GEOREFERENCE = b"fieldgrid_georeference"
+_SIDES = ("west", "south", "east", "north")
+
+TILE_CELLS = 4096
+"""Cells along a side of a tile of what is too large for one map."""
 
 MODES: dict[str, tuple[str, ...]] = {
     "trinary": ("pgm", "png"),
@@ -83,40 +90,146 @@ def export_nav2(
     Keep-outs are occupied in both: in the map for who loads no mask, in the mask for who plans on
     another map.
 
+    A part of more than 25 million cells is too large for one map: it is cut into maps of up to
+    4096 x 4096 cells in the folder `OUT.tiles`, of which `index.yaml` is the list.
+
     The files appear when all are complete, the YAML file last. Raises ConfigError for what cannot
     be asked, MapExistsError, MapWriteError.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
-    mode, kind, curve = options.mode, options.picture(), options.curve()
-    view = selection.view(universal, universal.deciding(selection.cell_m))
-    decision = view.decision(selection.layer)
-    occupancy = curve.occupancy(*decision)
-    keepout = np.zeros(view.window.shape, np.int8)
-    if decision.keepout is not None:
-        keepout[decision.keepout] = OCCUPIED
-    mask, mask_picture = path.with_suffix(".keepout.yaml"), path.with_suffix(".keepout.pgm")
-    picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
-    about = {**georeference(view), "image": picture.name, "mode": mode, "layer": selection.layer}
-    about["cost_curve"] = {
-        "free_up_to": curve.free_up_to,
-        "obstacle_above": curve.obstacle_above,
-        "shape": curve.shape,
-        "least_seen": curve.least_seen,
-    }
+    options.picture(), options.curve()
+    whole = whole_of(universal, selection)
+    if whole.is_large:
+        return _export_tiles(universal, path, selection, options, whole, overwrite=overwrite)
+    part = _Part(universal, path, selection, options)
     paths = write_together(
-        {
-            picture: _picture_writer(occupancy, mode, kind),
-            mask_picture: _picture_writer(keepout, "trinary", "pgm"),
-            mask: _text_writer(_yaml(view, mask_picture.name, "trinary")),
-            georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
-            path: _text_writer(_yaml(view, picture.name, mode)),
-        },
+        part.writers(),
         overwrite=overwrite,
-        ours=lambda file: mentions(file.with_suffix(".georef.json"), b'"fieldgrid_georeference"'),
+        ours=lambda file: mentions(file.with_suffix(".georef.json"), _GEOREFERENCE),
         what="a Nav2 map",
     )
-    return Exported((paths[-1], *paths[:-1]), (("mode", mode), *_counted(view, occupancy, keepout)))
+    cells = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
+    rows = (("mode", options.mode), ("cells", cells), *_rows(part.counts))
+    return Exported((paths[-1], *paths[:-1]), rows)
+
+
+def _export_tiles(
+    universal: Readable,
+    path: Path,
+    selection: Selection,
+    options: Nav2Options,
+    whole: Whole,
+    *,
+    overwrite: bool,
+) -> Exported:
+    folder = path.with_suffix(".tiles")
+    size = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
+    if path.exists():
+        raise MapExistsError(
+            f"{path} exists, and {size} cells are too large for one Nav2 map: tiles of it would be "
+            f"in {folder.name} beside that; remove it, or give another name or a larger --cell."
+        )
+    counts, tiles = np.zeros(5, np.int64), []
+    with replacing_folder(
+        folder,
+        overwrite=overwrite,
+        ours=lambda found: mentions(found / _INDEX, _GEOREFERENCE),
+        what="tiles of a Nav2 map",
+    ) as draft:
+        for tile in cut(universal, selection, whole, TILE_CELLS):
+            part = _Part(universal, draft / f"{tile.name}.yaml", tile.selection, options)
+            for file, write in part.writers().items():
+                write(file)
+            counts += part.counts
+            bounds = map(float, whole.lattice.bounds(tile.window))
+            tiles.append(
+                {
+                    "yaml": f"{tile.name}.yaml",
+                    "keepout": f"{tile.name}.keepout.yaml",
+                    "width": tile.window.width,
+                    "height": tile.window.height,
+                    "bounds_m": dict(zip(_SIDES, bounds, strict=True)),
+                }
+            )
+        about = placed(whole.lattice, whole.window, universal.datum)
+        index = {**about, "mode": options.mode, "layer": selection.layer, "tiles": tiles}
+        (draft / _INDEX).write_text(_dumped(index), encoding="utf-8")
+    rows = (
+        ("too large for one map", f"{size}: {len(tiles)} tiles of up to {TILE_CELLS} a side"),
+        ("index of the tiles", f"{folder.name}/{_INDEX}"),
+        ("mode", options.mode),
+        *_rows(counts),
+    )
+    return Exported((folder,), rows)
+
+
+class _Part:
+    """The files of one Nav2 map."""
+
+    def __init__(
+        self, universal: Readable, path: Path, selection: Selection, options: Nav2Options
+    ) -> None:
+        self._path, self._layer, self._options = path, selection.layer, options
+        view = selection.view(universal, universal.deciding(selection.cell_m))
+        decision = view.decision(selection.layer)
+        self._lattice, self._window, self._datum = view.lattice, view.window, view.datum
+        self._occupancy = options.curve().occupancy(*decision)
+        self._keepout = np.zeros(view.window.shape, np.int8)
+        if decision.keepout is not None:
+            self._keepout[decision.keepout] = OCCUPIED
+
+    @property
+    def counts(self) -> Int64:
+        """How many cells are free, in doubt, obstacles, unknown and kept out of."""
+        free, occupied, unknown = (
+            int(np.count_nonzero(self._occupancy == value))
+            for value in (0, OCCUPIED, UNKNOWN_OCCUPANCY)
+        )
+        doubt = self._occupancy.size - free - occupied - unknown
+        return np.array([free, doubt, occupied, unknown, np.count_nonzero(self._keepout)])
+
+    def writers(self) -> dict[Path, Callable[[Path], None]]:
+        """What writes each file, the YAML file last."""
+        path, mode, kind = self._path, self._options.mode, self._options.picture()
+        curve = self._options.curve()
+        mask, mask_picture = path.with_suffix(".keepout.yaml"), path.with_suffix(".keepout.pgm")
+        picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
+        about = {
+            **placed(self._lattice, self._window, self._datum),
+            "image": picture.name,
+            "mode": mode,
+            "layer": self._layer,
+            "cost_curve": {
+                "free_up_to": curve.free_up_to,
+                "obstacle_above": curve.obstacle_above,
+                "shape": curve.shape,
+                "least_seen": curve.least_seen,
+            },
+        }
+        return {
+            picture: _picture_writer(self._occupancy, mode, kind),
+            mask_picture: _picture_writer(self._keepout, "trinary", "pgm"),
+            mask: _text_writer(self._yaml(mask_picture.name, "trinary")),
+            georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
+            path: _text_writer(self._yaml(picture.name, mode)),
+        }
+
+    def _yaml(self, picture: str, mode: str) -> str:
+        bounds = self._lattice.bounds(self._window)
+        return _dumped(
+            {
+                "image": picture,
+                "mode": mode,
+                "resolution": float(self._lattice.cell_m),
+                # Of the lower left corner of the lower left pixel; 0.0 is added because -0.0
+                # looks odd.
+                "origin": [bounds.west_m + 0.0, bounds.south_m + 0.0, 0.0],
+                "negate": 0,
+                "occupied_thresh": OCCUPIED_THRESH,
+                "free_thresh": FREE_THRESH,
+            }
+        )
 
 
 def greys(mode: str) -> UInt8:
@@ -150,20 +263,9 @@ def _picture_writer(
     return write
 
 
-def _yaml(view: MapView, picture: str, mode: str) -> str:
+def _dumped(content: dict[str, Any]) -> str:
     import yaml
 
-    bounds = view.bounds
-    content: dict[str, Any] = {
-        "image": picture,
-        "mode": mode,
-        "resolution": float(view.lattice.cell_m),
-        # Of the lower left corner of the lower left pixel; 0.0 is added because -0.0 looks odd.
-        "origin": [bounds.west_m + 0.0, bounds.south_m + 0.0, 0.0],
-        "negate": 0,
-        "occupied_thresh": OCCUPIED_THRESH,
-        "free_thresh": FREE_THRESH,
-    }
     return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000))
 
 
@@ -174,17 +276,11 @@ def _text_writer(text: str) -> Callable[[Path], None]:
     return write
 
 
-def _counted(
-    view: MapView, occupancy: npt.NDArray[np.int8], keepout: npt.NDArray[np.int8]
-) -> tuple[tuple[str, str], ...]:
-    free, occupied, unknown = (
-        int(np.count_nonzero(occupancy == value)) for value in (0, OCCUPIED, UNKNOWN_OCCUPANCY)
-    )
-    doubt = occupancy.size - free - occupied - unknown
+def _rows(counts: Int64) -> tuple[tuple[str, str], ...]:
+    *known, keepout = counts.tolist()
     return (
-        ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
-        ("free, in doubt, obstacle, unknown", f"{free}, {doubt}, {occupied}, {unknown}"),
-        ("kept out of", f"{np.count_nonzero(keepout)}"),
+        ("free, in doubt, obstacle, unknown", ", ".join(map(str, known))),
+        ("kept out of", str(keepout)),
     )
 
 
@@ -198,6 +294,6 @@ register(
         Holds.OCCUPANCY,
         several=True,
         readers="Nav2's map server",
-        limits="4·10^8 cells",
+        limits="2.5·10^7 cells a map, else tiles",
     )
 )

@@ -39,10 +39,16 @@ class Selection:
         Raises ConfigError for bounds outside the map, a cell that the evidence cannot fill, and a
         part that is too large for one view.
         """
+        wanted = tuple(dict.fromkeys((self.layer, *layers)))
+        return universal.read(
+            self.checked_bounds(universal), self.cell_m, layers=wanted, at=self.at
+        )
+
+    def checked_bounds(self, universal: Readable) -> Bounds | None:
+        """The bounds; ConfigError for those that hold nothing of the map."""
         if self.bounds is not None:
             check_inside(self.bounds, universal.bounds)
-        wanted = tuple(dict.fromkeys((self.layer, *layers)))
-        return universal.read(self.bounds, self.cell_m, layers=wanted, at=self.at)
+        return self.bounds
 
     def area(self, universal: Readable) -> Bounds | None:
         """The ground that the cells of the part cover, None for all that there is."""
@@ -54,10 +60,8 @@ class Selection:
     @contextmanager
     def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[Blocks]:
         """The same as `view` in blocks from the north, of one state of the map, however large."""
-        if self.bounds is not None:
-            check_inside(self.bounds, universal.bounds)
-        wanted = tuple(dict.fromkeys((self.layer, *layers)))
-        with universal.read_blocks(self.bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
+        bounds, wanted = self.checked_bounds(universal), tuple(dict.fromkeys((self.layer, *layers)))
+        with universal.read_blocks(bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
             yield blocks
 
     @contextmanager
