@@ -616,7 +616,6 @@ def test_sessions_get_names_that_ros_allows() -> None:
     ("selection", "options", "message"),
     [
         ({"layer": "count"}, {}, "cannot hold the layer 'count'"),
-        ({"bounds": Bounds(0.0, 0.0, 900.0, 900.0)}, {}, "give --bounds or a larger --cell"),
         ({"bounds": Bounds(50.0, 50.0, 60.0, 60.0)}, {}, "hold nothing of the map"),
         ({}, {"obstacle_above": 20}, "no curve"),
     ],

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from rosbags.highlevel import AnyReader
 
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, export_map, nav2, tiles
+from fieldgrid.export import Selection, export_map, nav2, rosbag, tiles
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import Mark, MarkKind, open_map
 from tests.export.nav2_loader import load
@@ -32,6 +34,7 @@ def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tiles, "MESSAGE_CELLS", 20_000)
     monkeypatch.setattr(tiles, "_LOOK_CELLS", 50)
     monkeypatch.setattr(nav2, "TILE_CELLS", 64)
+    monkeypatch.setattr(rosbag, "TILE_CELLS", 64)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +78,47 @@ def test_tiles_of_a_nav2_map_are_that_map(
     assert index["bounds_m"] == about["bounds_m"]
     across, up = -(-index["width"] // 64) + 1, -(-index["height"] // 64) + 1
     assert 1 < len(index["tiles"]) < 0.7 * across * up  # where nothing is there is no tile
+
+
+def test_tiles_of_a_bag_are_the_occupancy_grid_and_the_grid_map(
+    path: Path, tmp_path: Path, cut_small: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_map(path) as universal:
+        done = export_map(universal, tmp_path / "cut.rosbag2")
+        with pytest.raises(ConfigError, match="leave --messages foxglove out"):
+            export_map(universal, tmp_path / "x.mcap", options={"messages": "foxglove"})
+        monkeypatch.setattr(tiles, "MESSAGE_CELLS", 10**9)
+        export_map(universal, tmp_path / "whole.rosbag2")
+    assert "listed in /map/index" in dict(done.rows)["too large for one message"]
+    cut, whole = (messages_of(tmp_path / f"{name}.rosbag2") for name in ("cut", "whole"))
+    assert cut["/georeference"].data == whole["/georeference"].data
+    index = json.loads(cut["/map/index"].data)
+    assert {one["topic"] for one in index} == {name for name in cut if name.startswith("/map/tile")}
+    info = whole["/map"].info
+    expected = whole["/map"].data.reshape(info.height, info.width)
+    counts = whole["/grid_map"].data[1].data.reshape(info.height, info.width)[::-1, ::-1]
+    found, counted = np.full_like(expected, -1), np.full_like(counts, np.nan)
+    for one in index:
+        grid, layers = cut[one["topic"]], cut[one["topic"].replace("/map/", "/grid_map/")]
+        shape = grid.info.height, grid.info.width
+        assert shape == (one["height"], one["width"])
+        column, row = (
+            round((getattr(grid.info.origin.position, k) - getattr(info.origin.position, k)) / 0.1)
+            for k in ("x", "y")
+        )
+        place = np.s_[row : row + shape[0], column : column + shape[1]]
+        found[place] = grid.data.reshape(shape)
+        counted[place] = layers.data[1].data.reshape(shape)[::-1, ::-1]
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(counted, counts)
+
+
+def messages_of(bag: Path) -> dict[str, Any]:
+    """The last message of each topic."""
+    with AnyReader([bag]) as reader:
+        return {
+            one.topic: reader.deserialize(data, one.msgtype) for one, _, data in reader.messages()
+        }
 
 
 def test_tiles_are_replaced_as_a_whole_and_only_those_of_ours(

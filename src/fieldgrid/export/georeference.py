@@ -6,7 +6,6 @@ from typing import Any
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
 
 VERSION = 1
 
@@ -16,12 +15,7 @@ CONVENTION = (
 )
 
 
-def georeference(view: MapView) -> dict[str, Any]:
-    """`placed` of the cells of a view."""
-    return placed(view.lattice, view.window, view.datum)
-
-
-def placed(lattice: Lattice, window: Window, datum: Datum) -> dict[str, Any]:
+def georeference(lattice: Lattice, window: Window, datum: Datum) -> dict[str, Any]:
     """The datum, the plane, the extent and its corners on Earth, as JSON can hold them.
 
     `pixel_to_map` is [a, b, c, d, e, f]: x = a·column + b·row + c and y = d·column + e·row + f,

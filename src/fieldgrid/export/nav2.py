@@ -17,7 +17,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export.georeference import placed
+from fieldgrid.export.georeference import georeference
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -36,7 +36,6 @@ _RAW_UNKNOWN = 255
 _ENDINGS = (".yaml", ".yml")
 _INDEX = "index.yaml"
 _GEOREFERENCE = b"fieldgrid_georeference"
-_SIDES = ("west", "south", "east", "north")
 
 TILE_CELLS = 4096
 """Cells along a side of a tile of what is too large for one map."""
@@ -142,17 +141,9 @@ def _export_tiles(
             for file, write in part.writers().items():
                 write(file)
             counts += part.counts
-            bounds = map(float, whole.lattice.bounds(tile.window))
-            tiles.append(
-                {
-                    "yaml": f"{tile.name}.yaml",
-                    "keepout": f"{tile.name}.keepout.yaml",
-                    "width": tile.window.width,
-                    "height": tile.window.height,
-                    "bounds_m": dict(zip(_SIDES, bounds, strict=True)),
-                }
-            )
-        about = placed(whole.lattice, whole.window, universal.datum)
+            names = {"yaml": f"{tile.name}.yaml", "keepout": f"{tile.name}.keepout.yaml"}
+            tiles.append({**names, **tile.about(whole.lattice)})
+        about = georeference(whole.lattice, whole.window, universal.datum)
         index = {**about, "mode": options.mode, "layer": selection.layer, "tiles": tiles}
         (draft / _INDEX).write_text(_dumped(index), encoding="utf-8")
     rows = (
@@ -196,7 +187,7 @@ class _Part:
         mask, mask_picture = path.with_suffix(".keepout.yaml"), path.with_suffix(".keepout.pgm")
         picture, georef = path.with_suffix(f".{kind}"), path.with_suffix(".georef.json")
         about = {
-            **placed(self._lattice, self._window, self._datum),
+            **georeference(self._lattice, self._window, self._datum),
             "image": picture.name,
             "mode": mode,
             "layer": self._layer,

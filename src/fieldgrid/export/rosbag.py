@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -24,17 +24,18 @@ from fieldgrid.export.georeference import georeference
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.tiles import MESSAGE_CELLS, Tile, Whole, cut, whole_of
 from fieldgrid.export.vector import FeatureOptions, geojson_text
-from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import MapFile
 from fieldgrid.ros import BagFolderWriter, McapWriter
 from fieldgrid.ros.gnss import datum_message
 from fieldgrid.ros.messages import BASE, text
 from fieldgrid.settings import Flag, setting
 from fieldgrid.trajectory import Trajectory
 
-MAX_CELLS = 25_000_000
-"""Cells of a map in one message: the grid map's is of 400 MB then."""
+TILE_CELLS = 2048
+"""Cells along a side of a tile of what is too large for one message."""
 
 _END_NS = 2**31 * 1_000_000_000
 
@@ -79,32 +80,34 @@ def export_mcap(
     """Write a part of a map as one `.mcap` file, which Foxglove and readers of ROS 2 bags open.
 
     It holds what `export_rosbag2` writes. With messages "foxglove" also two of Foxglove's own: a
-    coloured grid and the obstacles, trajectories and marks as GeoJSON. Raises ConfigError for a
-    part of more than 25 million cells, and when what those two need is not installed.
+    coloured grid and the obstacles, trajectories and marks as GeoJSON. Raises ConfigError when what
+    those two need is not installed, or the part is too large for them.
     """
     for_foxglove = options.messages == "foxglove"
     if for_foxglove:
         foxglove_messages.check_installed()
-    curve = options.curve()
-    view, tracks = _read(universal, selection)
-    start_ns = _start_ns(universal, tracks)
-    own = _foxglove(universal, path, selection, options, view, start_ns) if for_foxglove else []
+    content = _Content.of(universal, selection, options.curve())
+    if for_foxglove and content.whole.is_large:
+        raise ConfigError(
+            f"A map of {content.cells} is too large for one message of Foxglove's own, which "
+            f"takes {MESSAGE_CELLS / 1e6:.0f} million; leave --messages foxglove out: the ROS "
+            "messages are cut into tiles. Or give --bounds or a larger --cell."
+        )
+    own = _foxglove(content, path, options) if for_foxglove else []
     with McapWriter(path, overwrite=overwrite) as writer:
         for topic, raw in own:
-            writer.write_raw(topic, raw.schema_name, "protobuf", raw.schema, raw.data, start_ns)
-        count = _write(writer, view, tracks, curve, selection, start_ns)
-    return Exported((path,), _rows(view, count + len(own)))
+            writer.write_raw(
+                topic, raw.schema_name, "protobuf", raw.schema, raw.data, content.start_ns
+            )
+        count = _write(writer, content)
+    return Exported((path,), content.rows(count + len(own)))
 
 
 def _foxglove(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: McapOptions,
-    view: MapView,
-    start_ns: int,
+    content: _Content, path: Path, options: McapOptions
 ) -> list[tuple[str, foxglove_messages.Raw]]:
     """Foxglove's own messages by topic."""
+    selection, universal = content.selection, content.universal
     shapes = geojson_text(
         universal,
         path,
@@ -114,8 +117,9 @@ def _foxglove(
             obstacle_above=options.obstacle_above,
         ),
     )
+    view = selection.view(universal)
     return [
-        ("/foxglove/grid", foxglove_messages.grid(view, start_ns)),
+        ("/foxglove/grid", foxglove_messages.grid(view, content.start_ns)),
         ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
     ]
 
@@ -133,39 +137,60 @@ def export_rosbag2(
     /map is a nav_msgs/OccupancyGrid, by the curve of the options; /grid_map has the density, count,
     variance and persistence of each cell. There are a path and fixes of each session, the datum as
     a fix, as the transform from `earth` to `map` and as JSON. The folder appears when it is
-    complete. Raises ConfigError for a part of more than 25 million cells.
+    complete. A part of more than 25 million cells is too large for one message: it comes as tiles,
+    /map/tile_ROW_COLUMN and /grid_map/tile_ROW_COLUMN, of which /map/index is the list as JSON.
     """
-    curve = options.curve()
-    view, tracks = _read(universal, selection)
-    start_ns = _start_ns(universal, tracks)
+    content = _Content.of(universal, selection, options.curve())
     with BagFolderWriter(path, storage=options.storage, overwrite=overwrite) as writer:
-        count = _write(writer, view, tracks, curve, selection, start_ns)
-    return Exported((path,), _rows(view, count))
+        count = _write(writer, content)
+    return Exported((path,), content.rows(count))
 
 
-def _read(universal: MapFile, selection: Selection) -> tuple[MapView, dict[str, Trajectory]]:
-    """The view with the layers of the grid map, and the trajectories of the sessions in it."""
-    _check_size(universal, selection)
-    view = selection.view(universal, (*GRID_MAP_LAYERS, *universal.deciding(selection.cell_m)))
-    tracks = trajectories(universal, selection)
-    for name, track in tracks.items():
-        if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
-            raise ConfigError(
-                f"Session {name!r} has times before 1970 or after 2038, which a ROS message cannot "
-                "hold; take another format."
-            )
-    return view, tracks
+class _Content(NamedTuple):
+    """What a bag is made of. `tiles` are those of what is too large for one message."""
 
+    universal: MapFile
+    selection: Selection
+    curve: CostCurve
+    whole: Whole
+    tiles: tuple[Tile, ...]
+    tracks: dict[str, Trajectory]
+    start_ns: int
 
-def _check_size(universal: MapFile, selection: Selection) -> None:
-    lattice = Lattice(selection.cell_m or universal.cell_m)
-    window = lattice.window(selection.bounds or universal.bounds)
-    if window.width * window.height > MAX_CELLS:
-        raise ConfigError(
-            f"A map of {window.width} x {window.height} cells of {lattice.cell_m:g} m is too large "
-            f"for one ROS message, which takes {MAX_CELLS / 1e6:.0f} million here; give --bounds "
-            "or a larger --cell."
+    @classmethod
+    def of(cls, universal: MapFile, selection: Selection, curve: CostCurve) -> Self:
+        whole = whole_of(universal, selection)
+        tiles = cut(universal, selection, whole, TILE_CELLS) if whole.is_large else ()
+        tracks = trajectories(universal, selection)
+        for name, track in tracks.items():
+            if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
+                raise ConfigError(
+                    f"Session {name!r} has times before 1970 or after 2038, which a ROS message "
+                    "cannot hold; take another format."
+                )
+        start_ns = _start_ns(universal, tracks)
+        return cls(universal, selection, curve, whole, tuple(tiles), tracks, start_ns)
+
+    @property
+    def area(self) -> Bounds | None:
+        """What paths and fixes are cut to, None for nothing."""
+        return (
+            None if self.selection.bounds is None else self.whole.lattice.bounds(self.whole.window)
         )
+
+    @property
+    def cells(self) -> str:
+        """The size as text."""
+        window = self.whole.window
+        return f"{window.width} x {window.height} cells of {self.whole.lattice.cell_m:g} m"
+
+    def rows(self, messages: int) -> tuple[tuple[str, str], ...]:
+        """What a reader is told."""
+        rows = (("cells", self.cells.replace(" cells", "")), ("messages", str(messages)))
+        if not self.whole.is_large:
+            return rows
+        tiles = f"{len(self.tiles)} tiles of up to {TILE_CELLS} a side, listed in /map/index"
+        return (("too large for one message", tiles), *rows)
 
 
 def _start_ns(universal: MapFile, tracks: dict[str, Trajectory]) -> int:
@@ -177,43 +202,32 @@ def _start_ns(universal: MapFile, tracks: dict[str, Trajectory]) -> int:
     return min(max(min(poses or frames, default=0), 0), _END_NS - 1)
 
 
-def _write(
-    writer: McapWriter | BagFolderWriter,
-    view: MapView,
-    tracks: dict[str, Trajectory],
-    curve: CostCurve,
-    selection: Selection,
-    start_ns: int,
-) -> int:
+def _write(writer: McapWriter | BagFolderWriter, content: _Content) -> int:
     """Write the ROS messages; their number."""
     count = 0
-    area = None if selection.bounds is None else view.bounds
-    for one in _messages(view, tracks, curve, selection.layer, start_ns, area):
+    for one in _messages(content):
         writer.write(one.topic, one.message, one.time_ns, latched=one.latched)
         count += 1
     return count
 
 
-def _messages(
-    view: MapView,
-    tracks: dict[str, Trajectory],
-    curve: CostCurve,
-    layer: str,
-    start_ns: int,
-    area: Bounds | None,
-) -> Iterator[_Stamped]:
+def _messages(content: _Content) -> Iterator[_Stamped]:
     """All messages in the order of their times, one in memory at a time."""
-    datum = view.datum
+    datum, tracks, area = content.universal.datum, content.tracks, content.area
+    start_ns, (lattice, window) = content.start_ns, content.whole
     yield _Stamped("/tf_static", ros_messages.earth_to_map(datum, start_ns), start_ns, True)
     yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
-    about = json.dumps(georeference(view), ensure_ascii=False)
+    about = json.dumps(georeference(lattice, window, datum), ensure_ascii=False)
     yield _Stamped("/georeference", text(about), start_ns, True)
-    occupancy = curve.occupancy(*view.decision(layer))
-    grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
-    yield _Stamped("/map", grid, start_ns, True)
-    del occupancy, grid
-    layers = {name: view.layer(name) for name in GRID_MAP_LAYERS}
-    yield _Stamped("/grid_map", ros_messages.grid_map(view, layers, start_ns), start_ns, True)
+    if content.whole.is_large:
+        index = [
+            {"topic": f"/map/tile_{tile.name}", **tile.about(lattice)} for tile in content.tiles
+        ]
+        yield _Stamped("/map/index", text(json.dumps(index)), start_ns, True)
+        for tile in content.tiles:
+            yield from _grids(content, tile.selection, f"/tile_{tile.name}")
+    else:
+        yield from _grids(content, content.selection, "")
     names = topic_names(tracks)
     for name, track in tracks.items():
         for number, rows in enumerate(_runs(track, area), 1):
@@ -239,6 +253,19 @@ def _messages(
             ),
             key=lambda one: one.time_ns,
         )
+
+
+def _grids(content: _Content, selection: Selection, suffix: str) -> Iterator[_Stamped]:
+    """The occupancy grid and the grid map of a part."""
+    universal, start_ns = content.universal, content.start_ns
+    view = selection.view(universal, (*GRID_MAP_LAYERS, *universal.deciding(selection.cell_m)))
+    occupancy = content.curve.occupancy(*view.decision(selection.layer))
+    grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
+    yield _Stamped(f"/map{suffix}", grid, start_ns, True)
+    del occupancy, grid
+    layers = {name: view.layer(name) for name in GRID_MAP_LAYERS}
+    grid_map = ros_messages.grid_map(view, layers, start_ns)
+    yield _Stamped(f"/grid_map{suffix}", grid_map, start_ns, True)
 
 
 def _inside(track: Trajectory, area: Bounds | None) -> Bool:
@@ -279,13 +306,6 @@ def _first_ns(track: Trajectory) -> int:
     return int(track.time_ns[0]) if len(track) else 0
 
 
-def _rows(view: MapView, messages: int) -> tuple[tuple[str, str], ...]:
-    return (
-        ("cells", f"{view.window.width} x {view.window.height} of {view.lattice.cell_m:g} m"),
-        ("messages", str(messages)),
-    )
-
-
 register(
     Format(
         "mcap",
@@ -295,7 +315,7 @@ register(
         McapOptions,
         Holds.OCCUPANCY,
         readers="Foxglove, rosbags",
-        limits="2.5·10^7 cells",
+        limits="2.5·10^7 cells a message, else tiles",
     ),
     Format(
         "rosbag2",
@@ -306,6 +326,6 @@ register(
         Holds.OCCUPANCY,
         folder=True,
         readers="`ros2 bag play` to Nav2, RViz",
-        limits="2.5·10^7 cells",
+        limits="2.5·10^7 cells a message, else tiles",
     ),
 )

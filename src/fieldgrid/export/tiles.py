@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -32,6 +32,15 @@ class Tile(NamedTuple):
     def name(self) -> str:
         """As files and topics have it: its numbers, north first."""
         return f"{self.row:03d}_{self.column:03d}"
+
+    def about(self, lattice: Lattice) -> dict[str, Any]:
+        """Its size and place, as JSON and YAML can hold them."""
+        bounds = map(float, lattice.bounds(self.window))
+        return {
+            "width": self.window.width,
+            "height": self.window.height,
+            "bounds_m": dict(zip(("west", "south", "east", "north"), bounds, strict=True)),
+        }
 
 
 class Whole(NamedTuple):

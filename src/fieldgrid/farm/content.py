@@ -1,15 +1,14 @@
 """What views over several maps are made of: the cells of each, as the layers' own rules join them.
 
-A cell that two maps saw is what one map with the sessions of both would say of it. Larger cells of
-places that a single map saw come from what that map stores of them; where the extents of two meet,
-they follow from the joined own cells.
+A cell that two maps saw is what one map with the sessions of both would say of it. Larger cells
+into which a single map sees come from what that map stores of them; those of two follow from the
+joined own cells, where sums do not say it all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +16,9 @@ import numpy as np
 from fieldgrid.errors import MapError
 from fieldgrid.farm.catalogue import Block
 from fieldgrid.farm.maps import Maps, OpenMap
-from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.layers import GROUPS, Cells, ChannelGroup, groups_of
-from fieldgrid.layers.window import merge_sessions, with_overviews
+from fieldgrid.lattice import Bounds, Window
+from fieldgrid.layers import GROUPS, Cells, ChannelGroup, Combine, groups_of
+from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import FrameRecord, MapView, Mark
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.content import MapContent
@@ -113,12 +112,13 @@ class FarmContent:
         exact = Larger(self._own_cells(own, groups), by)
         if by.factor == 1:
             return exact, 1
+        needed = exact if request.beyond_density else None
         alone = [
             _FromMap(self._maps, part, asked, _whole_chunks)
             for part in self._parts
             if (asked := part.request(request)) is not None
         ]
-        return _Neighbours(alone, exact, request.lattice, by.factor), 1
+        return _Neighbours(alone, needed, by.factor), 1
 
     def _own_cells(self, request: Request, groups: Sequence[ChannelGroup]) -> CellSource:
         return self._joined(
@@ -153,20 +153,22 @@ class _FromMap:
         request: Request,
         source: Callable[[MapContent, Request], CellSource],
     ) -> None:
-        self._maps, self.part, self._request, self._find = maps, part, request, source
+        self._maps, self._part, self._request, self._find = maps, part, request, source
 
-    def merged(self, window: Window) -> Cells | None:
-        """See `CellSource`."""
-        if not self._request.lattice.bounds(window).overlaps(self.part.bounds):
+    def near(self, window: Window) -> tuple[Window, Cells] | None:
+        """What of a window lies in the map's extent, and its cells; None where it saw nothing."""
+        part = self._request.lattice.window(self._part.bounds).intersect(window)
+        if part is None:
             return None
-        with self._maps.reading(self.part.block) as opened:
-            return self._source(opened).merged(window)
+        with self._maps.reading(self._part.block) as opened:
+            cells = self._source(opened).merged(part)
+        return None if cells is None else (part, cells)
 
     def _source(self, opened: OpenMap) -> CellSource:
         with opened.lock:
             found = opened.sources.get(self)
             if found is None:
-                content = self.part.content(opened.content)
+                content = self._part.content(opened.content)
                 found = opened.sources[self] = self._find(content, self._request)
             return found
 
@@ -174,53 +176,63 @@ class _FromMap:
 class _Joined:
     """The sessions of several maps together, cell by cell."""
 
-    def __init__(self, sources: Sequence[CellSource], groups: Sequence[ChannelGroup]) -> None:
+    def __init__(self, sources: Sequence[_FromMap], groups: Sequence[ChannelGroup]) -> None:
         self._sources, self._groups = sources, groups
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
         total: Cells | None = None
         for source in self._sources:
-            cells = source.merged(window)
-            if cells is not None:
-                total = cells if total is None else merge_sessions(self._groups, total, cells)
+            if (found := source.near(window)) is None:
+                continue
+            part, cells = found
+            if total is None:
+                total = _empty_like(cells, window)
+            for group in self._groups:
+                for channel in group.channels:
+                    inside = total[channel.name][window.slices_of(part)]
+                    how = np.maximum if channel.sessions is Combine.MAX else np.add
+                    how(inside, cells[channel.name], out=inside)
         return None if total is None else with_overviews(self._groups, total)
 
 
 class _Neighbours:
-    """Larger cells of maps whose own cells meet in few places: there they are `exact`."""
+    """Larger cells of several maps: sums, and `exact` where two of them see into one cell.
 
-    def __init__(
-        self,
-        alone: Sequence[_FromMap],
-        exact: CellSource,
-        lattice: Lattice,
-        factor: int,
-    ) -> None:
-        self._alone, self._exact, self._lattice, self._factor = alone, exact, lattice, factor
+    The density alone needs the sums only, and then there is no `exact`.
+    """
+
+    def __init__(self, alone: Sequence[_FromMap], exact: CellSource | None, factor: int) -> None:
+        self._alone, self._exact, self._factor = alone, exact, factor
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
         total: Cells | None = None
-        near: list[Window] = []
+        maps = np.zeros(window.shape, np.uint16)
         for source in self._alone:
-            part = self._lattice.window(source.part.bounds).intersect(window)
-            cells = None if part is None else source.merged(window)
-            if part is not None and cells is not None:
-                near.append(part)
-                if total is not None:  # where both have something, `exact` follows
-                    cells = Cells({k: v + total[k] for k, v in cells.items()}, cells.base_cells)
-                total = cells
-        if total is None:
-            return None
-        shared = {one.intersect(other) for one, other in combinations(near, 2)} - {None}
-        for place in shared:
-            assert place is not None
-            for chunk in chunks(place, self._factor):
-                found = self._exact.merged(chunk)
+            if (found := source.near(window)) is None:
+                continue
+            part, cells = found
+            place = window.slices_of(part)
+            maps[place] += cells["weight"] > 0
+            if total is None:
+                total = _empty_like(cells, window)
+            for name, values in cells.items():
+                total[name][place] += values
+        if total is None or self._exact is None:
+            return total
+        for chunk in chunks(window, self._factor):
+            place = window.slices_of(chunk)
+            if (maps[place] > 1).any():
+                exact = self._exact.merged(chunk)
                 for name, values in total.items():
-                    values[window.slices_of(chunk)] = 0 if found is None else found[name]
+                    values[place] = 0 if exact is None else exact[name]
         return total
+
+
+def _empty_like(cells: Cells, window: Window) -> Cells:
+    """Cells of a window that nobody saw, with the channels of others."""
+    return Cells({name: np.zeros(window.shape, np.uint64) for name in cells}, cells.base_cells)
 
 
 class _WholeChunks:

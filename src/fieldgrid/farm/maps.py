@@ -15,8 +15,11 @@ from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.mapfile.content import MapContent
 from fieldgrid.mapfile.sources import CellSource
 
-MAX_OPEN = 24
-"""Maps that stay open when nobody reads them: each may keep 16 MB of pages."""
+MAX_OPEN = 64
+"""Maps that stay open when nobody reads them."""
+
+_CACHE_KIB = 4096
+"""Pages that each of them may keep, so that all keep 256 MB."""
 
 
 class OpenMap:
@@ -40,6 +43,8 @@ class OpenMap:
         if self._users == 0:
             self.content = self._state.enter_context(self.universal.content())
             connection = self.content.evidence.connection
+            if self._version is None:
+                connection.execute(f"PRAGMA cache_size = -{_CACHE_KIB}")
             (version,) = connection.execute("PRAGMA data_version").fetchone()
             # Which other programs' commits change: only then is the digest made again.
             if version != self._version and self.universal.root_sha256 != root_sha256:
