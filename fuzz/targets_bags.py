@@ -17,6 +17,7 @@ from fuzz.target import Target
 from fuzz.targets_ros import check_sentence, mend_mcap
 from tests.recording import bags
 from tests.recording.bags import Container, Maker, Said
+from tests.recording.test_packed_depth import config, png, rvl
 
 _UTC = 1_700_000_000_000_000_000
 _STEP = 100_000_000
@@ -102,6 +103,15 @@ def _disparities(maker: Maker) -> Iterator[Said]:
         yield from _small(maker, time_ns)
 
 
+def _packed_depths(maker: Maker) -> Iterator[Said]:
+    depth = np.full((16, 16), 1500, np.uint16)
+    for time_ns, kind, data in ((_UTC, "rvl", rvl(depth)), (_UTC + _STEP, "png", png(depth))):
+        image = maker.compressed(time_ns, config() + data, f"16UC1; compressedDepth {kind}")
+        yield Said(time_ns, "/depth/image/compressedDepth", image)
+        yield Said(time_ns, "/depth/camera_info", maker.info(time_ns, (16, 16), _P))
+        yield from _small(maker, time_ns)
+
+
 def _clouds(maker: Maker) -> Iterator[Said]:
     points = np.random.default_rng(1).uniform(1.0, 9.0, (120, 3)).astype("<f4")
     for time_ns in (_UTC, _UTC + _STEP):
@@ -111,7 +121,7 @@ def _clouds(maker: Maker) -> Iterator[Said]:
 
 def _seeds(container: Container) -> list[bytes]:
     seeds = []
-    for drive in (_stereo, _disparities, _clouds):
+    for drive in (_stereo, _disparities, _packed_depths, _clouds):
         with tempfile.TemporaryDirectory() as folder:
             maker = Maker(container)
             path = bags.write_bag(
