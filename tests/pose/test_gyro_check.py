@@ -174,3 +174,12 @@ def test_a_gyro_whose_sense_the_drive_does_not_show_is_not_used(size: float) -> 
     assert np.isnan(found.report.gyro_bias_dps)
     assert "which way the gyro turns" in found.report.notes[0]
     assert not found.trajectory.accepted.any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_first_fixes_of_a_drive_say_nothing_of_its_gyro(count: int) -> None:
+    """Nor do they warn: as a live session has them."""
+    drive = simulate(ROWS, 35.0)
+    fixes = fixes_of(drive, 0.2, 0.01)
+    accepted = conditioned(fixes[np.arange(len(fixes)) < count], PoseSettings(), DATUM).accepted
+    assert turn_ratio(accepted, gyro(drive)) is None

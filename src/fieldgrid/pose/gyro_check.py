@@ -58,6 +58,8 @@ class Ratio(NamedTuple):
 def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
     """The turns of the path beside those of the gyro, whose bias is free; in reverse the two turn
     alike. None where there are too few."""
+    if len(fixes.time_ns) < 2:
+        return None
     points, time_s = fixes.points_m(), (fixes.time_ns - gyro.time_ns[0]) / 1e9
     reach_m = max(REACH_M, REACH_NOISES * float(np.median(fixes.noise.across_m)))
     before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
