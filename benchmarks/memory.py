@@ -1,26 +1,33 @@
-"""Peak memory of exports and other readers of a map beside the size of the map.
+"""Peak memory and processor time of exports and other readers of a map, beside its size.
 
-python -m benchmarks.memory [HECTARES ...]     1 4 16 when none is given
+    python -m benchmarks.hectares build 4.gpkg 200     # 4 ha; 16.gpkg 400 is 16 ha
+    python -m benchmarks.memory 1.gpkg 4.gpkg 16.gpkg
+
+Each is a process of its own. What takes more than five minutes is ended, and said so.
 """
 
 from __future__ import annotations
 
-import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.lasting import Line
+from fieldgrid.mapfile import open_map
 
 _RUN = "import sys; from fieldgrid.cli import main; main()"
 _COSTMAP = """
 import sys, fieldgrid as fg
 with fg.open_map(sys.argv[1]) as m: fg.Costmap.from_map(m)
 """
+
+_LIMIT_S = 300.0
 
 WHAT: dict[str, Sequence[str]] = {
     "nothing: the map is opened": ("sessions", "MAP"),
@@ -29,25 +36,22 @@ WHAT: dict[str, Sequence[str]] = {
         for name, ending in (
             ("geotiff", ".tif"),
             ("png", ".png"),
-            ("kmz", ".kmz"),
-            ("geojson", ".geojson"),
-            ("shapefile", ".zip"),
-            ("taskdata", ""),
             ("nav2", ".yaml"),
             ("rosbag2", ""),
-            ("mcap", ".mcap"),
-            ("csv", ".csv"),
-            ("parquet", ".parquet"),
             ("npz", ".npz"),
             ("zarr", ".zarr"),
             ("netcdf", ".nc"),
+            ("kmz", ".kmz"),
+            ("csv", ".csv"),
+            ("parquet", ".parquet"),
         )
     },
     "show": ("show", "MAP", "-o", "out.png"),
-    "rows": ("rows", "MAP"),
-    "diff": ("diff", "MAP", "--from", "strip 00", "--to", "LAST"),
+    "diff, all but the last drive and that": ("diff", "MAP", "--from", "FIRST", "--to", "LAST"),
     "verify": ("verify", "MAP"),
     "Costmap.from_map": (),
+    "rows": ("rows", "MAP"),
+    "export geojson": ("export", "MAP", "out.geojson", "--min-area", "0.5"),
 }
 
 
@@ -59,9 +63,12 @@ class Used(NamedTuple):
     said: str
 
 
-def run(what: str, map_: Path, last: str, folder: Path) -> Used:
+def run(what: str, map_: Path, folder: Path) -> Used:
     """A command, in a process of its own."""
-    words = [{"MAP": str(map_), "LAST": last}.get(word, word) for word in WHAT[what]]
+    with open_map(map_) as universal:
+        names = [info.name for info in universal.sessions()]
+    known = {"MAP": str(map_), "FIRST": names[max(0, len(names) - 2)], "LAST": names[-1]}
+    words = [known.get(word, word) for word in WHAT[what]]
     program = [_RUN, *words] if words else [_COSTMAP, str(map_)]
     with (folder / "said").open("w+") as said:
         process = subprocess.Popen(
@@ -69,36 +76,31 @@ def run(what: str, map_: Path, last: str, folder: Path) -> Used:
             cwd=folder, stdout=subprocess.DEVNULL, stderr=said,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
+        timer = threading.Timer(_LIMIT_S, process.kill)
+        timer.start()
         _, status, usage = os.wait4(process.pid, 0)
+        timer.cancel()
         process.returncode = os.waitstatus_to_exitcode(status)
         said.seek(0)
-        words_said = "" if process.returncode == 0 else said.read().strip()[-300:]
-    return Used(usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime, words_said)
+        last = said.read().strip()[-200:] if process.returncode else ""
+    if process.returncode == -signal.SIGKILL:
+        last = f"ended after {_LIMIT_S:.0f} s"
+    return Used(usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime, last)
 
 
-def measure_memory(hectares: Sequence[float]) -> Iterator[Line]:
-    """Megabytes above those of opening the map, at every size."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        maps, lasts = [], []
-        for size in hectares:
-            side_m = math.sqrt(1e4 * size)
-            maps.append(folder / f"{size:g}.gpkg")
-            lasts.append(f"strip {max(1, round(side_m / 50.0)) - 1:02d}")
-            command = [sys.executable, "-m", "benchmarks.hectares", "build"]
-            subprocess.run([*command, str(maps[-1]), str(side_m)], check=True, capture_output=True)
-        for what in WHAT:
-            used = []
-            for path, last in zip(maps, lasts, strict=True):
-                with tempfile.TemporaryDirectory(dir=folder) as out:
-                    used.append(run(what, path, last, Path(out)))
-            peaks = ", ".join(f"{one.rss_mb:.0f}" for one in used)
-            seconds = ", ".join(f"{one.cpu_s:.1f}" for one in used)
-            said = next((one.said for one in used if one.said), "")
-            yield Line(f"{what}, {', '.join(f'{size:g}' for size in hectares)} ha",
-                       f"{peaks} MB", f"{seconds} s {said}")  # fmt: skip
+def measure_memory(maps: Sequence[Path]) -> Iterator[Line]:
+    """Megabytes and seconds for each map."""
+    for what in WHAT:
+        used = []
+        for path in maps:
+            with tempfile.TemporaryDirectory() as out:
+                used.append(run(what, path.absolute(), Path(out)))
+        peaks = ", ".join(f"{one.rss_mb:.0f}" for one in used)
+        seconds = ", ".join(f"{one.cpu_s:.1f}" for one in used)
+        said = "; ".join(one.said for one in used if one.said)
+        yield Line(what, f"{peaks} MB", f"{seconds} s {said}")
 
 
 if __name__ == "__main__":
-    for line in measure_memory([float(word) for word in sys.argv[1:]] or [1.0, 4.0, 16.0]):
+    for line in measure_memory([Path(word) for word in sys.argv[1:]]):
         print(f"  {line.what:<40} {line.value:>20}  {line.asked}", flush=True)

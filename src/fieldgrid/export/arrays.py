@@ -8,17 +8,24 @@ A cell that nobody saw is NaN, or has `_FillValue`: no comparison takes it for f
 from __future__ import annotations
 
 import importlib
+import shutil
+import tempfile
+import zipfile
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
+from fieldgrid.lattice import Window
 from fieldgrid.mapfile import LAYERS, MapView, Readable, cf_dataset, masked
+from fieldgrid.mapfile.view import empty_view
 from fieldgrid.publish import mentions, replacing, replacing_folder
 from fieldgrid.settings import Settings
 
@@ -28,28 +35,85 @@ def export_npz(
 ) -> Exported:
     """Write a compressed NPZ: `east_m`, `north_m`, the layers, `cell_m`, the datum, `crs_wkt`.
 
-    Arrays of cells have the shape [north, east]; no pickled object is in the file.
+    Arrays of cells have the shape [north, east]; no pickled object is in the file. They are made
+    on the disk beside it, a piece of the map at a time.
     """
-    view = selection.view(universal, ("count",))
-    east_m, north_m = view.lattice.centres(view.window)
-    arrays: dict[str, npt.ArrayLike] = {
-        "east_m": east_m,
-        "north_m": north_m,
+    with (
+        replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
+        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        selection.blocks(universal, ("count",)) as blocks,
+    ):
+        lattice, window, datum = blocks.lattice, blocks.window, universal.datum
+        names = dict.fromkeys((selection.layer, "count"))
+        corner = Window(window.i0, window.j0, 1, 1)
+        unseen = empty_view(lattice, corner, datum, [name for name in names if name != "density"])
+        with ExitStack() as stack:
+            raws = {
+                name: _Raw(stack, Path(folder) / name, array, window)
+                for name, array in _cells(unseen).items()
+            }
+            for view in blocks.views:
+                for name, array in _cells(view).items():
+                    raws[name].write(array, view.window)
+            east_m, north_m = lattice.centres(window)
+            small: dict[str, npt.ArrayLike] = {
+                "east_m": east_m,
+                "north_m": north_m,
+                "cell_m": np.float64(lattice.cell_m),
+                "crs_wkt": np.array(datum.crs_wkt("WKT2_2019")),
+                **{f"datum_{key}": np.float64(v) for key, v in datum_values(datum).items()},
+            }
+            with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name, values in small.items():
+                    with archive.open(f"{name}.npy", "w") as member:
+                        np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+                for name, raw in raws.items():
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        raw.copy_to(member)
+    return Exported((path,), (("cells", f"{window.width} x {window.height}"),))
+
+
+def _cells(view: MapView) -> dict[str, AnyArray]:
+    """The arrays of cells of an NPZ."""
+    return {
         "observed": view.observed,
         **{
             name: masked(values, view.observed, LAYERS[name].nodata)
             for name, values in {"density": view.density, **view.layers}.items()
         },
-        "cell_m": np.float64(view.lattice.cell_m),
-        "crs_wkt": np.array(view.crs_wkt),
-        **{f"datum_{name}": np.float64(value) for name, value in datum_values(view.datum).items()},
     }
-    with (
-        replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
-        file.open("wb") as out,
-    ):
-        np.savez_compressed(out, allow_pickle=False, **arrays)
-    return Exported((path,), _size(view))
+
+
+class _Raw:
+    """An array of cells in a file, as it is in memory; `unseen` [1, 1] is what nobody saw."""
+
+    def __init__(self, stack: ExitStack, file: Path, unseen: AnyArray, window: Window) -> None:
+        self._window, self._dtype = window, unseen.dtype
+        self._file = stack.enter_context(file.open("w+b"))
+        row = np.full(window.width, unseen[0, 0]).tobytes()
+        if any(row[: self._dtype.itemsize]):
+            for _ in range(window.height):
+                self._file.write(row)
+        else:
+            self._file.truncate(len(row) * window.height)  # of zeros, which take no space
+
+    def write(self, values: AnyArray, part: Window) -> None:
+        """Put in a part."""
+        i, j = part.i0 - self._window.i0, part.j0 - self._window.j0
+        for k, row in enumerate(values):
+            self._file.seek(((j + k) * self._window.width + i) * self._dtype.itemsize)
+            self._file.write(row.tobytes())
+
+    def copy_to(self, out: IO[bytes]) -> None:
+        """Write all of it as NumPy's format has it."""
+        about = {
+            "descr": np.lib.format.dtype_to_descr(self._dtype),
+            "fortran_order": False,
+            "shape": self._window.shape,
+        }
+        np.lib.format.write_array_header_1_0(out, about)
+        self._file.seek(0)
+        shutil.copyfileobj(self._file, out, 1 << 20)
 
 
 def export_zarr(
@@ -122,7 +186,7 @@ register(
         export_npz,
         several=True,
         readers="NumPy",
-        limits="4·10^8 cells",
+        limits="10^10 cells",
     ),
     Format(
         "zarr",
