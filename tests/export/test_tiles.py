@@ -35,6 +35,7 @@ def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tiles, "_LOOK_CELLS", 50)
     monkeypatch.setattr(nav2, "TILE_CELLS", 64)
     monkeypatch.setattr(rosbag, "TILE_CELLS", 64)
+    monkeypatch.setattr(rosbag, "GRID_MAP_CELLS", 10_000)
 
 
 @pytest.mark.parametrize(
@@ -88,11 +89,18 @@ def test_tiles_of_a_bag_are_the_occupancy_grid_and_the_grid_map(
         with pytest.raises(ConfigError, match="leave --messages foxglove out"):
             export_map(universal, tmp_path / "x.mcap", options={"messages": "foxglove"})
         monkeypatch.setattr(tiles, "MESSAGE_CELLS", 10**9)
+        part = export_map(universal, tmp_path / "part.rosbag2")
+        monkeypatch.setattr(rosbag, "GRID_MAP_CELLS", 10**9)
         export_map(universal, tmp_path / "whole.rosbag2")
-    assert "listed in /map/index" in dict(done.rows)["too large for one message"]
+    assert dict(done.rows)["too large for one message"].startswith("/map and /grid_map: ")
+    assert dict(part.rows)["too large for one message"].startswith("/grid_map: ")
+    between = messages_of(tmp_path / "part.rosbag2")
+    assert {"/map", "/grid_map/index"} <= set(between)
+    assert not {"/map/index", "/grid_map"} & set(between)
     cut, whole = (messages_of(tmp_path / f"{name}.rosbag2") for name in ("cut", "whole"))
     assert cut["/georeference"].data == whole["/georeference"].data
     index = json.loads(cut["/map/index"].data)
+    assert cut["/grid_map/index"].data == cut["/map/index"].data.replace("/map/", "/grid_map/")
     assert {one["topic"] for one in index} == {name for name in cut if name.startswith("/map/tile")}
     info = whole["/map"].info
     expected = whole["/map"].data.reshape(info.height, info.width)

@@ -37,6 +37,9 @@ from fieldgrid.trajectory import Trajectory
 TILE_CELLS = 2048
 """Cells along a side of a tile of what is too large for one message."""
 
+GRID_MAP_CELLS = 8_000_000
+"""Cells of a grid map: 16 bytes of each are in the message, and 90 in memory while it is made."""
+
 _END_NS = 2**31 * 1_000_000_000
 
 GRID_MAP_LAYERS = ("density", "count", "variance", "persistence")
@@ -137,8 +140,9 @@ def export_rosbag2(
     /map is a nav_msgs/OccupancyGrid, by the curve of the options; /grid_map has the density, count,
     variance and persistence of each cell. There are a path and fixes of each session, the datum as
     a fix, as the transform from `earth` to `map` and as JSON. The folder appears when it is
-    complete. A part of more than 25 million cells is too large for one message: it comes as tiles,
-    /map/tile_ROW_COLUMN and /grid_map/tile_ROW_COLUMN, of which /map/index is the list as JSON.
+    complete. A part of more than 25 million cells is too large for one message, and of more than
+    8 million for a grid map: it comes as tiles, /map/tile_ROW_COLUMN and
+    /grid_map/tile_ROW_COLUMN, of which /map/index and /grid_map/index are the lists as JSON.
     """
     content = _Content.of(universal, selection, options.curve())
     with BagFolderWriter(path, storage=options.storage, overwrite=overwrite) as writer:
@@ -147,7 +151,7 @@ def export_rosbag2(
 
 
 class _Content(NamedTuple):
-    """What a bag is made of. `tiles` are those of what is too large for one message."""
+    """What a bag is made of. `tiles` are those of what is too large for a message."""
 
     universal: MapFile
     selection: Selection
@@ -160,7 +164,8 @@ class _Content(NamedTuple):
     @classmethod
     def of(cls, universal: MapFile, selection: Selection, curve: CostCurve) -> Self:
         whole = whole_of(universal, selection)
-        tiles = cut(universal, selection, whole, TILE_CELLS) if whole.is_large else ()
+        cells = whole.window.width * whole.window.height
+        tiles = cut(universal, selection, whole, TILE_CELLS) if cells > GRID_MAP_CELLS else ()
         tracks = trajectories(universal, selection)
         for name, track in tracks.items():
             if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
@@ -187,9 +192,10 @@ class _Content(NamedTuple):
     def rows(self, messages: int) -> tuple[tuple[str, str], ...]:
         """What a reader is told."""
         rows = (("cells", self.cells.replace(" cells", "")), ("messages", str(messages)))
-        if not self.whole.is_large:
+        if not self.tiles:
             return rows
-        tiles = f"{len(self.tiles)} tiles of up to {TILE_CELLS} a side, listed in /map/index"
+        which = "/map and /grid_map" if self.whole.is_large else "/grid_map"
+        tiles = f"{which}: {len(self.tiles)} tiles of up to {TILE_CELLS} a side, and an index"
         return (("too large for one message", tiles), *rows)
 
 
@@ -219,15 +225,18 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
     yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(lattice, window, datum), ensure_ascii=False)
     yield _Stamped("/georeference", text(about), start_ns, True)
-    if content.whole.is_large:
-        index = [
-            {"topic": f"/map/tile_{tile.name}", **tile.about(lattice)} for tile in content.tiles
-        ]
-        yield _Stamped("/map/index", text(json.dumps(index)), start_ns, True)
-        for tile in content.tiles:
-            yield from _grids(content, tile.selection, f"/tile_{tile.name}")
-    else:
-        yield from _grids(content, content.selection, "")
+    for topic, is_large, message in (
+        ("/map", content.whole.is_large, _occupancy),
+        ("/grid_map", bool(content.tiles), _grid_map),
+    ):
+        if not is_large:
+            yield _Stamped(topic, message(content, content.selection), start_ns, True)
+            continue
+        named = [(f"{topic}/tile_{tile.name}", tile) for tile in content.tiles]
+        index = json.dumps([{"topic": name, **tile.about(lattice)} for name, tile in named])
+        yield _Stamped(f"{topic}/index", text(index), start_ns, True)
+        for name, tile in named:
+            yield _Stamped(name, message(content, tile.selection), start_ns, True)
     names = topic_names(tracks)
     for name, track in tracks.items():
         for number, rows in enumerate(_runs(track, area), 1):
@@ -255,17 +264,18 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
         )
 
 
-def _grids(content: _Content, selection: Selection, suffix: str) -> Iterator[_Stamped]:
-    """The occupancy grid and the grid map of a part."""
-    universal, start_ns = content.universal, content.start_ns
-    view = selection.view(universal, (*GRID_MAP_LAYERS, *universal.deciding(selection.cell_m)))
+def _occupancy(content: _Content, selection: Selection) -> Any:
+    """The occupancy grid of a part."""
+    view = selection.view(content.universal, content.universal.deciding(selection.cell_m))
     occupancy = content.curve.occupancy(*view.decision(selection.layer))
-    grid = ros_messages.occupancy_grid(view, occupancy, start_ns)
-    yield _Stamped(f"/map{suffix}", grid, start_ns, True)
-    del occupancy, grid
+    return ros_messages.occupancy_grid(view, occupancy, content.start_ns)
+
+
+def _grid_map(content: _Content, selection: Selection) -> Any:
+    """The grid map of a part."""
+    view = selection.view(content.universal, GRID_MAP_LAYERS)
     layers = {name: view.layer(name) for name in GRID_MAP_LAYERS}
-    grid_map = ros_messages.grid_map(view, layers, start_ns)
-    yield _Stamped(f"/grid_map{suffix}", grid_map, start_ns, True)
+    return ros_messages.grid_map(view, layers, content.start_ns)
 
 
 def _inside(track: Trajectory, area: Bounds | None) -> Bool:

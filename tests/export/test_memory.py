@@ -1,0 +1,55 @@
+"""Exports that go by pieces take no more memory for a map nine times as large."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rasterio")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it"),
+]
+
+ENDINGS = (".png", ".yaml", ".npz", ".rosbag2")
+MOST_MB = 40.0
+"""Above the smaller map. The larger one has 8 million cells more, and none of these exports would
+hold all of it with fewer than 8 bytes of each."""
+
+# Pieces are made small, so that both maps have many of them and the maps can be small, too.
+PROGRAM = """
+import sys
+from pathlib import Path
+from fieldgrid.export import export_map, nav2, raster, rosbag, tiles
+from fieldgrid.mapfile import blocks, open_map
+blocks._ROWS, blocks._COLUMNS = 256, 1024
+tiles.MESSAGE_CELLS, nav2.TILE_CELLS = 500_000, 512
+rosbag.GRID_MAP_CELLS, rosbag.TILE_CELLS = 500_000, 512
+raster.CACHE_MB = 16
+with open_map(sys.argv[1]) as universal:
+    for ending in sys.argv[3:]:
+        export_map(universal, Path(sys.argv[2]) / f"out{ending}")
+        # Not ru_maxrss, which begins with that of the program that started this one.
+        (line,) = (one for one in open("/proc/self/status") if one.startswith("VmHWM"))
+        print(ending, int(line.split()[1]) / 1024.0)
+"""
+
+
+def test_peak_memory_does_not_grow_with_the_map(tmp_path: Path) -> None:
+    from benchmarks.exports import write_tiles
+
+    peaks = []
+    for side in (4, 12):
+        path = write_tiles(tmp_path / f"{side}.gpkg", side, share=0.25)
+        (tmp_path / str(side)).mkdir()
+        command = [sys.executable, "-c", PROGRAM, str(path), str(tmp_path / str(side)), *ENDINGS]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        peaks.append({line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()})
+        path.unlink()
+    small, large = peaks
+    assert small.keys() == large.keys() == set(ENDINGS)
+    for ending in ENDINGS:  # each peak holds those before it
+        assert large[ending] - small[ending] <= MOST_MB, (ending, small, large)
