@@ -26,7 +26,15 @@ ROWS = [
     *(Command(20.0, 1.5), Command(6.3, 1.0, 0.5), Command(20.0, 1.5), Command(6.3, 1.0, -0.5)),
     Command(20.0, 1.5),
 ]
-DRIVES = {"slalom": SLALOM, "K-turn": K_TURN, "rows": ROWS}
+FAST = [
+    *(Command(20.0, 4.0), Command(6.0, 3.0, 0.15), Command(20.0, 4.0), Command(6.0, 3.0, -0.15)),
+    Command(20.0, 4.0),
+]
+BACK = [
+    *(Command(12.0, 1.5), Command(6.0, 1.0, 0.2), Command(8.0, -1.0, -0.15)),
+    *(Command(10.0, 1.2, 0.1), Command(12.0, -1.0, 0.05), Command(15.0, 1.5)),
+]
+DRIVES = {"slalom": SLALOM, "K-turn": K_TURN, "rows": ROWS, "fast": FAST, "back": BACK}
 SEEDS = (0, 1)
 PERIODS_S = (0.2, 1.0)
 NOISES_M = {0.01: 0.02, 0.3: 1.5}
@@ -54,23 +62,26 @@ GYROS = (
 
 class Outcome(NamedTuple):
     """One drive: what was done with the gyro, the share of accepted poses, their largest error in
-    degrees and the share of them within three sigma; NaN where none is accepted."""
+    degrees, the share of them within three sigma and that of more than 90° off; NaN where none is
+    accepted."""
 
     drive: str
     done: str
     accepted: float
     worst_deg: float
     within: float
+    around: float
 
 
 def report(
     periods_s: Sequence[float] = PERIODS_S, noises_m: Sequence[float] = tuple(NOISES_M)
 ) -> Iterator[str]:
     """A line a receiver and gyro, over all drives: the median drive and the worst one."""
-    yield f"{'':<52}{'largest error':>19}{'within 3 sigma':>17}{'accepted':>17}"
+    yield f"{'':<52}{'largest error':>19}{'within 3 sigma':>17}{'> 90°':>9}{'accepted':>17}"
     yield (
         f"{'rate, noise, fixes, gyro':<31}{'kept scaled dropped':>21}"
-        f"{'median':>10}{'worst':>9}{'median':>9}{'worst':>8}{'median':>9}{'worst':>8}  worst drive"
+        f"{'median':>10}{'worst':>9}{'median':>9}{'worst':>8}{'worst':>9}{'median':>9}{'worst':>8}"
+        "  worst drive"
     )
     for period_s, noise_m, holes in product(periods_s, noises_m, (False, True)):
         for wrong in GYROS:
@@ -103,15 +114,16 @@ def outcome(name: str, drive: Drive, receiver: Receiver, wrong: Wrong, seed: int
     try:
         found = estimate_poses(fixes, Carrier(0.0), DATUM, settings, motion)
     except GnssError:
-        return Outcome(name, "refused", 0.0, float("nan"), float("nan"))
+        return Outcome(name, "refused", 0.0, *3 * (float("nan"),))
     track = found.trajectory
     truth = drive.at((track.time_ns - start_ns) / 1e9)
     off_deg = np.abs(wrap_deg(track.heading_deg - np.degrees(truth.heading_rad)))[track.accepted]
     sigma_deg = track.heading_sigma_deg[track.accepted]
-    worst, within = float("nan"), float("nan")
+    worst, within, around = 3 * (float("nan"),)
     if off_deg.size:
         worst, within = float(off_deg.max()), float(np.mean(off_deg < 3.0 * sigma_deg))
-    return Outcome(name, _done(found.report), float(track.accepted.mean()), worst, within)
+        around = float(np.mean(off_deg > 90.0))
+    return Outcome(name, _done(found.report), float(track.accepted.mean()), worst, within, around)
 
 
 def _seen(fixes: FixColumns) -> FixColumns:
@@ -148,6 +160,7 @@ def _line(receiver: str, wrong: Wrong, found: list[Outcome]) -> str:
         f"{receiver + ', ' + wrong.name:<31}{counts:>21}"
         f"{np.median(worst_deg):>9.1f}°{worst_deg.max():>8.1f}°"
         f"{percent(float(np.median(within))):>9}{percent(float(within.min())):>8}"
+        f"{percent(max(one.around for one in known)):>9}"
         f"{percent(float(np.median(accepted))):>9}{percent(float(accepted.min())):>8}"
         f"  {worst.drive}"
     )

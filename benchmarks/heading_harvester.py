@@ -38,6 +38,7 @@ MOVING_MPS = 0.3
 CUSP_DEG, CUSP_REACH_M = 110.0, 0.5
 LONGEST_S, LONGEST_M, SHORTEST_M = 60.0, 60.0, 2.0
 ROW_S = 60.0
+ROW_HALF_M, ROW_OFF_M, FEWEST_ON_ROW = 15.0, 0.1, 12
 
 SINCE_1980_S = 315_532_800
 
@@ -210,6 +211,29 @@ def measure(log: Log, found: Estimate) -> Measured:
     return Measured(working, counts[True], counts[False], tuple(pieces))
 
 
+def beside_rows(log: Log, found: Estimate) -> tuple[_Float64, _Float64]:
+    """Of accepted poses on straight rows: how far the heading is off the row, degrees, and its
+    sigma. A row is the line through all fixes of the work within `ROW_HALF_M` to both sides, which
+    lie beside it by `ROW_OFF_M` at most."""
+    points, drives = log.points(), moving(log)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    first, last = np.searchsorted(way, way - ROW_HALF_M), np.searchsorted(way, way + ROW_HALF_M)
+    track, off, sigma = found.trajectory, [], []
+    for k in np.flatnonzero(drives & log.work & track.accepted[found.fix_row]).tolist():
+        inside = slice(first[k], last[k])
+        if last[k] == len(way) or last[k] - first[k] < FEWEST_ON_ROW or not log.work[inside].all():
+            continue
+        away = points[inside] - points[inside].mean(axis=0)
+        along, across = np.linalg.svd(away, full_matrices=False)[2]
+        if np.abs(away @ across).max() > ROW_OFF_M:
+            continue
+        row = found.fix_row[k]
+        error = wrap_deg(track.heading_deg[row] - np.degrees(np.arctan2(along[0], along[1])))
+        off.append(min(abs(error), abs(wrap_deg(error + 180.0))))
+        sigma.append(track.heading_sigma_deg[row])
+    return np.array(off), np.array(sigma)
+
+
 HEAD = (
     f"{'':<34}{'work on: forward':>23}{'accepted':>21}{'backs up: reverse':>23}{'accepted':>21}"
     f"{'pieces':>10}"
@@ -229,6 +253,7 @@ def report() -> Iterator[str]:
         label = "with speed" if speeds else "positions"
         drives = [(log, estimate(log, speeds)) for log in logs()]
         yield _accepted_line(label, drives)
+        yield _rows_line(label, drives)
         found = [(log, measure(log, drive)) for log, drive in drives]
         for log, one in found:
             yield _line(f"{log.name}, {label}", one, loose=False)
@@ -250,6 +275,17 @@ def _accepted_line(label: str, drives: list[tuple[Log, Estimate]]) -> str:
     return (
         f"accepted, {label} (asked >= 85 %): {percent(np.mean(np.concatenate(accepted)), 1)} "
         f"({shares}); {percent(np.mean(while_moving), 1)} while moving"
+    )
+
+
+def _rows_line(label: str, drives: list[tuple[Log, Estimate]]) -> str:
+    """Headings beside the direction of their straight rows."""
+    pairs = zip(*(beside_rows(log, found) for log, found in drives), strict=True)
+    off, sigma = (np.concatenate(columns) for columns in pairs)
+    return (
+        f"beside straight rows, {label} (asked >= 98 % within 3 sigma): "
+        f"{percent(np.mean(off <= 3.0 * sigma), 1)} of {len(off)}, median {np.median(off):.2f}°, "
+        f"95 % {np.quantile(off, 0.95):.2f}°"
     )
 
 

@@ -40,7 +40,7 @@ DRIVING_MPS = 0.2
 RECORDED_NEAR_S = 2.0
 """For so long a recorded heading vouches for those around it."""
 
-BACK_M = 0.5
+BACK_M = 1.5
 """Who drives farther back in a hole has changed the gear there."""
 
 SETTLED_DOUBT = 1e-30
@@ -237,8 +237,9 @@ def lasting(against: Bool, time_s: Float64) -> Bool:
 
 def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes whose two
-    sides have the same gear, so that one of them is wrong. That is rather the shorter one of the
-    two stretches between such holes; the gear of each node is `assigned`."""
+    sides have the same gear, so that one of them is wrong. That is rather the side of which less
+    was seen until the next such hole, and on it what lies before the next hole of any kind; the
+    gear of each node is `assigned`."""
     node = np.flatnonzero(at.fix >= 0)
     gap_s = np.diff(at.time_ns[node]) / 1e9
     denied = np.zeros(len(assigned), dtype=np.bool_)
@@ -247,13 +248,14 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     hole = gap_s > max(HOLE_S, HOLE_PERIODS * float(np.median(gap_s)))
     against_m = np.maximum(-(speed_mps * assigned)[:-1], 0.0) * np.diff(at.time_ns) / 1e9
     back_m = np.diff(np.concatenate([[0.0], np.cumsum(against_m)])[node])
-    wrong = hole & (back_m > BACK_M) & (np.diff(assigned[node]) == 0)
-    starts = np.concatenate([[0], np.flatnonzero(wrong) + 1])
-    seen_s = np.add.reduceat(np.concatenate([[0.0], np.where(hole, 0.0, gap_s)]), starts)
-    shorter = np.arange(len(starts) - 1) + (seen_s[1:] <= seen_s[:-1])
-    stops = np.append(starts[1:], len(node))
-    for first, last in zip(node[starts[shorter]], node[stops[shorter] - 1], strict=True):
-        denied[first : last + 1] = True
+    wrong = np.flatnonzero(hole & (back_m > BACK_M) & (np.diff(assigned[node]) == 0))
+    seen_s = np.concatenate([[0.0], np.cumsum(np.where(hole, 0.0, gap_s))])
+    ends = np.concatenate([[0], np.flatnonzero(hole) + 1, [len(node)]])
+    around = np.concatenate([[-1], wrong, [len(node) - 1]])
+    for before, one, after in zip(around[:-2], wrong, around[2:], strict=True):
+        later = seen_s[after] - seen_s[one + 1] <= seen_s[one] - seen_s[before + 1]
+        piece = int(np.searchsorted(ends, one + later, side="right"))
+        denied[node[ends[piece - 1]] : node[ends[piece] - 1] + 1] = True
     return denied
 
 
