@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,6 +11,20 @@ from fieldgrid.live import Live, LiveEvent, LiveResult, replay
 from fieldgrid.recording import Recording, open_recording
 
 T = TypeVar("T")
+
+
+BEFORE_S, AFTER_S = 6.0, 4.0
+
+
+def cut_log(drive: Path) -> None:
+    """Leave of the log what lies around the frames of a small drive."""
+    with open_recording(drive) as recording:
+        times_ns, fix_ns = recording.frame_times_ns(), recording.fixes().time_ns
+    near = (fix_ns > times_ns[0] - BEFORE_S * 1e9) & (fix_ns < times_ns[-1] + AFTER_S * 1e9)
+    log = drive / "gnss" / "gnss_rtk.nmea"
+    epochs = re.split(rb"(?=\$GPGGA)", log.read_bytes())
+    assert len(epochs) == len(fix_ns) + 1
+    log.write_bytes(b"".join(epochs[k + 1] for k in near.nonzero()[0]))
 
 
 class Told:

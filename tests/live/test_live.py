@@ -6,6 +6,7 @@ import errno
 import shutil
 import threading
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -286,9 +287,23 @@ def test_what_the_map_would_refuse_is_refused_before_the_drive(
     with pytest.raises(RecordingError, match="has ended"):
         live.push_gyro(1, 0.0)
     assert list(tmp_path.iterdir()) == []  # nothing was driven
-    for wrong in ({"queue_frames": 0}, {"lag_s": -1.0}, {"window_s": 1.0}):
+    for wrong in ({"queue_frames": 0}, {"lag_s": -1.0}, {"window_s": 1.0}, {"map_side_m": 1e9}):
         with pytest.raises(ConfigError, match="is outside"):
             LiveOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_drive_is_added_to_a_map_as_a_build_does(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    ours, theirs = tmp_path / "ours.gpkg", tmp_path / "theirs.gpkg"
+    for copy in (ours, theirs):
+        shutil.copy(built, copy)
+    with open_recording(short_drive) as recording:
+        named = replace(recording, name="again")
+        with begin(named, ours, append=True) as live:
+            replay(live, named, rate=None)
+    build_map([short_drive], theirs, BuildSettings(), append=True, name="again")
+    assert content(ours) == content(theirs)
 
 
 def test_an_error_of_the_clients_program_keeps_the_drive(short_drive: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -169,10 +168,20 @@ def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
         outbox.put(LiveEvent(What.INPUT, str(k), 0))
     assert outbox.missed == 2
     outbox.close()
-    taken: Iterator[str] = (
-        one.text for one in iter(outbox.take, None) if isinstance(one, LiveEvent)
-    )
-    assert list(taken) == ["2", "3", "4"]
+    events = (one for one in iter(outbox.take, None) if isinstance(one, LiveEvent))
+    assert [event.text for event in events] == ["2", "3", "4"]
+
+
+def test_windows_that_nobody_takes_do_not_pile_up() -> None:
+    (*_, window) = driven(6.0, 6.0, follows=False).of(LiveWindow)
+    outbox = Outbox()
+    for k in range(4):
+        outbox.put(LiveEvent(What.INPUT, str(k), 0))
+        outbox.put(window)
+    outbox.close()
+    assert outbox.missed == 3
+    taken = list(iter(outbox.take, None))
+    assert [isinstance(one, LiveWindow) for one in taken] == [False] * 4 + [True]
 
 
 def test_a_window_that_moves_along_has_what_a_fold_over_all_has() -> None:

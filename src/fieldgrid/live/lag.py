@@ -25,6 +25,9 @@ KEPT_S = 60.0
 BEFORE_NS = 5_000_000_000
 """How long before a frame that waits for its pose an estimate begins."""
 
+FEWEST_FIXES = 3
+"""Of fewer fixes nothing follows."""
+
 AHEAD_S, TIMES_AHEAD = 600.0, 10
 """A fix that is stamped so far ahead of all else is not used here, unless so many follow it."""
 
@@ -95,7 +98,9 @@ class Trailing:
             raise GnssError("There is no fix yet; wait for the receiver.")
         since_ns = min(self._last_fix_ns - self._window_ns, oldest_ns - BEFORE_NS)
         fixes = [fix for fix in self._fixes if fix.time_ns >= since_ns]
-        if not fixes:
+        if len(self._fixes) < FEWEST_FIXES:
+            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
+        if len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - self._last_fix_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
         found = estimate_poses(

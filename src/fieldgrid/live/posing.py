@@ -69,12 +69,15 @@ class LiveOptions:
             raise ConfigError(
                 f"A queue of {self.queue_frames} frames is outside 1..1000; 2 is usual."
             )
-        for name, value, least, most in (
-            ("lag", self.lag_s, 0.0, 10.0),
-            ("window", self.window_s, 5.0, 50.0),
+        for name, value, least, most, unit in (
+            ("lag", self.lag_s, 0.0, 10.0, "s"),
+            ("window", self.window_s, 5.0, 50.0, "s"),
+            ("map around the vehicle", self.map_side_m, 4.0, 500.0, "m"),
         ):
             if not least <= value <= most:
-                raise ConfigError(f"A {name} of {value} s is outside {least:g}..{most:g} s.")
+                raise ConfigError(
+                    f"A {name} of {value} {unit} is outside {least:g}..{most:g} {unit}."
+                )
 
 
 class Poser:

@@ -161,8 +161,15 @@ class Outbox:
         """Results that gave way to newer ones before a client took them."""
 
     def put(self, result: LiveResult) -> None:
-        """Add a result, in the place of the oldest where there is no room."""
+        """Add a result, in the place of the oldest where there is no room. A window, of which each
+        takes 10 MB, takes the place of one that still waits."""
         with self._changed:
+            if isinstance(result, LiveWindow):
+                for other in self._waiting:
+                    if isinstance(other, LiveWindow):
+                        self._waiting.remove(other)
+                        self.missed += 1
+                        break
             self.missed += len(self._waiting) == self._waiting.maxlen
             self._waiting.append(result)
             self._changed.notify()

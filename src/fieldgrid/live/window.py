@@ -8,7 +8,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from fieldgrid.array_types import Float32, Int64, UInt64
-from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Lattice, Window
@@ -56,8 +55,6 @@ class RollingWindow:
     farther: what a frame sees must lie in it while it is new, or is not in it later either."""
 
     def __init__(self, cell_m: float, transfer: Transfer, side_m: float, reach_m: float) -> None:
-        if not 4.0 <= side_m <= 500.0:
-            raise ConfigError(f"A window of {side_m} m is outside 4..500 m; 40 is usual.")
         self.lattice, self._transfer = Lattice(cell_m), transfer
         self._side = round(max(side_m, 2.0 * (reach_m + 2.0 * MOVES_M)) / cell_m)
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)

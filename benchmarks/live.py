@@ -1,0 +1,219 @@
+"""`python -m benchmarks.live`: a live session on the example, and poses of a fixed lag beside the
+batch.
+
+Times of the wall say something on an otherwise idle machine only; processor time always does.
+KITTI's drive 0020 is beside the repository in ../shared/data; its lines are left out where it is
+absent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import EXAMPLE
+from fieldgrid.angles import wrap_deg
+from fieldgrid.build import estimate_drive, visual_odometry
+from fieldgrid.evaluation import read_truth
+from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
+from fieldgrid.live.kept import Kept
+from fieldgrid.live.lag import Trailing, pose_at
+from fieldgrid.live.sensed import PARTS, Rows
+from fieldgrid.motion import Steps
+from fieldgrid.odometry import Step
+from fieldgrid.recording import Recording, open_recording
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Pose, Status
+
+SHARED = EXAMPLE.parents[2] / "shared" / "data"
+KITTI = SHARED / "kitti_2011_09_30_drive_0020" / "2011_09_30" / "2011_09_30_drive_0020_sync"
+LATER = SHARED / "vineyard_two_lanes_later"
+TEN_HZ = 16.0
+"""The example has a pair each 1.6 s: its sensors come as many times faster, too."""
+
+
+def main() -> None:
+    """Measure and print."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
+    chosen = options.parse_args()
+    fixed_lags()
+    if not chosen.poses:
+        sessions()
+
+
+def fixed_lags() -> None:
+    """Poses of the last 2 s beside those of the whole drive, against truth."""
+    lag_s = LiveOptions().lag_s
+    print(f"poses {lag_s:g} s after their time beside the batch; asked: 1.5 times, and 98 %")
+    print(
+        f"{'':<30}{'used':>10}{'heading 95 %, °':>20}{'< 3 sigma':>14}{'apart 95 %, m':>16}"
+        f"{'< 3 sigma':>11}{'ms an estimate':>16}"
+    )
+    for name, folder, log in (
+        ("example, RTK", EXAMPLE, "gnss_rtk.nmea"),
+        ("example, decimetres, jumps", EXAMPLE, "gnss_sf1.nmea"),
+        ("two months later, RTK", LATER, "gnss_rtk.nmea"),
+        ("two months later, decimetres", LATER, "gnss_sf1.nmea"),
+    ):
+        if not (folder / "gnss" / log).exists():
+            continue
+        with open_recording(folder, gnss=log) as recording:
+            steps = visual_odometry(recording)
+            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            times_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+            of_batch = [batch.at(time_ns) for time_ns in times_ns.tolist()]
+            of_lag, spent_s = fixed_lag(recording, steps, lag_s)
+            headings = {
+                pose.time_ns: pose.heading_deg for pose in read_truth(folder / "truth").poses
+            }
+            true_deg = [headings[time_ns] for time_ns in recording.frame_times_ns().tolist()]
+        lag, whole = Compared.of(of_lag, true_deg), Compared.of(of_batch, true_deg)
+        apart_m, within = apart(of_lag, of_batch)
+        print(
+            f"{name:<30}{lag.used:>4} / {whole.used:<3}"
+            f"{lag.error_deg:>9.2f} / {whole.error_deg:<8.2f}"
+            f"{100.0 * lag.within:>6.0f} / {100.0 * whole.within:<4.0f}%"
+            f"{apart_m:>9.3f}{100.0 * within:>8.0f} %"
+            f"{1e3 * spent_s:>13.0f}"
+        )
+
+
+class Compared(NamedTuple):
+    """Of poses that can be used: how many, 95 % of the heading's error in degrees, and the share
+    within three sigma."""
+
+    used: int
+    error_deg: float
+    within: float
+
+    @classmethod
+    def of(cls, poses: list[Pose], true_deg: list[float]) -> Compared:
+        """Poses against true headings."""
+        pairs = [(p, t) for p, t in zip(poses, true_deg, strict=True) if is_used(p)]
+        turned = np.array([abs(float(wrap_deg(pose.heading_deg - true))) for pose, true in pairs])
+        sigma = np.array([pose.heading_sigma_deg for pose, _ in pairs])
+        return cls(
+            len(pairs), float(np.percentile(turned, 95.0)), float((turned <= 3.0 * sigma).mean())
+        )
+
+
+def is_used(pose: Pose) -> bool:
+    """Whether a pose is good enough for a map."""
+    return pose.status is not Status.REJECTED
+
+
+def apart(poses: list[Pose], others: list[Pose]) -> tuple[float, float]:
+    """How far poses lie from others, 95 %, metres, and the share within three of their sigmas: of
+    two axes, where a sigma is that of one."""
+    pairs = [(a, b) for a, b in zip(poses, others, strict=True) if is_used(a) and is_used(b)]
+    moved = np.array([np.hypot(a.east_m - b.east_m, a.north_m - b.north_m) for a, b in pairs])
+    sigma = np.array([a.position_sigma_m for a, _ in pairs])
+    within = float((moved <= 3.0 * np.sqrt(2.0) * sigma).mean())
+    return float(np.percentile(moved, 95.0)), within
+
+
+def fixed_lag(recording: Recording, steps: Steps, lag_s: float) -> tuple[list[Pose], float]:
+    """The pose of each frame by what was pushed until `lag_s` after it, and the median processor
+    time of an estimate."""
+    trailing = Trailing(
+        recording.rig, BuildSettings(), recording.datum_hint, LiveOptions().window_s
+    )
+    fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
+    values = {part: getattr(recording.motion(), part) for part in PARTS}
+    rows = {part: one for part, one in values.items() if one is not None}
+    step_to = {
+        int(stop_ns): Step(*(float(column[k]) for column in steps[2:]), 0)
+        for k, stop_ns in enumerate(steps.stop_ns)
+    }
+    times_ns = (recording.frame_times_ns() + recording.rig.image_time_offset_ns).tolist()
+    poses: list[Pose] = []
+    spent: list[float] = []
+    fixed = frames = 0
+    pushed = dict.fromkeys(rows, 0)
+    for time_ns in times_ns:
+        until_ns = time_ns + round(1e9 * lag_s)
+        while fixed < len(fixes) and fixes[fixed].time_ns <= until_ns:
+            trailing.add_fix(fixes[fixed])
+            fixed += 1
+        for part, columns in rows.items():
+            stop = int(np.searchsorted(columns[0], until_ns, side="right"))
+            piece = slice(pushed[part], stop)
+            trailing.add_rows(part, Rows(columns[0][piece], tuple(c[piece] for c in columns[1:])))
+            pushed[part] = stop
+        while frames < len(times_ns) and times_ns[frames] <= until_ns:
+            trailing.add_frame(times_ns[frames], step_to.get(times_ns[frames]))
+            frames += 1
+        start = time.process_time()
+        poses.append(pose_at(trailing.estimate(time_ns).trajectory, time_ns)[0])
+        spent.append(time.process_time() - start)
+    return poses, float(np.median(spent))
+
+
+def sessions() -> None:
+    """Latency, drops, processor time and memory of replays."""
+    print(
+        "\nasked: no frame dropped at 10 Hz of 640 x 480, 60 ms to the grid, 150 ms to the costmap"
+    )
+    print(
+        f"{'':<30}{'kept':>6}{'dropped':>9}{'to the grid, ms':>18}{'to the costmap, ms':>20}"
+        f"{'processor':>16}{'memory':>9}{'of it for a grid':>23}"
+    )
+    measure("example, its own pace", EXAMPLE, "gnss_rtk.nmea", 1.0)
+    measure("example, 10 pairs a second", EXAMPLE, "gnss_rtk.nmea", TEN_HZ)
+    measure("example, no frame dropped", EXAMPLE, "gnss_rtk.nmea", None)
+    if KITTI.exists():
+        measure("KITTI 0020, its own pace", KITTI, None, 1.0)
+
+
+def measure(name: str, folder: Path, log: str | None, rate: float | None) -> None:
+    """Replay a drive and print what it took; medians and 99 %."""
+    to_grid: list[float] = []
+    to_map: dict[str, float] = {}
+
+    def take(result: LiveResult) -> None:
+        if isinstance(result, LiveGrid):
+            to_grid.append(1e3 * result.latency_s)
+        elif isinstance(result, LiveWindow) and result.latency_s is not None:
+            to_map.setdefault(result.frame_id, 1e3 * result.latency_s)
+
+    with tempfile.TemporaryDirectory() as place, open_recording(folder, gnss=log) as recording:
+        live = Live(
+            Path(place) / "map.gpkg",
+            recording.rig,
+            name=recording.name,
+            datum_hint=recording.datum_hint,
+            on_result=take,
+        )
+        spent_s, began_s = time.process_time(), time.monotonic()
+        replay(live, recording, rate=rate)
+        spent_s, took_s = time.process_time() - spent_s, time.monotonic() - began_s
+        counts = live.counts
+        live.stop()
+        with Kept(Path(place) / "map.gpkg", None) as kept:
+            times = kept.staged().times
+    frame_ms = 1e3 * (times.decode_s + times.match_s + times.grid_s + times.odometry_s)
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(
+        f"{name:<30}{counts.frames:>6}{counts.dropped:>9}{shown(to_grid):>18}"
+        f"{shown(list(to_map.values())):>20}{spent_s / took_s:>9.2f} cores"
+        f"{memory_mb:>6.0f} MB{frame_ms / max(counts.frames, 1):>20.0f} ms"
+    )
+
+
+def shown(values: list[float]) -> str:
+    """The median and 99 % of some milliseconds."""
+    if not values:
+        return "-"
+    median, most = np.percentile(values, [50.0, 99.0])
+    return f"{median:.0f} / {most:.0f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""The command `live`: replay, signals, lines of JSON, and how it is used wrongly."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from fieldgrid.mapfile import open_map
+from tests.cli.conftest import Run, in_a_process
+from tests.conftest import make_small_drive
+from tests.live.making import cut_log
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = make_small_drive(tmp_path_factory.mktemp("live") / "june", range(20, 24))
+    cut_log(made)
+    return made
+
+
+def test_a_replay_tells_what_it_kept_and_makes_the_map(
+    drive: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    out = tmp_path / "m.gpkg"
+    result = fieldgrid("live", "-o", out, "--replay", drive, "--rate", "max", "--name", "row")
+    assert result.status == 0
+    assert "frames kept                   4" in result.out
+    assert "session row" in result.out
+    assert result.out.endswith(f"map {out}\n")
+    assert all(line.startswith("fieldgrid: ") for line in result.err.splitlines())
+    sentence = fieldgrid("live", "-o", out, "--replay", drive).sentence()
+    assert "exists already" in sentence
+    assert "--append" in sentence
+
+
+@pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGINT])
+def test_a_request_to_end_makes_the_map_of_what_was_driven(
+    request_to_end: signal.Signals, tmp_path: Path
+) -> None:
+    # The last frame comes long after the others.
+    drive = make_small_drive(tmp_path / "drives" / "june", (20, 21, 22, 49))
+    cut_log(drive)
+    out = tmp_path / "m.gpkg"
+    arguments = ("live", "-o", out, "--replay", drive, "--rate", "2", "--json")
+    said = []
+    with subprocess.Popen(
+        in_a_process(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        for line in process.stdout:
+            said.append(json.loads(line))
+            if sum("grid" in one for one in said) == 3 and "grid" in said[-1]:
+                os.kill(process.pid, request_to_end)
+        told = process.stderr.read()
+    assert process.returncode == 0, told
+    assert told == "fieldgrid: the drive is ended and its map made; once more gives that up\n"
+    assert said[-1]["map"] == str(out)
+    assert said[-1]["pushed"]["frames"] == said[-1]["session"]["frames"] >= 3
+    assert {next(iter(one)) for one in said} >= {"grid", "pose", "window", "map"}
+    with open_map(out) as universal:
+        assert universal.verify().sound
+    assert not (tmp_path / "m.gpkg.live").exists()
+
+
+def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
+    drive: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    out = tmp_path / "m.gpkg"
+    replay = ("live", "-o", out, "--replay", drive, "--rate", "max", "--time-offset", "-500")
+    result = fieldgrid(*replay)
+    assert result.status == 1
+    assert f"The drive is kept in {tmp_path / 'm.gpkg.live'}" in result.err
+    assert "do not overlap in time" in fieldgrid("live", "-o", out, "--finish").sentence()
+    made = fieldgrid("live", "-o", out, "--finish", "--cell", "0.2").usage()
+    assert "the drive is over" in made
+    again = fieldgrid("live", "-o", out, "--replay", drive)
+    assert "--discard" in again.sentence()
+    text = fieldgrid("live", "-o", out, "--discard").output()
+    assert text == "removed the session june with 4 frames\n"
+    assert not (tmp_path / "m.gpkg.live").exists()
+    assert "no live session" in fieldgrid("live", "-o", out, "--finish").sentence()
+
+
+def test_wrong_uses(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:
+    out = tmp_path / "m.gpkg"
+    assert "--replay, --finish" in fieldgrid("live", "-o", out).usage()
+    assert "one of" in fieldgrid("live", "-o", out, "--replay", drive, "--finish").usage()
+    for rate in ("0", "fast", "nan", "-1"):
+        assert "--rate" in fieldgrid("live", "-o", out, "--replay", drive, "--rate", rate).usage()
+    assert "--discard only" in fieldgrid("live", "-o", out, "--discard", "--cell", "1").usage()
+    assert "does not exist" in fieldgrid("live", "-o", out, "--replay", "nowhere").sentence()
+    assert list(tmp_path.iterdir()) == []
