@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from itertools import pairwise
 
@@ -124,7 +125,11 @@ def test_grids_of_poses_that_are_not_good_enough_stay_out_of_the_window() -> Non
     poser.close()
     assert not told.of(LiveWindow) or not told.of(LiveWindow)[-1].view.observed.any()
     assert any("not to be trusted" in text for text in told.texts("pose"))
-    assert all(pose.pose.status is Status.REJECTED for pose in told.of(LivePose))
+    poses = told.of(LivePose)
+    assert poses
+    assert all(pose.pose.status is Status.REJECTED for pose in poses)
+    # What is not known has a value in JSON, too.
+    assert json.loads(json.dumps([one.as_dict() for one in told.results], allow_nan=False))
 
 
 def test_fixes_that_are_not_used_are_told_with_the_reason() -> None:

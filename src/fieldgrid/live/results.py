@@ -90,8 +90,8 @@ class LivePose:
         return {
             "pose": self.frame_id,
             "time_ns": pose.time_ns,
-            "east_m": pose.east_m,
-            "north_m": pose.north_m,
+            "east_m": _known(pose.east_m),
+            "north_m": _known(pose.north_m),
             "heading_deg": _known(pose.heading_deg),
             "position_sigma_m": _known(pose.position_sigma_m),
             "heading_sigma_deg": _known(pose.heading_sigma_deg),
