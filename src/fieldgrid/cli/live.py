@@ -209,9 +209,9 @@ def _replayed(
                 output.message("the drive is ended and its map made; once more gives that up")
         if line is not None:
             line("making the map")
-        counts = live.counts
         try:
-            return live.finish(), counts
+            report = live.finish()
+            return report, live.counts  # with the frames that still waited
         except KeyboardInterrupt:
             typer.echo(
                 f"fieldgrid: interrupted; the drive is kept in {live.folder}, and fieldgrid live "
