@@ -69,7 +69,7 @@ SECTIONS = (
     ),
     Section(
         "road",
-        "KITTI, positions only, beside the inertial unit",
+        "KITTI, positions only and with its gyro, beside the inertial unit",
         heading_road.FOLDER,
         heading_road.report,
     ),

@@ -1,4 +1,4 @@
-"""KITTI's cars, positions only, beside the heading of their inertial unit."""
+"""KITTI's cars, by positions and with their gyro, beside the heading of their inertial unit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
+from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import estimate_poses
 from fieldgrid.quality import Quality
 
@@ -28,11 +29,14 @@ _Bool = npt.NDArray[np.bool_]
 
 
 class Log(NamedTuple):
+    """Rows of a drive; `rate_rad_s` is the turn that its gyro tells, clockwise."""
+
     name: str
     fixes: FixColumns
     truth_deg: _Float64
     moving: _Bool
     turning: _Bool
+    rate_rad_s: _Float64
 
 
 class Errors(NamedTuple):
@@ -50,7 +54,7 @@ TOLD = ("with quality", "lat, lon, alt", "lat, lon alone")
 
 
 def read_log(path: Path, told: str) -> Log:
-    names = ("lat", "lon", "alt", "yaw", "vf", "wz", "pos_accuracy", "posmode")
+    names = ("lat", "lon", "alt", "yaw", "vf", "wz", "wu", "pos_accuracy", "posmode")
     text = table(path, ("timestamp", *names))
     stamps = np.array([t.replace(" ", "T") for t in text["timestamp"]], dtype="datetime64[ns]")
     value = {name: numbers(text[name]) for name in names}
@@ -70,13 +74,18 @@ def read_log(path: Path, told: str) -> Log:
         np.asarray(heading_from_yaw_rad(value["yaw"])),
         np.abs(value["vf"]) > MOVING_MPS,
         np.degrees(np.abs(value["wz"])) > HARD_TURN_DPS,
+        -value["wu"],
     )
 
 
-def measure(log: Log) -> Errors:
+GYROS = {"gyro": 1.0, "10 % small": 0.9, "upside down": -1.0}
+"""What the rates of the car's gyro are multiplied by."""
+
+
+def measure(log: Log, motion: Motion | None = None) -> Errors:
     times = log.fixes.time_ns
     try:
-        poses = poses_at(estimate_poses(log.fixes).trajectory, times)
+        poses = poses_at(estimate_poses(log.fixes, motion=motion).trajectory, times)
     except GnssError:
         unknown = np.full(len(times), np.nan)
         return Errors(unknown, unknown, unknown > 0.0, log.moving, log.turning)
@@ -100,6 +109,12 @@ def report() -> Iterator[str]:
         together = [found[name] for name in RTK if name in found]
         columns = (np.concatenate(column) for column in zip(*together, strict=True))
         yield _line(f"RTK drives pooled, {what}", Errors(*columns))
+    for what, size in GYROS.items():
+        for path in sorted(FOLDER.glob("*.csv")):
+            log = read_log(path, TOLD[0])
+            gyro = Gyro(log.fixes.time_ns, size * log.rate_rad_s)
+            name = f"{log.name.removeprefix('2011_')}, {what}"
+            yield _line(name, measure(log, Motion(gyro=gyro)))
 
 
 def _line(name: str, one: Errors) -> str:
