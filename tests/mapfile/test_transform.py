@@ -16,7 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldgrid.errors import ConfigError, DatumError, MapError
-from fieldgrid.mapfile import LAYERS, Transform, merge_maps, open_map
+from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile import LAYERS, Transform, evidence, merge_maps, open_map
+from fieldgrid.mapfile.records import frame_record
 from fieldgrid.mapfile.transform import Aligned, Wander, transform_of
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
@@ -35,6 +37,62 @@ def test_it_is_a_clockwise_turn_about_the_pivot_then_a_shift(
     away = math.radians(placed.heading_deg - 10.0 - turn)
     assert math.sin(away) == pytest.approx(0.0, abs=1e-9)
     assert math.cos(away) > 0
+
+
+@given(
+    st.tuples(metres, metres, st.floats(-180.0, 180.0), metres, metres),
+    st.lists(st.tuples(metres, metres), max_size=3),
+    st.tuples(metres, metres, st.floats(0.0, 300.0), st.floats(0.0, 300.0)),
+    st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(-5, 25)),
+)
+def test_what_is_placed_in_a_rectangle_was_driven_in_the_one_that_it_tells(
+    rigid: tuple[float, ...],
+    wander: list[tuple[float, float]],
+    rectangle: tuple[float, float, float, float],
+    place: tuple[float, float, int],
+) -> None:
+    knots = None
+    if wander:
+        east, north = zip(*wander, strict=True)
+        knots = Wander(tuple(range(0, 10 * len(wander), 10)), east, north)
+    transform = Transform(*rigid, wander=knots)
+    west, south, width, height = rectangle
+    east_m, north_m = west + place[0] * width, south + place[1] * height
+    # Where it was driven: the turn is undone by its opposite.
+    de, dn = (0.0, 0.0) if knots is None else map(float, knots.at(place[2]))
+    x, y = (east_m - de - rigid[0] - rigid[3], north_m - dn - rigid[1] - rigid[4])
+    driven = complex(rigid[3], rigid[4]) + complex(x, y) * np.exp(1j * math.radians(rigid[2]))
+    again = transform.points(driven.real, driven.imag, place[2])
+    assert tuple(map(float, again)) == pytest.approx((east_m, north_m), abs=1e-7)
+    found = transform.driven(Bounds(west, south, west + width, south + height))
+    assert found.west_m <= driven.real + 1e-8
+    assert driven.real - 1e-8 <= found.east_m
+    assert found.south_m <= driven.imag + 1e-8
+    assert driven.imag - 1e-8 <= found.north_m
+
+
+def test_a_window_of_shifted_sessions_reads_the_frames_near_it_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_map(tmp_path / "m.gpkg", [drive(4), drive(4, start=4), drive(30, step_m=40.0)])
+    read: list[str] = []
+
+    def counted(row: tuple[Any, ...], load: Any) -> Any:
+        read.append(row[1])
+        return frame_record(row, load)
+
+    with open_map(path, writable=True) as universal:
+        universal.set_transform("0", 300.0, 0.0, -90.0)
+        first = next(universal.frames("0"))
+        monkeypatch.setattr(evidence, "frame_record", counted)
+        found = universal.query(first.pose.east_m + 0.05, first.pose.north_m - 1.0)
+        assert {one.session for one in found.contributions} <= {"0"}
+        assert set(read) <= {"0", "2"}
+        assert read.count("2") <= 2
+        read.clear()
+        moved = universal.read(sessions=["0"], cell_m=0.13)
+        assert read.count("0") == 4
+        assert moved.observed.any()
 
 
 def test_a_turn_of_a_right_angle_to_the_right() -> None:

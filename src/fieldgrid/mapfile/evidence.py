@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 import threading
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.errors import ConfigError, FieldgridError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, TileIndex, Window
 from fieldgrid.mapfile.arrays import Array, Kind, read_arrays, trajectory_of
@@ -88,14 +89,17 @@ class Evidence:
 
     def frame_rows(self, sessions: Collection[str] | None) -> list[tuple[Any, ...]]:
         """Rows of `FRAME_SQL` in time order; without `sessions` those of the active ones."""
-        where, values = "s.removed IS NULL", list[Any]()
-        if sessions is not None:
-            self.check_sessions(sessions)
-            where = "s.name IN (SELECT value FROM json_each(?))"
-            values.append(json.dumps(list(sessions)))
+        where, values = self._chosen(sessions)
         return self.connection.execute(
             f"{FRAME_SQL} WHERE {where} ORDER BY f.time_ns, s.name, f.frame_id", values
         ).fetchall()
+
+    def _chosen(self, sessions: Collection[str] | None) -> tuple[str, list[Any]]:
+        """A condition on the sessions `s`, and its values: some, or the active ones."""
+        if sessions is None:
+            return "s.removed IS NULL", []
+        self.check_sessions(sessions)
+        return "s.name IN (SELECT value FROM json_each(?))", [json.dumps(list(sessions))]
 
     def accepted(
         self,
@@ -103,17 +107,37 @@ class Evidence:
         sessions: Collection[str] | None,
         frame_filter: Callable[[FrameRecord], bool] | None,
     ) -> list[FrameRecord]:
-        """The accepted frames that may reach into `near`; their grids load when asked for."""
+        """The accepted frames that may reach into `near`, in time order; their grids load when
+        asked for."""
+        where, values = self._chosen(sessions)
+        chosen = self.connection.execute(
+            f"SELECT id, grid_width_m, grid_length_m, transform FROM fieldgrid_session AS s "
+            f"WHERE {where}",
+            values,
+        ).fetchall()
         records = (
-            frame_record(row, loader(self.connection, row[0])) for row in self.frame_rows(sessions)
+            frame_record(row, loader(self.connection, row[0]))
+            for session_id, *placing in chosen
+            for row in self._rows_near(session_id, _driven_near(near, *placing))
         )
-        return [
+        found = [
             record
             for record in records
             if record.accepted
             and reaches(record, near)
             and (frame_filter is None or frame_filter(record))
         ]
+        return sorted(found, key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
+
+    def _rows_near(self, session_id: int, driven: Bounds) -> list[tuple[Any, ...]]:
+        """Rows of `FRAME_SQL` of a session whose places as driven lie in a rectangle, or are no
+        numbers: reading those tells what is wrong with them."""
+        return self.connection.execute(
+            f"{FRAME_SQL} WHERE f.session_id = ? "
+            "AND (typeof(f.east_m) <> 'real' OR f.east_m BETWEEN ? AND ?) "
+            "AND (typeof(f.north_m) <> 'real' OR f.north_m BETWEEN ? AND ?)",
+            (session_id, driven.west_m, driven.east_m, driven.south_m, driven.north_m),
+        ).fetchall()
 
     def levels(self) -> int:
         """How many zoom levels there are above the base."""
@@ -206,6 +230,18 @@ def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameReco
         f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.time_ns, f.frame_id", (session_id,)
     ).fetchall()
     return [frame_record(row, loader(connection, row[0])) for row in rows]
+
+
+def _driven_near(near: Bounds, width_m: Any, length_m: Any, transform: Any) -> Bounds:
+    """Where frames of a session were driven that may reach into `near`; everywhere for a session
+    that is damaged, as reading its first frame tells."""
+    try:
+        reach_m = math.hypot(width_m / 2.0, length_m)
+        west, south, east, north = near
+        grown = Bounds(west - reach_m, south - reach_m, east + reach_m, north + reach_m)
+        return transform_of(transform).driven(grown)
+    except (TypeError, ValueError, FieldgridError):
+        return Bounds(-math.inf, -math.inf, math.inf, math.inf)
 
 
 def reaches(record: FrameRecord, near: Bounds) -> bool:

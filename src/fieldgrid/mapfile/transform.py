@@ -16,6 +16,7 @@ import numpy.typing as npt
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.lattice import Bounds
 from fieldgrid.trajectory import Pose, Trajectory
 
 _RIGID, _WANDER, _ALIGNED = "rigid", "wander", "aligned"
@@ -23,6 +24,8 @@ _RIGID, _WANDER, _ALIGNED = "rigid", "wander", "aligned"
 MOST_M, MOST_DEG = 1000.0, 180.0
 
 MOST_KNOTS = 100_000
+
+_ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +169,33 @@ class Transform:
             return east, north
         wander_east, wander_north = self.wander.at(time_ns)
         return east + wander_east, north + wander_north
+
+    def driven(self, placed: Bounds) -> Bounds:
+        """A rectangle that holds every place, as driven, that is placed in this one."""
+        if self.is_identity:
+            return placed
+        wander = self.wander or Wander((0,), (0.0,), (0.0,))
+        turn = math.radians(self.turn_deg)
+        origin_east_m = self.pivot_east_m + self.shift_east_m
+        origin_north_m = self.pivot_north_m + self.shift_north_m
+        corners = [
+            (x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn))
+            for x in (
+                placed.west_m - max(wander.east_m) - origin_east_m,
+                placed.east_m - min(wander.east_m) - origin_east_m,
+            )
+            for y in (
+                placed.south_m - max(wander.north_m) - origin_north_m,
+                placed.north_m - min(wander.north_m) - origin_north_m,
+            )
+        ]
+        east, north = zip(*corners, strict=True)
+        return Bounds(
+            self.pivot_east_m + min(east) - _ROUNDING_M,
+            self.pivot_north_m + min(north) - _ROUNDING_M,
+            self.pivot_east_m + max(east) + _ROUNDING_M,
+            self.pivot_north_m + max(north) + _ROUNDING_M,
+        )
 
     def to_text(self) -> str | None:
         """As it is stored: None for the identity, else a JSON object by the kind of transform."""
