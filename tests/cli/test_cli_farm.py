@@ -62,7 +62,7 @@ def test_a_damaged_map_is_listed_and_left_out(fieldgrid: Run, maps: Path, tmp_pa
     assert "fieldgrid: cut.gpkg is left out: " in done.err
     (tmp_path / "cut.gpkg").unlink()
     assert fieldgrid("farm", tmp_path).status == 0
-    assert "There is no folder" in fieldgrid("farm", tmp_path / "none").sentence()
+    assert "none does not exist" in fieldgrid("farm", tmp_path / "none").sentence()
 
 
 def test_exports_of_a_farm_are_those_of_the_merged_map(

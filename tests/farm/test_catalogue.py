@@ -91,7 +91,7 @@ def test_a_map_of_one_tile_has_its_area(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_maps_is_refused(made: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="There is no folder"):
+    with pytest.raises(ConfigError, match="does not exist"):
         Farm(tmp_path / "none")
     with pytest.raises(ConfigError, match=r"no file that ends in \.gpkg"):
         Farm(tmp_path)

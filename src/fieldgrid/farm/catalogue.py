@@ -76,7 +76,7 @@ def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) 
     ConfigError when there is no such folder, or no file that ends in .gpkg in it.
     """
     if not folder.is_dir():
-        raise ConfigError(f"There is no folder {folder}; give the folder in which the maps are.")
+        raise ConfigError(f"{folder} does not exist; give the folder in which the maps are.")
     files = sorted(f for f in folder.iterdir() if f.suffix.lower() == ENDING and f.is_file())
     if not files:
         raise ConfigError(f"{folder} has no file that ends in {ENDING}; build maps into it first.")

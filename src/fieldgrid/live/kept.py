@@ -154,7 +154,8 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
     elif kind == "frame":
         number, frame_id, found, times = value
         # A frame that was lost with the power is written anew under the same number.
-        drive.frames = [one for one in drive.frames if one[0] < number]
+        while drive.frames and drive.frames[-1][0] >= number:
+            drive.frames.pop()
         if number < len(entries) and entries[number].frame_id == frame_id:
             drive.frames.append((number, found_from_json(found)))
             drive.times.add(StageTimes(*times))

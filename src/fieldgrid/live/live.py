@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +22,7 @@ from fieldgrid.live.kept import About, Kept
 from fieldgrid.live.lag import KEPT_S
 from fieldgrid.live.perceiving import Perceiver, Seen
 from fieldgrid.live.posing import LiveOptions, Poser
+from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensed import Rows, rows_of
 from fieldgrid.localgrid import LocalGridder
@@ -51,26 +50,6 @@ class Counts(NamedTuple):
     callback_errors: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Pushed:
-    """An image, depths or a cloud in memory, as a source of a frame."""
-
-    name: str
-    values: Any
-
-    def read(self) -> Any:
-        """The values."""
-        return self.values
-
-    def sha256(self) -> str:
-        """The hash of the values, row by row."""
-        return hashlib.sha256(np.ascontiguousarray(self.values).tobytes()).hexdigest()
-
-    def encoded(self) -> bytes:
-        """Nothing: it is no file."""
-        return b""
-
-
 class Live(Closing):
     """A live session for a map: push what sensors say, take grids, poses and the window around.
 
@@ -82,7 +61,8 @@ class Live(Closing):
 
     Results are given to `on_result` in a thread of its own, or taken with `results`; the oldest
     give way when nobody takes them, and what a callback raises or how long it takes changes nothing
-    else. Pushing is safe from any thread. Raises MapExistsError, ConfigError and others that say
+    else. Pushing is safe from any thread. It is ready to be pushed to once it is made, which takes
+    seconds on the first run of a machine. Raises MapExistsError, ConfigError and others that say
     what the map would refuse, before anything is pushed.
     """
 
@@ -106,6 +86,8 @@ class Live(Closing):
         about = About(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes)
         gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
         check_target(Path(map_path), about)
+        odometry = follows_camera(rig, settings)
+        warm_up(gridder, odometry=odometry)
         self.name, self._settings = name, settings
         self._kept = Kept(Path(map_path), about)
         drive = self._kept.drive
@@ -128,7 +110,7 @@ class Live(Closing):
         self._perceiver = Perceiver(
             self._kept,
             gridder,
-            odometry=follows_camera(rig, settings),
+            odometry=odometry,
             most_waiting=options.queue_frames,
             tell=self._tell,
             pass_on=self._perceived,
@@ -195,7 +177,7 @@ class Live(Closing):
         """
         camera = self._kept.drive.about.rig.camera
         name, size_px = self._frame_id(frame_id), (camera.width_px, camera.height_px)
-        sides = _Pushed(f"{name}/left", left), _Pushed(f"{name}/right", right)
+        sides = Pushed(f"{name}/left", left), Pushed(f"{name}/right", right)
         return self.push_frame(StereoFrame(name, int(time_ns), *sides, size_px), wait=wait)
 
     def push_depth(
@@ -211,7 +193,7 @@ class Live(Closing):
         camera = self._kept.drive.about.rig.depth_camera
         name = self._frame_id(frame_id)
         size_px = (camera.width_px, camera.height_px)
-        frame = DepthFrame(name, int(time_ns), _Pushed(f"{name}/depth", depth_m), size_px)
+        frame = DepthFrame(name, int(time_ns), Pushed(f"{name}/depth", depth_m), size_px)
         return self.push_frame(frame, wait=wait)
 
     def push_cloud(
@@ -225,7 +207,7 @@ class Live(Closing):
         """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres; the rest as in
         `push_pair`."""
         name = self._frame_id(frame_id)
-        frame = CloudFrame(name, int(time_ns), _Pushed(f"{name}/cloud", points_m))
+        frame = CloudFrame(name, int(time_ns), Pushed(f"{name}/cloud", points_m))
         return self.push_frame(frame, wait=wait)
 
     def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:

@@ -1,0 +1,78 @@
+"""Frames in memory: those that are pushed, and one of bare ground to begin with."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.build.staging import stage_frame
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.odometry import step
+from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
+from fieldgrid.rig import DepthCamera, Rig, StereoCamera
+
+_WALL_M = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pushed:
+    """An image, depths or a cloud in memory, as a source of a frame."""
+
+    name: str
+    values: Any
+
+    def read(self) -> Any:
+        """The values."""
+        return self.values
+
+    def sha256(self) -> str:
+        """The hash of the values, row by row."""
+        return hashlib.sha256(np.ascontiguousarray(self.values).tobytes()).hexdigest()
+
+    def encoded(self) -> bytes:
+        """Nothing: it is no file."""
+        return b""
+
+
+def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
+    """Stage a frame of level ground with noise on it, and forget it: what a frame goes through is
+    compiled or loaded then, which takes seconds, and the first frames need not wait for it."""
+    frame = _of_level_ground(gridder.rig)
+    seen, _ = stage_frame(frame, gridder, odometry=odometry)
+    if seen.features is not None:
+        step(seen.features, seen.features, gridder.rig)
+
+
+def _of_level_ground(rig: Rig) -> Frame:
+    sensor, random = rig.sensor, np.random.default_rng(0)
+    if not isinstance(sensor, StereoCamera | DepthCamera):
+        right = np.tile(np.linspace(-0.5, 0.5, 60), 60)
+        down = np.repeat(np.linspace(0.1, 1.0, 60), 60)
+        depth_m = 1.0 / _nearness_1pm(rig, down)
+        points_m = np.stack([right * depth_m, down * depth_m, depth_m], axis=1)
+        return CloudFrame("ground", 0, Pushed("cloud", points_m.astype(np.float32)))
+    size_px = (sensor.width_px, sensor.height_px)
+    shape = size_px[::-1]
+    if isinstance(sensor, DepthCamera):
+        down = (np.arange(float(sensor.height_px)) - sensor.cy_px) / sensor.fy_px
+        depth_m = np.full(shape, 1.0 / _nearness_1pm(rig, down)[:, None], dtype=np.float32)
+        return DepthFrame("ground", 0, Pushed("depth", depth_m), size_px)
+    down = (np.arange(float(sensor.height_px)) - sensor.cy_px) / sensor.focal_px
+    disparity_px = sensor.focal_px * sensor.baseline_m * _nearness_1pm(rig, down)
+    left = random.integers(0, 256, shape, dtype=np.uint8)
+    rows = [np.roll(row, -round(d)) for row, d in zip(left, disparity_px, strict=True)]
+    sides = Pushed("left", left), Pushed("right", np.stack(rows))
+    return StereoFrame("ground", 0, *sides, size_px)
+
+
+def _nearness_1pm(rig: Rig, down: Float64) -> Float64:
+    """1 / depth of level ground along rays that go `down` so much for each metre ahead; a far wall
+    where they do not come down to it."""
+    tilt = math.radians(rig.mount.tilt_deg)
+    falling = (down * math.cos(tilt) + math.sin(tilt)) / rig.mount.height_m
+    return np.asarray(np.maximum(falling, 1.0 / _WALL_M))

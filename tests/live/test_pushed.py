@@ -1,0 +1,68 @@
+"""A session is warm before its first frame, whatever it sees with."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from fieldgrid.live.pushed import warm_up
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.rig import Rig
+from fieldgrid.settings import BuildSettings
+from tests.conftest import TWO_LANES
+from tests.scenes import depth_rig, lidar_rig, paper_rig
+
+KERNELS_LEFT = """
+import sys
+from fieldgrid.build.staging import stage_frame
+from fieldgrid.kernel import Kernel
+from fieldgrid.live.pushed import warm_up
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.odometry import step
+from fieldgrid.recording import open_recording
+from fieldgrid.settings import BuildSettings
+
+compiled = Kernel.compiled
+def noted(kernel):
+    if kernel._compiled is None:
+        print(kernel.__name__)
+    return compiled(kernel)
+
+with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
+    gridder = LocalGridder(recording.rig, BuildSettings().grid.spec())
+    warm_up(gridder, odometry=True)
+    Kernel.compiled = noted
+    first, second = (stage_frame(f, gridder, odometry=True)[0] for f in recording.frames(0, 2))
+    step(first.features, second.features, recording.rig)
+"""
+
+
+@pytest.mark.parametrize("rig", [paper_rig(), depth_rig(), lidar_rig(2000.0)])
+def test_a_frame_of_level_ground_goes_all_the_way(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gridder = LocalGridder(rig, BuildSettings().grid.spec())
+    made: list[int] = []
+    for name in ("from_disparity", "from_depth", "from_cloud"):
+        real = getattr(LocalGridder, name)
+
+        def counted(*arguments: object, real: object = real) -> object:
+            grid, ground = real(*arguments)  # type: ignore[operator]
+            made.append(int(grid.observed.sum()))
+            return grid, ground
+
+        monkeypatch.setattr(LocalGridder, name, counted)
+    warm_up(gridder, odometry=True)
+    (cells,) = made
+    assert cells > 500
+
+
+def test_the_first_frames_wait_for_no_kernel() -> None:
+    """In a process of its own: in this one others have compiled them."""
+    done = subprocess.run(
+        [sys.executable, "-c", KERNELS_LEFT, str(TWO_LANES)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
