@@ -39,7 +39,7 @@ from fieldgrid.live import (
 from fieldgrid.live.journal import Journal
 from fieldgrid.live.perceiving import stage_frame
 from fieldgrid.mapfile import StagedFrame, StageFile, open_map
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording import Frame, Recording, open_recording
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import TWO_LANES, make_small_drive
@@ -133,27 +133,51 @@ def test_images_that_come_late_or_twice_are_left_out_and_told(
 def test_of_frames_that_wait_the_oldest_is_dropped(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    free, begun, told = threading.Event(), threading.Event(), Told()
+    free, begun, told = threading.Event(), threading.Semaphore(0), Told()
 
     def slow(*arguments: Any, **options: Any) -> Any:
-        begun.set()
+        begun.release()
         assert free.wait(60)
         return stage_frame(*arguments, **options)
 
     monkeypatch.setattr(perceiving, "stage_frame", slow)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording:
-        first, *frames = recording.frames()
+        frames = list(recording.frames())
         live = begin(recording, out, on_result=told)
-        live.push_frame(first)
-        assert begun.wait(60)
-        for frame in frames:
+        for frame in frames[: perceiving.WORKERS]:
+            live.push_frame(frame)
+            assert begun.acquire(timeout=60)
+        for frame in frames[perceiving.WORKERS :]:
             live.push_frame(frame)  # returns at once
-        assert live.counts.dropped == 3
+        assert live.counts.dropped == 2
         free.set()
         live.stop()
-    assert [grid.frame_id for grid in told.of(LiveGrid)] == ["000020", "000024", "000025"]
-    assert ["000021" in text for text in told.texts("frame dropped")] == [True, False, False]
+    kept = ["000020", "000021", "000024", "000025"]
+    assert [grid.frame_id for grid in told.of(LiveGrid)] == kept
+    assert ["000022" in text for text in told.texts("frame dropped")] == [True, False]
+
+
+def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second is done before the first."""
+    later, told = threading.Event(), Told()
+
+    def uneven(frame: Frame, *arguments: Any, **options: Any) -> Any:
+        if frame.frame_id == "000020":
+            assert later.wait(60)
+        looked = stage_frame(frame, *arguments, **options)
+        if frame.frame_id == "000021":
+            later.set()
+        return looked
+
+    monkeypatch.setattr(perceiving, "stage_frame", uneven)
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording, begin(recording, out, on_result=told) as live:
+        replay(live, recording, rate=None)
+    assert [grid.frame_id for grid in told.of(LiveGrid)] == [f"{k:06d}" for k in range(20, 26)]
+    assert content(out) == content(built)
 
 
 @pytest.mark.parametrize("kind", ["raises", "blocks"])

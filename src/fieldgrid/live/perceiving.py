@@ -1,4 +1,5 @@
-"""Frames to local grids while the vehicle drives: one thread, and a queue that has an end."""
+"""Frames to local grids while the vehicle drives: two at a time, in order, and a queue that has an
+end."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from fieldgrid.build import BadFrame
+from fieldgrid.build.perception import Perceived
 from fieldgrid.build.report import StageTimes
 from fieldgrid.build.staging import Found, stage_frame
 from fieldgrid.errors import FieldgridError, MapWriteError
@@ -16,8 +18,12 @@ from fieldgrid.grids import LocalGrid
 from fieldgrid.live.kept import Kept
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.odometry import Features, Step, features, step
+from fieldgrid.mapfile import StagedFrame
+from fieldgrid.odometry import Features, Step, step
 from fieldgrid.recording import Frame
+
+WORKERS = 2
+"""Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
 
 
 class Seen(NamedTuple):
@@ -58,7 +64,8 @@ class Perceiver:
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
         self._queue: deque[_Waiting] = deque()
         self._changed = threading.Condition()
-        self._busy = self._closed = False
+        self._closed = False
+        self._taken = self._done = 0
         self._last: Features | None = None
         frames = kept.drive.frames
         last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
@@ -69,8 +76,12 @@ class Perceiver:
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
-        self._thread = threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
+            for _ in range(WORKERS)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def push(self, frame: Frame, *, wait: bool) -> bool:
         """Let a frame be perceived; False where it is not, since it is not newer than the one
@@ -109,30 +120,46 @@ class Perceiver:
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame is perceived; False when that takes longer."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._queue and not self._busy, timeout_s)
+            return self._changed.wait_for(
+                lambda: not self._queue and self._done == self._taken, timeout_s
+            )
 
     def close(self) -> None:
         """Perceive what waits, and end."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
 
     def _run(self) -> None:
+        """Stage frames beside the other threads, and do what follows when it is their turn."""
         while True:
             with self._changed:
-                self._busy = False
-                self._changed.notify_all()
                 self._changed.wait_for(lambda: self._queue or self._closed)
                 if not self._queue:
                     return
-                waiting, self._busy = self._queue.popleft(), True
+                waiting, turn = self._queue.popleft(), self._taken
+                self._taken += 1
                 self._changed.notify_all()
+            problem, looked = None, None
             try:
-                self._look(waiting)
+                looked = stage_frame(waiting.frame, self._gridder, odometry=self._odometry)
             except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
-                reason = str(error) if isinstance(error, FieldgridError) else repr(error)
+                problem = error
+            with self._changed:
+                self._changed.wait_for(lambda turn=turn: self._done == turn)  # type: ignore[misc]
+            try:
+                if looked is not None:
+                    self._keep(waiting, *looked)
+            except Exception as error:  # noqa: BLE001 - as above
+                problem = error
+            if problem is not None:
+                reason = str(problem) if isinstance(problem, FieldgridError) else repr(problem)
                 self._bad(waiting.frame, reason)
+            with self._changed:
+                self._done += 1
+                self._changed.notify_all()
 
     def _bad(self, frame: Frame, reason: str) -> None:
         time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
@@ -140,14 +167,13 @@ class Perceiver:
         text = f"Frame {frame.frame_id} cannot be used: {reason}"
         self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
 
-    def _look(self, waiting: _Waiting) -> None:
+    def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> None:
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         entries = kept.stage.entries
         if self._odometry and self._last is None and entries and entries[-1].time_ns == time_ns:
-            self._last = features(rig.camera, *frame.images())
+            self._last = seen.features
             return
-        seen, staged = stage_frame(frame, self._gridder, odometry=self._odometry)
         latency_s = time.monotonic() - waiting.pushed_s
         self._tell(LiveGrid(frame.frame_id, time_ns, seen.grid, seen.ground.refined, latency_s))
         start = time.thread_time()
