@@ -16,7 +16,8 @@ prints
 
 `python -m benchmarks.coverage layouts [NUMBER...]` covers layouts of real vineyards (all 40 without
 numbers), whose rows are found in made evidence without noise, with a vehicle 0.7 m wide that cannot
-reverse, and prints the share of the lanes that are covered.
+reverse, and prints the share of the lanes that are covered. Parallel tracks over ground without
+rows have a script of their own: `python -m benchmarks.tracks`.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def random_field(seed: int) -> Task:
     """A field of up to 14 lanes a block."""
     rng = np.random.default_rng(seed)
     is_open = seed % 3 == 0
-    vehicle = _vehicle(rng)
+    vehicle = random_vehicle(rng)
     spacing = float(rng.uniform(2.4, 4.0))
     half = float(rng.uniform(0.15, 0.4))
     need = vehicle.work_width_m + 2.0 * (vehicle.clearance_m + half + 2.0 * _CELL_M)
@@ -115,7 +116,8 @@ def random_field(seed: int) -> Task:
     return Task(view, planting, vehicle, is_open)
 
 
-def _vehicle(rng: np.random.Generator) -> Vehicle:
+def random_vehicle(rng: np.random.Generator) -> Vehicle:
+    """Of any kind, up to 1.3 m wide."""
     wide = float(rng.uniform(0.5, 1.3))
     return Vehicle(
         front_m=float(rng.uniform(0.3, 2.2)),

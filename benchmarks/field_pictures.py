@@ -1,4 +1,5 @@
-"""docs/rows.png, docs/routes.png and docs/coverage.png: rows, routes and coverage of the example.
+"""docs/rows.png, docs/routes.png and docs/coverage.png: rows, routes and coverage of the example;
+docs/tracks.png: tracks over a field of the benchmark.
 
 python -m benchmarks.field_pictures vineyard.gpkg docs
 """
@@ -14,10 +15,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.coverage import random_field
+from benchmarks.planting import DATUM
 from fieldgrid.array_types import UInt8
 from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
-from fieldgrid.coverage import coverage_in_view, plan_coverage
+from fieldgrid.coverage import Tracks, coverage_in_view, plan_coverage
 from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
+from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
 from fieldgrid.palette import SESSIONS
 from fieldgrid.route import Route, Vehicle, plan_route
@@ -31,6 +34,24 @@ ROUTES = (
 )
 SEED = 44
 """The field that stands for others in the picture of coverage."""
+
+
+def draw_tracks(out: Path) -> None:
+    """Draw tracks, what they work and the route over a field with an obstacle and a corner that was
+    not seen."""
+    density, seen = np.zeros((150, 200), np.uint8), np.ones((150, 200), np.bool_)
+    density[60:70, 90:100], seen[110:, :40] = 200, False
+    view = MapView(Lattice(0.2), Window(0, 0, 200, 150), density, seen, DATUM, is_base=True)
+    vehicle = Vehicle(0.8, 0.4, 1.0, turning_radius_m=1.2)
+    coverage = coverage_in_view(view, Tracks(width_m=2.0, overlap_m=0.1), vehicle)
+    figure = _figure(1)
+    axes = _over(figure, 111, view, density > 0, ~seen)
+    for lane in coverage.planting.lanes:
+        axes.fill(*lane.area.exterior.xy, color="#3a9d5d", alpha=0.25, lw=0)
+        axes.annotate(lane.id, lane.line.coords[0], fontsize=7, color="#0b4a22")
+    route = coverage.route
+    axes.plot(route.east_m, route.north_m, color="#c0392b", lw=1.0)
+    figure.savefig(out)
 
 
 def draw_rows(universal: MapFile, out: Path) -> None:
@@ -131,3 +152,4 @@ if __name__ == "__main__":
         draw_rows(opened, folder / "rows.png")
         draw_routes(opened, folder / "routes.png")
         draw_coverage(opened, folder / "coverage.png")
+    draw_tracks(folder / "tracks.png")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fieldgrid.convert import convert_recording
     from fieldgrid.cost import CostCurve
     from fieldgrid.costmap import Costmap
-    from fieldgrid.coverage import Coverage, plan_coverage
+    from fieldgrid.coverage import Coverage, Tracks, plan_coverage
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
     from fieldgrid.export import Selection, export_geotiff, export_map
@@ -63,6 +63,7 @@ _HOMES = {
     "Pose": "trajectory",
     "Route": "route",
     "Selection": "export",
+    "Tracks": "coverage",
     "Trajectory": "trajectory",
     "Transfer": "transfer",
     "Vehicle": "route",
@@ -113,6 +114,7 @@ __all__ = [
     "Pose",
     "Route",
     "Selection",
+    "Tracks",
     "Trajectory",
     "Transfer",
     "Vehicle",

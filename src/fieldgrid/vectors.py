@@ -28,6 +28,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.publish import made_elsewhere, mentions, replacing
 
 _DECIMALS = 9
+_MOST_BYTES = 16 << 20
 _KML = "http://www.opengis.net/kml/2.2"
 
 
@@ -91,6 +92,38 @@ def in_degrees(geometry: Any, datum: Datum) -> Any:
         return degrees.round(_DECIMALS)
 
     return shapely.transform(shapely.force_2d(geometry), turned)
+
+
+def read_shapes(path: Path, datum: Datum) -> list[Any]:
+    """The geometries of a GeoJSON in longitude and latitude, in the datum's plane; of a CSV with
+    the columns east_m and north_m one line through its points.
+
+    Raises ConfigError for a file that is neither, or is too large.
+    """
+    import shapely
+
+    def turned(degrees: Float64) -> Float64:
+        if (np.abs(degrees) > [180.0, 90.0]).any():
+            raise ConfigError(f"{path} is not in longitude and latitude, as GeoJSON asks.")
+        east_m, north_m, _ = datum.to_enu(degrees[:, 1], degrees[:, 0], datum.height_m)
+        return np.column_stack([east_m, north_m])
+
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{path} is over {_MOST_BYTES >> 20} MB; give one with less in it.")
+        text = path.read_text(encoding="utf-8-sig")
+        if path.suffix.lower() == ".csv":
+            rows = [(row["east_m"], row["north_m"]) for row in csv.DictReader(text.splitlines())]
+            return [shapely.LineString(np.array(rows, dtype=np.float64))]
+        found = shapely.get_parts(shapely.force_2d(shapely.from_geojson(text))).tolist()
+        return [shapely.transform(shape, turned) for shape in found]
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
+    except (ValueError, KeyError, csv.Error, shapely.errors.ShapelyError) as error:
+        raise ConfigError(
+            f"{path} is no GeoJSON in longitude and latitude, nor a CSV with the columns east_m "
+            f"and north_m ({error})."
+        ) from error
 
 
 def _plain(value: Any, key: str = "") -> Any:

@@ -7,10 +7,13 @@ import json
 from pathlib import Path
 
 import pytest
+import shapely
 
 import fieldgrid as fg
-from benchmarks.planting import Sight
+from benchmarks.planting import DATUM, Sight
+from fieldgrid.vectors import Feature, write_features
 from tests.cli.conftest import Run
+from tests.route.test_plan import field as free_field
 from tests.rows.fields import straight, view_of, write_map
 
 START, GOAL = "1.25,-3,0", "1.25,33"
@@ -106,6 +109,63 @@ def test_lanes_are_for_covering_only(fieldgrid: Run, field: Path) -> None:
     assert "no lane 'B9-L9'" in fieldgrid("route", field, "--cover", "--lanes", "B9-L9").sentence()
     sentence = fieldgrid("route", field, "--cover", "--spacing", "20:30").sentence()
     assert "No lanes were found" in sentence
+
+
+@pytest.fixture(scope="module")
+def meadow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Free ground of 14 x 10 m without rows, with a thing in it."""
+    view = free_field((14.0, 10.0), [(8.0, 5.0, 8.6, 5.6)])
+    return write_map(tmp_path_factory.mktemp("meadow") / "meadow.gpkg", view)
+
+
+def test_tracks_over_ground_without_rows(fieldgrid: Run, meadow: Path, tmp_path: Path) -> None:
+    """In a boundary, in all files; the sentence about missing lanes names the flag."""
+    out, swaths, folder = tmp_path / "work.csv", tmp_path / "swaths.geojson", tmp_path / "agopen"
+    corners = [(101.0, -49.0), (113.0, -49.0), (113.0, -41.0), (101.0, -41.0)]
+    write_features(
+        tmp_path / "edge.geojson", [Feature("field", shapely.Polygon(corners), {})], DATUM
+    )
+    asked = ("route", meadow, "--cover", "--tracks", "--width", "1.6", "--overlap", "0.1",
+             "--headland-passes", "1", "--boundary", tmp_path / "edge.geojson")  # fmt: skip
+    text = fieldgrid(
+        *asked, "--direction", "90", "-o", out, "--swaths", swaths, "--agopengps", folder
+    ).output()
+    for words in ("tracks driven", "90.0 °", "of what can be reached", str(swaths), str(folder)):
+        assert words in text
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    named = {row["lane"] for row in rows} - {""}
+    assert {"F1-T1", "F1-H1.1"} <= named
+    assert all(101.0 < float(row["east_m"]) < 113.0 for row in rows)
+    written = json.loads(swaths.read_text())["features"]
+    lanes = {f["properties"]["id"] for f in written if f["properties"]["kind"] == "lane"}
+    assert lanes == named
+    assert "F1-T1" in (folder / "TrackLines.txt").read_text()
+    # An inner boundary about the thing.
+    assert (folder / "Boundary.txt").read_text().count("False") == 2
+    # Beside the same line as a file, and as JSON.
+    (tmp_path / "line.csv").write_text("east_m,north_m\n102,-46\n112,-45\n")
+    along = fieldgrid(*asked, "--along", tmp_path / "line.csv", "--json").output()
+    told = json.loads(along)
+    assert told["swaths"]["worked_m2"] > 0.8 * told["swaths"]["reachable_m2"]
+    assert "--tracks" in fieldgrid("route", meadow, "--cover").sentence()
+
+
+def test_options_of_tracks_that_cannot_be(fieldgrid: Run, meadow: Path, tmp_path: Path) -> None:
+    cover = ("route", meadow, "--cover")
+    assert "for --width: it is for --tracks only" in fieldgrid(*cover, "--width", "2").usage()
+    assert "for --crop: it is for lanes" in fieldgrid(*cover, "--tracks", "--crop", "x").usage()
+    gone, text, large = tmp_path / "gone.csv", tmp_path / "text.geojson", tmp_path / "far.geojson"
+    text.write_text("no")
+    large.write_text('{"type": "Point", "coordinates": [500000, 4600000]}')
+    for flag, value, words in (
+        ("--along", gone, "gone.csv cannot be read"),
+        ("--boundary", text, "is no GeoJSON in longitude and latitude"),
+        ("--boundary", large, "not in longitude and latitude"),
+        ("--overlap", "0.9", "over half of the working width"),
+        ("--width", "-1", "width_m of tracks of -1"),
+    ):
+        assert words in fieldgrid(*cover, "--tracks", flag, value).sentence()
 
 
 def test_a_thing_in_the_start(fieldgrid: Run, field: Path) -> None:

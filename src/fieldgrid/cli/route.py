@@ -12,10 +12,14 @@ from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
     from fieldgrid.coverage import Coverage
+    from fieldgrid.geodesy import Datum
     from fieldgrid.route import Route
 
 _FORM, _EXAMPLE = "E,N or E,N,HEADING", "12.5,-40 or 12.5,-40,90"
-_COVER = "Along lanes"
+_COVER, _TRACKS = "Along lanes", "Along tracks, with --cover --tracks"
+_OF_TRACKS = {"width", "overlap", "direction", "along", "boundary", "headland_passes"}
+_OF_LANES = {"crop", "spacing"}
+_OF_COVER = {"lanes", "tracks", "agopengps", "swaths"} | _OF_LANES | _OF_TRACKS
 
 
 def command(
@@ -47,6 +51,72 @@ def command(
     ] = None,
     crop: options.CropName = "vineyard",
     spacing: options.Spacing = None,
+    tracks: Annotated[
+        bool,
+        typer.Option(
+            "--tracks",
+            help="Parallel tracks over ground without rows, and passes around it.",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = False,
+    width: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Working width [default: the vehicle's].", rich_help_panel=_TRACKS
+        ),
+    ] = None,
+    overlap: Annotated[
+        float,
+        typer.Option(metavar="M", help="Worked twice between tracks.", rich_help_panel=_TRACKS),
+    ] = 0.0,
+    direction: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            help="Heading of the tracks, clockwise from north [default: the shortest].",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = None,
+    along: Annotated[
+        str | None,
+        typer.Option(
+            metavar="edge|FILE",
+            help="Run beside the longest edge, or a line: .geojson, .csv.",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = None,
+    boundary: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.geojson",
+            help="Stay in this polygon [default: in what was seen].",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = None,
+    headland_passes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Passes around the ground [default: as many as a turn takes].",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = None,
+    agopengps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Write a field of AgOpenGPS with the lanes or tracks.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    swaths: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the lanes or tracks: .geojson, .gpkg, .csv, .kml or .dxf.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         options.out_file(".geojson, .csv, .gpx, .mcap, .plan, .graph.geojson, .gpkg, .kml or .dxf"),
@@ -86,34 +156,50 @@ def command(
 
     With --cover it works the lanes between rows; --from and --to may be left out. Lanes that
     cannot be covered are listed with the reason, and the exit status is 1; the route of the
-    others is written.
+    others is written. With --tracks too, it lays parallel tracks over ground without rows.
 
     Examples:
 
         fieldgrid route vineyard.gpkg --from -14,50,37 --to 6,76 -o route.csv
 
         fieldgrid route vineyard.gpkg --cover --lanes B1-L1,B1-L2 -o all.csv
+
+        fieldgrid route field.gpkg --cover --tracks --width 3 -o work.csv
+
+        fieldgrid route field.gpkg --cover --tracks --along edge --swaths swaths.kml
     """
     from fieldgrid.cost import CostCurve
-    from fieldgrid.coverage import plan_coverage
+    from fieldgrid.coverage import Tracks, plan_coverage
     from fieldgrid.errors import NoRouteError
     from fieldgrid.grids import FREE_UP_TO
+    from fieldgrid.mapfile import read_datum
     from fieldgrid.publish import refuse_input
     from fieldgrid.route import Vehicle, plan_route, read_vehicle
     from fieldgrid.route.output import check_target, write_route
     from fieldgrid.rows import crop_named
+    from fieldgrid.rows.agopengps import write_agopengps
+    from fieldgrid.rows.output import write_planting
 
     if not cover:
         for flag, given in (("--from", start), ("--to", goal)):
             if given is None:
                 raise typer.BadParameter("it is needed, unless there is --cover", param_hint=flag)
-        every = {str(one.name) for one in ctx.command.params}
-        options.refuse_given(ctx, every - {"lanes", "crop", "spacing"}, "it is for --cover only")
+    every = {str(one.name) for one in ctx.command.params}
+    if not cover:
+        options.refuse_given(ctx, every - _OF_COVER, "it is for --cover only")
+    elif tracks:
+        options.refuse_given(ctx, every - _OF_LANES, "it is for lanes, without --tracks")
+    else:
+        options.refuse_given(ctx, every - _OF_TRACKS, "it is for --tracks only")
     origin, target = _place("--from", start), _place("--to", goal)
     low, high = options.spacing(spacing)
     if out is not None:
         check_target(out)
-        refuse_input(out, [map_, *([vehicle] if vehicle else [])])
+    guide = None if along in (None, "edge") else Path(str(along))
+    inputs = [path for path in (map_, vehicle, boundary, guide) if path is not None]
+    for written in (out, agopengps, swaths):
+        if written is not None:
+            refuse_input(written, inputs)
     driven = Vehicle() if vehicle is None else read_vehicle(vehicle)
     ground: dict[str, Any] = {
         "allow_unknown": allow_unknown,
@@ -124,7 +210,17 @@ def command(
         ),
         "at": at,
     }
-    coverage = None
+    coverage, asked = None, None
+    if tracks:
+        datum = read_datum(map_)
+        asked = Tracks(
+            width_m=width,
+            overlap_m=overlap,
+            direction_deg=direction,
+            along="edge" if along == "edge" else guide and _shape(guide, datum, "LineString"),
+            boundary=boundary and _shape(boundary, datum, "Polygon"),
+            headland_passes=headland_passes,
+        )
     try:
         if cover:
             with progress.counting("lanes, and ways between them") as said:
@@ -135,6 +231,7 @@ def command(
                     start=origin,
                     goal=target,
                     crop=crop_named(crop).changed(min_spacing_m=low, max_spacing_m=high),
+                    tracks=asked,
                     progress=said,
                     **ground,
                 )
@@ -151,21 +248,27 @@ def command(
         raise
     if out is not None:
         write_route(route, out, overwrite=overwrite)
+    if coverage is not None and agopengps is not None:
+        write_agopengps(coverage.planting, agopengps, overwrite=overwrite)
+    if coverage is not None and swaths is not None:
+        write_planting(coverage.planting, swaths, overwrite=overwrite)
     if as_json:
         output.print_json({"map": str(map_), "found": True, **_as_dict(route, coverage, out)})
     else:
         _print(route, coverage)
-        if out is not None:
-            output.print_line(f"{out}")
+        for written in (out, agopengps, swaths):
+            if written is not None:
+                output.print_line(f"{written}")
     if coverage is not None and coverage.left_out:
-        first = coverage.left_out[0]
+        first, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
         raise NoRouteError(
-            f"{len(coverage.left_out)} of {len(coverage.left_out) + len(coverage.lanes)} lanes are "
+            f"{len(coverage.left_out)} of {len(coverage.left_out) + len(covered)} lanes are "
             f"not covered; of {first.lane}: {first.reason}",
             first.east_m,
             first.north_m,
-            f"--lanes {','.join(sorted(lane.lane for lane in coverage.lanes))} asks for the others "
-            "alone",
+            f"--lanes {','.join(covered)} asks for the others alone"
+            if coverage.swaths is None
+            else "the others are driven; a smaller vehicle or fewer --headland-passes may do more",
         )
 
 
@@ -181,6 +284,17 @@ def _place(flag: str, text: str | None) -> tuple[float, ...] | None:
         raise typer.BadParameter(message, param_hint=flag) from None
 
 
+def _shape(path: Path, datum: Datum, kind: str) -> Any:
+    """The one shape of a kind that a file has."""
+    from fieldgrid.errors import ConfigError
+    from fieldgrid.vectors import read_shapes
+
+    found = [shape for shape in read_shapes(path, datum) if shape.geom_type == kind]
+    if len(found) != 1:
+        raise ConfigError(f"{path} has {len(found)} shapes of the kind {kind}; give one with one.")
+    return found[0]
+
+
 def _print(route: Route, coverage: Coverage | None) -> None:
     share = route.turning_share if coverage is None else coverage.turning_share
     summary = [
@@ -192,7 +306,16 @@ def _print(route: Route, coverage: Coverage | None) -> None:
     ]
     if coverage is not None:
         count = len(coverage.lanes)
-        summary.append(("lanes covered", f"{count} of {count + len(coverage.left_out)}"))
+        what = "lanes covered" if coverage.swaths is None else "tracks driven"
+        summary.append((what, f"{count} of {count + len(coverage.left_out)}"))
+        if coverage.swaths is not None:
+            done = coverage.swaths
+            summary += [
+                ("heading", ", ".join(f"{b.heading_deg:.1f} °" for b in coverage.planting.blocks)),
+                ("worked", output.number(done.worked_m2, 0, "m²")),
+                ("of what can be reached", output.percent(done.worked_m2 / done.reachable_m2, 1)),
+                ("crossing worked ground", output.number(done.crossing_m, 1, "m")),
+            ]
     output.print_table(("route", ""), summary)
     if coverage is None:
         return
@@ -231,5 +354,7 @@ def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[
     if coverage is not None:
         found["turning_share"] = coverage.turning_share
         found["lanes"] = [lane._asdict() for lane in coverage.lanes]
+        if coverage.swaths is not None:
+            found["swaths"] = coverage.swaths._asdict()
         found["left_out"] = [lane._asdict() for lane in coverage.left_out]
     return found

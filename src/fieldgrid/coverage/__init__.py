@@ -1,5 +1,15 @@
-"""Routes that work the lanes of a planting, one after the other."""
+"""Routes that work the lanes of a planting, or parallel tracks, one after the other."""
 
-from fieldgrid.coverage.plan import Coverage, LeftOut, Worked, coverage_in_view, plan_coverage
+from fieldgrid.coverage.area import Tracks
+from fieldgrid.coverage.plan import (
+    Coverage,
+    LeftOut,
+    Swaths,
+    Worked,
+    coverage_in_view,
+    plan_coverage,
+)
 
-__all__ = ["Coverage", "LeftOut", "Worked", "coverage_in_view", "plan_coverage"]
+__all__ = [
+    "Coverage", "LeftOut", "Swaths", "Tracks", "Worked", "coverage_in_view", "plan_coverage",
+]  # fmt: skip

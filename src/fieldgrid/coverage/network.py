@@ -21,6 +21,10 @@ _MAX_POSES = 12_000
 _MORE_POSES = 60_000
 _RETRIES = 40
 
+_USUALLY = 1.5
+"""So much more than its lower bound a way between tracks is taken to cost before it is planned:
+headlands leave hardly any way straight, and of many tracks few ways need planning."""
+
 _DISTANCE_BYTES = 200_000_000
 _CURVES_WITHIN = 12.0
 """Turning radii within which a curve says more of a way than its distance does."""
@@ -31,7 +35,9 @@ class Network:
     metres, those in reverse and changes of gear counted for more, as in any route.
 
     Node 2k is lane k along its line, 2k + 1 against it; node 2n is the start or the end, at
-    `starts` and `goals`, which are poses of one place, or anywhere where there are none.
+    `starts` and `goals`, which are poses of one place, or anywhere where there are none. Ways are
+    searched on the ground of `headland` first, where there is one: the same ground but for what is
+    worked by tracks.
     """
 
     def __init__(
@@ -41,17 +47,18 @@ class Network:
         starts: list[Pose],
         goals: list[Pose],
         progress: Callable[[int, int], None],
+        headland: Searcher | None = None,
     ) -> None:
-        self.searcher, self.passes = searcher, passes
+        self.searcher, self.passes, self._headland = searcher, passes, headland
         self.starts, self.goals, self._progress = starts, goals, progress
         self.ways: dict[tuple[int, int], Float64] = {}
         self._doubtful: dict[tuple[int, int], None] = {}
         self._cut_off: dict[int, Float64] = {}
-        self._left: dict[int, Float32] = {}
+        self._left: dict[tuple[int, bool], Float32] = {}
 
     def bounds(self) -> tuple[Float64, Bool]:
-        """Lower bounds of the costs from node to node, the second pass included, and which of them
-        are the costs themselves."""
+        """Lower bounds of the costs from node to node, of tracks what they cost usually, the second
+        pass included, and which of them are the costs themselves."""
         count = len(self.passes)
         costs = np.full((count + 1, count + 1), np.inf)
         known = np.zeros(costs.shape, dtype=np.bool_)
@@ -71,7 +78,8 @@ class Network:
                     costs[a, b], known[a, b] = size, True
                     continue
                 changes = (a < count) + (b < count)
-                costs[a, b] = size + self._bound(starts, goals, left, changes)
+                way = self._bound(starts, goals, left, changes)
+                costs[a, b] = size + (way if self._headland is None else _USUALLY * way)
         known |= ~np.isfinite(costs)
         return costs, known
 
@@ -102,8 +110,15 @@ class Network:
         radius = self.searcher.vehicle.turning_radius_m
         if tried is not None and np.hypot(*(tried - goals[0][:2]).T).min() > 2.0 * radius:
             return math.inf
-        found = self.searcher.search(starts, goals, self._distance(b), max_poses)
-        samples = self.ways[a, b] = found.samples
+        samples = np.zeros((0, 5))
+        if self._headland is not None:
+            left = self._distance(b, self._headland)
+            if math.isfinite(left[self._headland.coarse_place(starts[0])]):
+                samples = self._headland.search(starts, goals, left, max_poses).samples
+        if not len(samples):
+            found = self.searcher.search(starts, goals, self._distance(b), max_poses)
+            samples = found.samples
+        self.ways[a, b] = samples
         if not len(samples):
             if found.exhausted:
                 self._cut_off[a] = found.tried_m
@@ -130,14 +145,15 @@ class Network:
         passed = self.passes[node]
         return [] if passed is None else [passed.start]
 
-    def _distance(self, node: int) -> Float32:
+    def _distance(self, node: int, searcher: Searcher | None = None) -> Float32:
         """`distance_left` of the place of a node; of the latest ones it is kept."""
-        left = self._left.get(node)
+        key = node, searcher is None
+        left = self._left.get(key)
         if left is None:
-            left = self.searcher.distance_left(self._goals(node)[0])
+            left = (searcher or self.searcher).distance_left(self._goals(node)[0])
             while self._left and (len(self._left) + 1) * left.nbytes > _DISTANCE_BYTES:
                 del self._left[next(iter(self._left))]
-            self._left[node] = left
+            self._left[key] = left
         return left
 
     def _bound(self, starts: list[Pose], goals: list[Pose], left_m: Float32, changes: int) -> float:

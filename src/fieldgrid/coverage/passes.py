@@ -72,13 +72,8 @@ def drive_lane(searcher: Searcher, lane: Lane, *, backwards: bool) -> Pass:
     for aside in (aside for aside in beside if aside in starts and aside in stops):
         at = starts[aside], stops[aside]
         along = part(inner, *at)
-        samples = _followed(searcher, along + aside * normals(along))
-        if not len(samples):
-            continue
-        # A corner moves aside by this between two poses.
-        turn = float(np.abs(samples[:, 4]).max()) * searcher.shape.step_m
-        enough = vehicle.clearance_m + BULGE_M + turn * vehicle.reach_m
-        if (searcher.gaps_m(samples[:, :3], enough) >= enough).all():
+        samples = followed(searcher, along + aside * normals(along))
+        if len(samples):
             return Pass(samples, *at)
     for name, at_m, found in (("first", 0.0, starts), ("last", lengths(inner)[-1], stops)):
         if not found:
@@ -115,9 +110,21 @@ def _poses(line: Float64, at_m: Float64, aside_m: float) -> Float64:
     return np.column_stack([x - aside_m * np.sin(yaw), y + aside_m * np.cos(yaw), yaw])
 
 
-def _followed(searcher: Searcher, line: Float64) -> Float64:
-    """A way along a line: straight where it has two points, else short arcs that aim at a point of
-    the line ahead (pure pursuit); no rows when that does not lead to its end."""
+def followed(searcher: Searcher, line: Float64) -> Float64:
+    """A free way along a line, metres from the window's corner: straight where it has two points,
+    else short arcs that aim at a point of the line ahead (pure pursuit); no rows when that does not
+    lead to its end, or is not free."""
+    samples = _pursued(searcher, line)
+    if not len(samples):
+        return samples
+    # A corner moves aside by this between two poses.
+    turn = float(np.abs(samples[:, 4]).max()) * searcher.shape.step_m
+    enough = searcher.vehicle.clearance_m + BULGE_M + turn * searcher.vehicle.reach_m
+    is_free = (searcher.gaps_m(samples[:, :3], enough) >= enough).all()
+    return samples if is_free else samples[:0]
+
+
+def _pursued(searcher: Searcher, line: Float64) -> Float64:
     size, step = float(lengths(line)[-1]), searcher.shape.step_m
     out = line[1] - line[0]
     x, y, yaw = float(line[0, 0]), float(line[0, 1]), math.atan2(out[1], out[0])

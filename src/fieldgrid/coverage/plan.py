@@ -1,7 +1,9 @@
-"""`plan_coverage`: one way along all lanes of a map, or some."""
+"""`plan_coverage`: one way along all lanes of a map, or some, or along tracks that are laid."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -9,16 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from fieldgrid.array_types import Float64
 from fieldgrid.cost import CostCurve
+from fieldgrid.coverage.area import Tracks
 from fieldgrid.coverage.network import Network
 from fieldgrid.coverage.passes import Pass, drive_lane
+from fieldgrid.coverage.tracks import Laid, lay_tracks
 from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, open_map
 from fieldgrid.route import Route, Vehicle
+from fieldgrid.route.ground import OUTSIDE
 from fieldgrid.route.path import joined
 from fieldgrid.route.plan import (
     REMEDY,
@@ -35,6 +41,7 @@ from fieldgrid.rows import Crop, Lane, Planting, find_rows
 Progress = Callable[[int, int], None]
 """Told how many lanes and ways between them are planned, and of how many, as far as is known."""
 
+_HALF_DIAGONAL = math.sqrt(0.5)
 _WORTH = 1000.0
 """Metres of way that a metre of lane is worth: nothing is left out to save way."""
 
@@ -58,12 +65,24 @@ class LeftOut(NamedTuple):
     north_m: float
 
 
+class Swaths(NamedTuple):
+    """What tracks work: their width; the ground that it reaches anywhere, and what of it is worked
+    (m²); metres of the ways between tracks that lead over the ground inside the headland."""
+
+    wide_m: float
+    reachable_m2: float
+    worked_m2: float
+    crossing_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
     """A route along lanes: the lanes in the order of driving, and those that are left out.
 
-    `cost_m` is what the order was chosen by: metres of way, those in reverse and changes of gear
-    counted for more; `planned` is how many ways between lanes were planned for that.
+    `planting` has the lanes; those of parallel tracks are tracks and passes around them, and
+    `swaths` says what they work. `cost_m` is what the order was chosen by: metres of way, those in
+    reverse and changes of gear counted for more; `planned` is how many ways between lanes were
+    planned for that.
     """
 
     route: Route
@@ -72,6 +91,7 @@ class Coverage:
     planting: Planting
     cost_m: float
     planned: int
+    swaths: Swaths | None = None
 
     @property
     def worked_m(self) -> float:
@@ -93,6 +113,7 @@ def plan_coverage(
     goal: tuple[float, ...] | None = None,
     crop: str | Crop = "vineyard",
     planting: Planting | None = None,
+    tracks: Tracks | None = None,
     allow_unknown: bool = False,
     cell_m: float | None = None,
     bounds: Bounds | None = None,
@@ -100,7 +121,8 @@ def plan_coverage(
     at: str | int | None = None,
     progress: Progress | None = None,
 ) -> Coverage:
-    """A route along all lanes of a map, or those named, over seen free ground.
+    """A route along all lanes of a map, or those named, over seen free ground; with `tracks` along
+    parallel tracks that are laid over that ground, and passes around it and its obstacles.
 
     Each lane is driven from end to end once, in an order and a direction that make turning short:
     the best ones for up to ten lanes, by local search for more. `start` and `goal` are places as
@@ -115,22 +137,23 @@ def plan_coverage(
         with open_map(universal) as opened:
             return plan_coverage(
                 opened, vehicle, lanes=lanes, start=start, goal=goal, crop=crop, planting=planting,
-                allow_unknown=allow_unknown, cell_m=cell_m, bounds=bounds, curve=curve, at=at,
-                progress=progress,
+                tracks=tracks, allow_unknown=allow_unknown, cell_m=cell_m, bounds=bounds,
+                curve=curve, at=at, progress=progress,
             )  # fmt: skip
-    if planting is None:
+    work: Planting | Tracks | None = tracks or planting
+    if work is None:
         above = OBSTACLE_ABOVE if curve is None else curve.obstacle_above
-        planting = find_rows(universal, crop=crop, bounds=bounds, obstacle_above=above, at=at)
+        work = find_rows(universal, crop=crop, bounds=bounds, obstacle_above=above, at=at)
     view = planning_view(universal, cell_m, bounds, at)
     return coverage_in_view(
-        view, planting, vehicle, lanes=lanes, start=start, goal=goal, allow_unknown=allow_unknown,
-        curve=curve, progress=progress,
+        view, work, vehicle, lanes=lanes, start=start, goal=goal,
+        allow_unknown=allow_unknown, curve=curve, progress=progress,
     )  # fmt: skip
 
 
 def coverage_in_view(
     view: MapView,
-    planting: Planting,
+    work: Planting | Tracks,
     vehicle: Vehicle | None = None,
     *,
     lanes: Sequence[str] | None = None,
@@ -141,12 +164,23 @@ def coverage_in_view(
     progress: Progress | None = None,
 ) -> Coverage:
     """The same of a view that was read already, as `route_in_view` takes it."""
-    asked = _asked(planting, lanes)
     for name, place in (("start", start), ("goal", goal)):
         if place is not None:
             check_place(name, place)
     said = progress or (lambda done, total: None)
     searcher = searcher_of(view, vehicle or Vehicle(), allow_unknown=allow_unknown, curve=curve)
+    laid = None
+    if isinstance(work, Planting):
+        planting = work
+    else:
+        if work.boundary is not None:
+            # A cell whose middle is inside may reach beyond by half a diagonal.
+            inside = work.boundary.buffer(-_HALF_DIAGONAL * searcher.ground.cell_m)
+            searcher = Searcher(searcher.ground.confined(inside, OUTSIDE), searcher.vehicle)
+        fill_unseen = allow_unknown and work.boundary is not None
+        laid = lay_tracks(searcher, work, view.datum, view.bounds, fill_unseen=fill_unseen)
+        planting = laid.planting
+    asked = _asked(planting, lanes)
     starts = [] if start is None else free_poses(searcher, start, "start", view.bounds)
     goals = [] if goal is None else free_poses(searcher, goal, "goal", view.bounds)
     driven: list[tuple[Lane, list[Pass | None]]] = []
@@ -163,6 +197,7 @@ def coverage_in_view(
     network = Network(
         searcher, [p for _, passes in driven for p in passes], starts, goals,
         lambda done, total: said(len(asked) + done, len(asked) + total),
+        None if laid is None else _headland(searcher, laid),
     )  # fmt: skip
     if driven:
         worth = np.array([_WORTH * lane.length_m for lane, _ in driven])
@@ -190,15 +225,49 @@ def coverage_in_view(
         from_m, to_m = (lane.length_m - end for end in ends[::-1]) if node % 2 else ends
         worked.append(Worked(lane.id, bool(node % 2), max(from_m, 0.0), to_m))
     left_out.sort(key=lambda entry: [lane.id for lane in asked].index(entry.lane))
-    return Coverage(route, tuple(worked), tuple(left_out), planting, cost_m, len(network.ways))
+    swaths = None if laid is None else _swaths(laid, route)
+    return Coverage(
+        route, tuple(worked), tuple(left_out), planting, cost_m, len(network.ways), swaths
+    )
+
+
+def _core(laid: Laid, vehicle: Vehicle) -> shapely.Geometry:
+    """The ground that tracks alone lead over: a vehicle at the end of one stays out of it."""
+    return laid.inner.buffer(-(vehicle.reach_m + vehicle.clearance_m + 0.5 * laid.wide_m))
+
+
+def _headland(searcher: Searcher, laid: Laid) -> Searcher:
+    """What plans on the headland alone, where turns belong."""
+    all_m = shapely.box(*searcher.ground.bounds_m)
+    ground = searcher.ground.confined(all_m.difference(_core(laid, searcher.vehicle)))
+    return Searcher(ground, searcher.vehicle)
+
+
+def _swaths(laid: Laid, route: Route) -> Swaths:
+    """What of the ground is worked, by the poses in which a lane is."""
+    places = np.column_stack([route.east_m, route.north_m])
+    edges = np.flatnonzero(np.r_[True, route.lane[1:] != route.lane[:-1], True])
+    worked = [
+        shapely.LineString(places[first : min(last + 1, len(places))])
+        for first, last in itertools.pairwise(edges.tolist())
+        if route.lane[first]
+    ]
+    strips = shapely.buffer(worked, 0.5 * laid.wide_m, cap_style="flat")
+    area = shapely.intersection(shapely.union_all(strips), laid.reachable)
+    core = _core(laid, route.vehicle)
+    steps = shapely.linestrings(np.stack([places[:-1], places[1:]], axis=1)[route.lane[:-1] == ""])
+    shapely.prepare(core)
+    crossing = shapely.length(steps[shapely.intersects(core, steps)]).sum()
+    reachable_m2 = float(laid.reachable.area)
+    return Swaths(laid.wide_m, reachable_m2, float(area.area), float(crossing))
 
 
 def _asked(planting: Planting, lanes: Sequence[str] | None) -> list[Lane]:
     """The lanes that were asked for."""
     if not planting.lanes:
         raise ConfigError(
-            "No lanes were found in the map; --crop and --spacing say which rows to look for, and "
-            "`fieldgrid rows` shows what is found."
+            "No lanes were found in the map; --crop and --spacing say which rows to look for, "
+            "`fieldgrid rows` shows what is found, and --tracks works ground without rows."
         )
     if lanes is None:
         return list(planting.lanes)

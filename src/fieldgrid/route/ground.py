@@ -14,8 +14,9 @@ from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapView, decision
 
-FREE, OBSTACLE, UNSEEN, BEYOND, KEEPOUT = 0, 1, 2, 3, 4
-"""Classes of cells; `BEYOND` is outside the part that a vehicle is confined to."""
+FREE, OBSTACLE, UNSEEN, BEYOND, KEEPOUT, OUTSIDE = 0, 1, 2, 3, 4, 5
+"""Classes of cells; `BEYOND` is outside the lane that a vehicle is confined to, `OUTSIDE` outside
+the boundary of a field."""
 
 MAX_CELLS = 100_000_000
 MAX_SIDE = 40_000
@@ -30,6 +31,7 @@ _NAMES = {
     UNSEEN: "ground that was not seen",
     BEYOND: "the side of the lane",
     KEEPOUT: KEEPOUT_MARK,
+    OUTSIDE: "the boundary",
 }
 
 
@@ -81,8 +83,9 @@ class Ground:
             blocked.view(np.uint8), _to_blocked_m(blocked.view(np.uint8), cell_m),
         )  # fmt: skip
 
-    def confined(self, area: shapely.Geometry) -> Ground:
-        """The part of it inside an area (metres east and north), where all else is blocked."""
+    def confined(self, area: shapely.Geometry, beyond: int = BEYOND) -> Ground:
+        """The part of it whose cells have their middles inside an area (metres east and north);
+        all else is blocked, and of the class `beyond` where it was free."""
         west, south, east, north = shapely.bounds(area)
         height, width = self.blocked.shape
         (j0, i0), (j1, i1) = self._cell(west, south), self._cell(east, north)
@@ -96,7 +99,7 @@ class Ground:
             (corner_e + (np.arange(columns) + 0.5) * self.cell_m)[None, :],
             (corner_n + (np.arange(rows) + 0.5) * self.cell_m)[:, None],
         )
-        cells[~inside & (self.blocked[part] == 0)] = BEYOND
+        cells[~inside & (self.blocked[part] == 0)] = beyond
         blocked = (~inside).view(np.uint8) | self.blocked[part]
         to_blocked = _to_blocked_m(blocked, self.cell_m)
         return Ground(corner_e, corner_n, self.cell_m, cells, blocked, to_blocked)
