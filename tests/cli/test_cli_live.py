@@ -6,8 +6,10 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,7 @@ from fieldgrid.mapfile import open_map
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import make_small_drive
 from tests.live.making import cut_log
+from tests.live.sources import drop, empty_copy, rows_of
 
 
 @pytest.fixture(scope="module")
@@ -90,10 +93,75 @@ def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
 
 def test_wrong_uses(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:
     out = tmp_path / "m.gpkg"
-    assert "--replay, --finish" in fieldgrid("live", "-o", out).usage()
+    assert "--images, --camera, --replay" in fieldgrid("live", "-o", out).usage()
     assert "one of" in fieldgrid("live", "-o", out, "--replay", drive, "--finish").usage()
     for rate in ("0", "fast", "nan", "-1"):
         assert "--rate" in fieldgrid("live", "-o", out, "--replay", drive, "--rate", rate).usage()
     assert "--discard only" in fieldgrid("live", "-o", out, "--discard", "--cell", "1").usage()
     assert "does not exist" in fieldgrid("live", "-o", out, "--replay", "nowhere").sentence()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGINT])
+def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
+    drive: Path, request_to_end: signal.Signals, tmp_path: Path
+) -> None:
+    """Fixes come through standard input, images into a folder, the window goes out; a signal ends
+    it."""
+    folder, out = empty_copy(drive, tmp_path / "row"), tmp_path / "m.gpkg"
+    arguments = ("live", "-o", out, "--images", folder, "--gnss", "-", "--json")
+    with subprocess.Popen(
+        in_a_process(*arguments, "--feed", "tcp://127.0.0.1:0"),
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        said: list[Any] = []
+
+        def until(part: str) -> None:
+            while True:
+                said.append(process.stdout.readline().decode())  # type: ignore[union-attr]
+                assert said[-1], process.stderr.read()  # type: ignore[union-attr]
+                if part in said[-1]:
+                    return
+
+        feed = process.stderr.readline().decode()
+        port = re.search(r"connects to tcp://127\.0\.0\.1:(\d+)\n", feed)
+        assert port is not None
+        until("is watched for frames.")
+        with socket.create_connection(("127.0.0.1", int(port[1])), 60) as client:
+            process.stdin.write((drive / "gnss" / "gnss_rtk.nmea").read_bytes())
+            process.stdin.close()
+            for row in rows_of(drive):
+                drop(drive, folder, row)
+                until('{"grid"')
+            client.settimeout(60)
+            assert client.recv(4, socket.MSG_WAITALL) == b"FGWN"
+            os.kill(process.pid, request_to_end)
+            last = [json.loads(line) for line in process.stdout]
+        told = process.stderr.read().decode()
+    assert process.returncode == 0, told
+    assert told == "fieldgrid: the drive is ended and its map made; once more gives that up\n"
+    assert last[-1]["pushed"]["frames"] == last[-1]["session"]["frames"] == 4
+    texts = [one["text"] for one in (*map(json.loads, said), *last) if "event" in one]
+    assert "The receiver at - has come to its end." in texts
+    with open_map(out) as ours:
+        (session,) = ours.sessions()
+        assert (session.name, session.accepted) == ("row", 4)
+        assert ours.verify().sound
+
+
+def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:
+    live = ("live", "-o", tmp_path / "m.gpkg")
+    images, gnss = ("--images", drive), ("--gnss", "tcp://127.0.0.1:1")
+    assert "where the receiver is" in fieldgrid(*live, *images).usage()
+    assert "one of --images" in fieldgrid(*live, *images, "--camera", "0", *gnss).usage()
+    for idle in (("--rate", "2"), ("--topic", "left=/a"), ("--rig", drive), ("--camera-fps", "3")):
+        assert "does not take it" in fieldgrid(*live, *images, *gnss, *idle).usage()
+    assert "--rig" in fieldgrid(*live, "--camera", "0", *gnss).usage()
+    assert "does not exist" in fieldgrid(*live, "--images", "nowhere", *gnss).sentence()
+    assert "is no camera" in fieldgrid(*live, "--camera", "x", "--rig", drive, *gnss).sentence()
+    assert "is no source" in fieldgrid(*live, *images, "--gnss", "http://a:1").sentence()
+    assert "is no feed" in fieldgrid(*live, *images, *gnss, "--feed", "7007").sentence()
     assert list(tmp_path.iterdir()) == []

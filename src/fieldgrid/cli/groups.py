@@ -25,14 +25,16 @@ class OptionGroup(Protocol):
 
 
 class FieldsOf:
-    """The fields of a NamedTuple as options; the command gets the tuple."""
+    """The fields of a NamedTuple as options; the command gets the tuple. `others` are options that
+    stand for those of the fields of these names."""
 
-    def __init__(self, kind: type[Any]) -> None:
-        self._kind = kind
+    def __init__(self, kind: type[Any], **others: Any) -> None:
+        self._kind, self._others = kind, others
 
     def parameters(self) -> Iterable[inspect.Parameter]:
         """An option a field."""
         hints = get_type_hints(self._kind, include_extras=True)
+        hints |= {name: Annotated[hints[name].__origin__, o] for name, o in self._others.items()}
         return [
             option(name, hints[name], self._kind._field_defaults[name])
             for name in self._kind._fields

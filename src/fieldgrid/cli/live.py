@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,13 +15,15 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build import report_session
-from fieldgrid.cli.drive_options import Drive, DriveFlags
+from fieldgrid.cli.drive_options import DriveFlags
+from fieldgrid.cli.groups import FieldsOf
+from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
-    from fieldgrid.live import Counts, Live, LiveResult, LiveWindow
+    from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
 
 _SESSION = "Session and map file"
 _AT_THE_END = {"out", "finish", "finish_from", "as_json", "quiet", "verbose"}
@@ -42,6 +44,7 @@ def command(
             show_default=False,
         ),
     ],
+    sources: Annotated[SourceFlags, FieldsOf(SourceFlags)],
     replay: Annotated[
         Path | None,
         typer.Option(
@@ -93,12 +96,12 @@ def command(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="The session's name [default: the recording's own].",
+            help="The session's name [default: that of the recording or the folder].",
             rich_help_panel=_SESSION,
         ),
     ] = None,
     datum: options.DatumText = None,
-    drive: Drive,
+    drive: Annotated[DriveFlags, FieldsOf(DriveFlags, gnss=GNSS)],
     settings: Annotated[Overrides, SettingsFlags()],
     config: options.Config = None,
     as_json: Annotated[
@@ -118,16 +121,19 @@ def command(
 
     Examples:
 
-        fieldgrid live -o row.gpkg --replay june-03 --gnss rtk.nmea
+        fieldgrid live -o row.gpkg --images june --gnss tcp://10.0.0.7:9001
 
-        fieldgrid live -o row.gpkg --replay june-03 --rate max --json
+        fieldgrid live -o row.gpkg --camera 0 --rig zed --gnss gpsd://localhost
+
+        fieldgrid live -o row.gpkg --replay june --feed tcp://127.0.0.1:7007
 
         fieldgrid live -o row.gpkg --finish --accept clock-offset
     """
-    chosen = [replay is not None, finish, finish_from is not None, discard]
-    if sum(chosen) != 1:
+    driving = [replay is not None, sources.images is not None, sources.camera is not None]
+    if sum([*driving, finish, finish_from is not None, discard]) != 1:
         raise typer.BadParameter(
-            "give one of --replay, --finish, --finish-from and --discard", param_hint="--replay"
+            "give one of --images, --camera, --replay, --finish, --finish-from and --discard",
+            param_hint="--images",
         )
     if discard:
         options.refuse_given(
@@ -135,7 +141,7 @@ def command(
         )
         _discard(out)
         return
-    if replay is None:
+    if not any(driving):
         flags = set(SettingsFlags("pose", "checks").names())
         if finish_from is not None:
             flags |= set(DriveFlags._fields)
@@ -143,12 +149,28 @@ def command(
         options.refuse_given(ctx, _AT_THE_END | flags, why)
         _report(_finished(out, finish_from, drive, settings), None, out, as_json=as_json)
         return
-    report, counts = _replayed(
-        *(out, replay, _rate(rate), append, name, datum, drive),
-        *(settings, config),
-        as_json=as_json,
-    )
+    _refuse_idle(ctx, sources, replay)
+    with ExitStack() as stack:
+        if replay is None:
+            driven = of_sources(sources, drive)
+        else:
+            from fieldgrid.recording import open_drive
+
+            opened = stack.enter_context(open_drive(replay, drive.options()))
+            driven = of_recording(opened.recording(), _rate(rate))
+        report, counts = _drive(
+            *(driven, out, append, name, datum, sources.feed, settings, config), as_json=as_json
+        )
     _report(report, counts, out, as_json=as_json)
+
+
+def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
+    """A usage error for what would be ignored with this source."""
+    every = {str(one.name) for one in ctx.command.params}
+    idle = {"rate"} if replay is None else set()
+    idle |= {"topic"} if replay is None else set()
+    idle |= {"camera_fps", "rig"} if sources.camera is None else set()
+    options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
 
 
 def _rate(text: str) -> float | None:
@@ -164,44 +186,44 @@ def _rate(text: str) -> float | None:
     return rate
 
 
-def _replayed(
+def _drive(
+    driven: Driven,
     out: Path,
-    recording: Path,
-    rate: float | None,
     append: bool,
     name: str | None,
     datum: str | None,
-    drive: DriveFlags,
+    feed: str | None,
     settings: Overrides,
     config: Path | None,
     *,
     as_json: bool,
 ) -> tuple[SessionReport, Counts]:
     from fieldgrid.live import Live
-    from fieldgrid.live import replay as replayed
-    from fieldgrid.recording import open_drive
     from fieldgrid.settings import resolve
 
-    with open_drive(recording, drive.options()) as opened, progress.living() as line:
-        found = opened.recording()
+    resolved = resolve(config, settings)
+    with ExitStack() as stack:
+        line = stack.enter_context(progress.living())
         watch = _Watch(line, as_json=as_json)
+        if feed is not None:
+            watch.feed = stack.enter_context(_feed(feed, watch))
         live = Live(
             out,
-            found.rig,
-            resolve(config, settings),
-            name=name or found.name,
+            driven.rig,
+            resolved,
+            name=name or driven.name,
             datum=options.datum(datum),
-            datum_hint=found.datum_hint,
+            datum_hint=driven.datum_hint,
             append=append,
-            source=found.gnss_source,
-            source_sha256=found.gnss_sha256(),
-            notes=(*found.losses, *found.notes),
+            source=driven.source,
+            source_sha256=driven.source_sha256,
+            notes=driven.notes,
             on_result=watch.take,
         )
         watch.live = live
         with _ended_by_signals() as stop:
             try:
-                all_of_it = replayed(live, found, rate=rate, stop=stop)
+                all_of_it = driven.run(live, stop)
             except BaseException:
                 live.stop()
                 raise
@@ -219,6 +241,19 @@ def _replayed(
                 err=True,
             )
             raise typer.Exit(130) from None
+
+
+def _feed(text: str, watch: _Watch) -> Feed:
+    """The feed at an address, which tells what it has to say through the session."""
+    from fieldgrid.live import Feed, What, parse_feed
+
+    feed = Feed(
+        *parse_feed(text),
+        lambda said: None if watch.live is None else watch.live.tell(What.CLIENT, said),
+    )
+    host, port = feed.address
+    output.message(f"the costmap is sent to whoever connects to tcp://{host}:{port}")
+    return feed
 
 
 @contextmanager
@@ -240,13 +275,17 @@ class _Watch:
 
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
+        self.feed: Feed | None = None
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
+        self._window: LiveWindow | None = None
 
     def take(self, result: LiveResult) -> None:
         """Print a result, or let the status line say it."""
         from fieldgrid.live import LiveEvent, LiveWindow, What
 
+        if self.feed is not None and isinstance(result, LiveWindow):
+            self.feed.put(result)
         if self._as_json:
             output.print_json_line(result.as_dict())
             return
@@ -256,11 +295,14 @@ class _Watch:
                 output.message(result.text)
             if drops:
                 self._said_s = time.monotonic()
-        elif isinstance(result, LiveWindow) and self._line is not None and self.live is not None:
-            self._line(_status(result, self.live.counts))
+        elif self._line is not None and self.live is not None:
+            self._window = result if isinstance(result, LiveWindow) else self._window
+            self._line(_status(self._window, self.live.counts))
 
 
-def _status(window: LiveWindow, counts: Counts) -> str:
+def _status(window: LiveWindow | None, counts: Counts) -> str:
+    if window is None:
+        return f"{counts.frames} frames, {counts.fixes} fixes, no pose yet"
     pose = window.pose
     where = ""
     if pose is not None and math.isfinite(pose.heading_sigma_deg):

@@ -1,11 +1,17 @@
 """Live: local grids, poses and a costmap while the vehicle drives, the map at the end."""
 
+from fieldgrid.live.camera import StereoDevices, parse_devices
+from fieldgrid.live.feed import Feed, parse_feed
 from fieldgrid.live.finish import discard_session, finish_from, finish_session
+from fieldgrid.live.images import ImageFolder
+from fieldgrid.live.intake import Pauses, Sources
 from fieldgrid.live.kept import live_folder
 from fieldgrid.live.live import Counts, Live
 from fieldgrid.live.posing import LiveOptions
+from fieldgrid.live.receiver import Receiver, ReceiverStream
 from fieldgrid.live.replay import replay
 from fieldgrid.live.results import (
+    Doubt,
     LiveEvent,
     LiveGrid,
     LivePose,
@@ -16,6 +22,9 @@ from fieldgrid.live.results import (
 
 __all__ = [
     "Counts",
+    "Doubt",
+    "Feed",
+    "ImageFolder",
     "Live",
     "LiveEvent",
     "LiveGrid",
@@ -23,10 +32,17 @@ __all__ = [
     "LivePose",
     "LiveResult",
     "LiveWindow",
+    "Pauses",
+    "Receiver",
+    "ReceiverStream",
+    "Sources",
+    "StereoDevices",
     "What",
     "discard_session",
     "finish_from",
     "finish_session",
     "live_folder",
+    "parse_devices",
+    "parse_feed",
     "replay",
 ]

@@ -88,14 +88,14 @@ class Live(Closing):
         check_target(Path(map_path), about)
         odometry = follows_camera(rig, settings)
         warm_up(gridder, odometry=odometry)
-        self.name, self._settings = name, settings
+        self.name, self.rig, self._settings = name, rig, settings
         self._kept = Kept(Path(map_path), about)
         drive = self._kept.drive
         self._lock = threading.Lock()
         self._nmea = NmeaStream(late_epochs=1)
         self._fixes, self._bad = len(drive.fixes), len(drive.bad)
         self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
-        self._pushed = 0
+        self._pushed = self._heard_ns = 0
         self._is_full = False
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns: int | None = None
@@ -214,6 +214,7 @@ class Live(Closing):
         """A frame as recordings have it, which is read by the session's own thread; the rest as in
         `push_pair`."""
         self._check_open()
+        self._heard_ns = max(self._heard_ns, frame.time_ns + self.rig.image_time_offset_ns)
         return self._perceiver.push(frame, wait=wait)
 
     def push_fix(self, fix: Fix) -> None:
@@ -221,6 +222,7 @@ class Live(Closing):
         self._check_open()
         with self._lock:
             self._fixes += 1
+            self._heard_ns = max(self._heard_ns, fix.time_ns)
             self._note_disk(self._kept.add_fix(fix), fix.time_ns)
         self._poser.put(fix)
 
@@ -265,6 +267,11 @@ class Live(Closing):
             raise ConfigError("The results go to the callback; leave out on_result to take them.")
         while (result := self._outbox.take(timeout_s)) is not None:
             yield result
+
+    def tell(self, what: What, text: str) -> None:
+        """Let whoever takes the results know of something beside the session, such as a source that
+        is lost."""
+        self._outbox.put(LiveEvent(what, text, self._heard_ns))
 
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame that was pushed is perceived; False when that takes longer."""

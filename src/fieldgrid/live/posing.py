@@ -19,7 +19,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
 from fieldgrid.live.lag import Trailing, pose_at, unknown_pose
 from fieldgrid.live.perceiving import Seen
-from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
 from fieldgrid.live.window import Placed, RollingWindow
 from fieldgrid.pose import Estimate
@@ -162,28 +162,29 @@ class Poser:
 
     def _estimate(self, still_s: float) -> None:
         """Estimate, place and tell; nothing was pushed for so long."""
-        estimate, doubt = None, ""
+        estimate, doubt, code = None, "", Doubt.NONE
         try:
             newest_ns = self._trailing.newest_ns
             estimate = self._trailing.estimate(
                 min((w.time_ns for w in self._waiting), default=newest_ns)
             )
         except FieldgridError as error:
-            doubt = str(error)
+            doubt, code = str(error), Doubt.NO_FIXES
         if estimate is not None:
             self._say_refused(estimate)
             self._pose, doubt = self._now(estimate)
+            code = Doubt.POSE if doubt else Doubt.NONE
             if self._pose.status is not Status.REJECTED:
                 self._window.follow(self._pose)
-        if self._newest is not None:
+        if self._newest is not None and not doubt:
             silent_s = (self._trailing.newest_ns - self._newest.time_ns) / 1e9
             if silent_s > SILENT_S:
-                doubt = doubt or f"no frame for {silent_s:.1f} s"
-        if still_s > SILENT_S:
-            doubt = doubt or f"nothing was pushed for {still_s:.0f} s"
+                doubt, code = f"no frame for {silent_s:.1f} s", Doubt.NO_FRAMES
+        if still_s > SILENT_S and not doubt:
+            doubt, code = f"nothing was pushed for {still_s:.0f} s", Doubt.SILENT
         placed = self._placed(estimate, doubt)
         if self._trailing.datum is not None:
-            self._show(self._trailing.datum, placed, doubt)
+            self._show(self._trailing.datum, placed, doubt, code)
         if bool(doubt) != bool(self._doubt) or self._doubt is None:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
@@ -246,7 +247,7 @@ class Poser:
         self._window.settle(settled)
         return moving
 
-    def _show(self, datum: Datum, moving: list[Placed], doubt: str) -> None:
+    def _show(self, datum: Datum, moving: list[Placed], doubt: str, code: Doubt) -> None:
         newest, now_ns = self._newest, self._trailing.newest_ns
         view, age_s, sigma_m = self._window.view(moving, datum, now_ns)
         inflation = self._options.inflation
@@ -266,6 +267,7 @@ class Poser:
                 self._window.frames + len(moving),
                 newest.frame_id if is_in and newest else "",
                 latency_s,
+                code,
             )
         )
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,20 @@ class What(StrEnum):
     INPUT = "input"
     DISK = "disk"
     CLIENT = "client"
+
+
+class Doubt(IntEnum):
+    """Why the window is not to be trusted; `NONE` where it is."""
+
+    NONE = 0
+    NO_FIXES = 1
+    """There are no fixes, or too few."""
+    POSE = 2
+    """The pose is not good enough, or older than it may be."""
+    NO_FRAMES = 3
+    """What the sensors say is newer than the last frame by too much."""
+    SILENT = 4
+    """Nothing is pushed any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +121,12 @@ class LivePose:
 class LiveWindow:
     """The map around the vehicle, from the frames of this session whose pose is good enough.
 
-    `doubt` says why it is not to be trusted now; it is empty where it is. `pose` is the latest one
-    of the vehicle, None before the first. `age_s` [rows north, columns east] is how long before the
-    latest data a cell was last seen, `sigma_m` how far off a cell at the far end of the frame that
-    saw it last may be (1 sigma); both NaN where nothing was seen. `latency_s` is from the push of
-    `frame_id`, the newest frame, to here; None, and no name, while that is not in it.
+    `doubt` says why it is not to be trusted now, and `doubt_code` of which kind that is; it is
+    empty where it is. `pose` is the latest one of the vehicle, None before the first. `age_s`
+    [rows north, columns east] is how long before the latest data a cell was last seen,
+    `sigma_m` how far off a cell at the far end of the frame that saw it last may be (1 sigma);
+    both NaN where nothing was seen. `latency_s` is from the push of `frame_id`, the newest
+    frame, to here; None, and no name, while that is not in it.
     """
 
     time_ns: int
@@ -124,6 +139,7 @@ class LiveWindow:
     frames: int
     frame_id: str
     latency_s: float | None
+    doubt_code: Doubt
 
     @property
     def is_trusted(self) -> bool:
@@ -138,6 +154,7 @@ class LiveWindow:
             "time_ns": self.time_ns,
             "trusted": self.is_trusted,
             "doubt": self.doubt,
+            "doubt_code": int(self.doubt_code),
             "frames": self.frames,
             "known_cells": int(seen.sum()),
             "bounds_m": [float(value) for value in self.view.bounds],

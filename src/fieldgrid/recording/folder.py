@@ -18,7 +18,7 @@ from fieldgrid.recording.sensors import CALIBRATION, has_frames, read_seen
 from fieldgrid.recording.settings_file import SETTINGS, read_session_datum, read_settings
 from fieldgrid.recording.stored import StoredFrames
 
-_SESSION = "session.json"
+SESSION = "session.json"
 
 
 def recognises(path: Path) -> bool:
@@ -38,7 +38,7 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
         Drive(
             path=path,
             name=settings.name or path.resolve().name,
-            datum_hint=settings.datum or read_session_datum(path / _SESSION),
+            datum_hint=settings.datum or read_session_datum(path / SESSION),
             pose_source=settings.poses,
         ),
         path,

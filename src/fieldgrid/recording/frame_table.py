@@ -22,8 +22,8 @@ MAX_FRAMES = 500_000
 
 class Layout(NamedTuple):
     """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
-    endings of its files, what a frame and a file are called, what else tells a file's time, and
-    whether files that the table names may be missing."""
+    endings of its files, what a frame and a file are called, what else tells a file's time,
+    whether files that the table names may be missing, and whether all frames are still to come."""
 
     columns: tuple[str, ...]
     folders: tuple[str, ...]
@@ -32,6 +32,7 @@ class Layout(NamedTuple):
     file: str = "image"
     time_of: TimeOf | None = None
     incomplete: bool = False
+    growing: bool = False
 
     def is_in(self, folder: Path) -> bool:
         """Whether all the folders are there."""
@@ -48,6 +49,8 @@ def read_frames(
 
     `table` is the table to read, inside the folder; else `frames.csv` if there is one.
     """
+    if layout.growing:
+        return (), ()
     path = folder / (table or TABLE)
     if table is not None or path.exists():
         shots = _from_table(path, layout)
@@ -58,28 +61,36 @@ def read_frames(
 
 def _from_table(path: Path, layout: Layout) -> list[Shot]:
     shots: list[Shot] = []
-    needed = ("frame_id", *layout.columns)
-    for line, row in read_table(path, needed):
+    for line, row in read_table(path, needed_columns(layout)):
         if len(shots) == MAX_FRAMES:
             raise RecordingError(
                 f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
             )
-        where = f"{path}, line {line}"
-        for column in needed:
-            if not row[column]:
-                raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
-        files = tuple(row[column] for column in layout.columns)
-        for name in files:
-            if not is_inside(name):
-                raise RecordingError(
-                    f"{where}: {name!r} leads out of the recording; give a path inside its folder."
-                )
-        try:
-            time_ns = parse_time_ns(row)
-        except ValueError as problem:
-            raise RecordingError(f"{where}: {problem}; correct it.") from problem
-        shots.append(Shot(time_ns, row["frame_id"], files))
+        shots.append(shot_of_row(row, f"{path}, line {line}", layout))
     return shots
+
+
+def needed_columns(layout: Layout) -> tuple[str, ...]:
+    """The columns that no table of such frames lacks, besides that of the time."""
+    return ("frame_id", *layout.columns)
+
+
+def shot_of_row(row: dict[str, str], where: str, layout: Layout) -> Shot:
+    """The frame that a row of a table tells; `where` is what an error calls the row."""
+    for column in needed_columns(layout):
+        if not row[column]:
+            raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
+    files = tuple(row[column] for column in layout.columns)
+    for name in files:
+        if not is_inside(name):
+            raise RecordingError(
+                f"{where}: {name!r} leads out of the recording; give a path inside its folder."
+            )
+    try:
+        time_ns = parse_time_ns(row)
+    except ValueError as problem:
+        raise RecordingError(f"{where}: {problem}; correct it.") from problem
+    return Shot(time_ns, row["frame_id"], files)
 
 
 def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ...]]:
@@ -89,12 +100,13 @@ def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ..
     for stem in common:
         names = [found[stem] for found in listings]
         files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
-        shots.append(Shot(_time_ns(folder, files[0], layout), stem, files))
+        shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
     alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
     return shots, (f"{alone} images without a partner skipped.",) if alone else ()
 
 
-def _time_ns(folder: Path, file: str, layout: Layout) -> int:
+def file_time_ns(folder: Path, file: str, layout: Layout) -> int:
+    """The time of a frame by the name of its first file, or what else tells it."""
     try:
         return parse_time_ns({"time_ns": PurePath(file).stem})
     except ValueError:

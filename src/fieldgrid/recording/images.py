@@ -64,6 +64,12 @@ class ImageFile:
         header = _checked_header(self._bytes(), self.name, self.max_pixels)
         return header.width_px, header.height_px
 
+    def is_whole(self) -> bool:
+        """Whether the end of a PNG, JPEG or TIFF is there, as far as can be seen without decoding;
+        not before its beginning is."""
+        header = read_header(self._bytes())
+        return header is not None and header.is_whole
+
     def deep_pixels(self) -> _Pixels | None:
         """The pixels as stored if their values have 16 bits, else None."""
         data = self._bytes()

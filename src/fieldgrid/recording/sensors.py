@@ -39,6 +39,7 @@ class Seen(NamedTuple):
     shots: tuple[Shot, ...]
     kind: FrameKind
     notes: tuple[str, ...]
+    layout: Layout = PAIRS
 
 
 def has_frames(path: Path) -> bool:
@@ -47,23 +48,30 @@ def has_frames(path: Path) -> bool:
 
 
 def read_seen(
-    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, *, incomplete: bool = False
+    path: Path,
+    settings: Settings,
+    mounting: Mounting,
+    offset_ns: int,
+    *,
+    incomplete: bool = False,
+    growing: bool = False,
 ) -> Seen:
     """The frames of the recording in a folder.
 
     Where there are several kinds, the settings say which, or else the first of pairs, depths,
-    disparities and clouds is taken. With `incomplete`, files of frames may be missing.
+    disparities and clouds is taken. With `incomplete`, files of frames may be missing. With
+    `growing` all frames are still to come, and none is looked for.
     """
     found = _kinds(path, settings)
     sensor = settings.sensor or next(iter(found), "stereo")
-    layout = _LAYOUTS[sensor]._replace(incomplete=incomplete)
+    layout = _LAYOUTS[sensor]._replace(incomplete=incomplete, growing=growing)
     read: dict[str, Callable[[Path, Settings, Mounting, int, Layout], Seen]] = {
         "stereo": _pairs,
         "depth": _depths,
         "disparity": _depths,
         "cloud": _clouds,
     }
-    seen = read[sensor](path, settings, mounting, offset_ns, layout)
+    seen = read[sensor](path, settings, mounting, offset_ns, layout)._replace(layout=layout)
     others = [other for other in found if other != sensor]
     if settings.sensor is None and others:
         note = (
@@ -162,6 +170,11 @@ def _clouds(
     if settings.points_per_sr is not None:
         return Seen(
             mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, CloudKind(axes), notes
+        )
+    if layout.growing:
+        raise CalibrationError(
+            f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
+            "add it to recording.toml: [cloud] points_per_sr."
         )
     density, name = _measured_density(path, shots, axes)
     note = f"The lidar takes {density:.0f} points in a steradian, by {name}."

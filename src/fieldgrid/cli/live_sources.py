@@ -1,0 +1,151 @@
+"""Where a live session takes images and fixes from, by the options of `fieldgrid live`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from fieldgrid.cli.drive_options import DriveFlags
+
+if TYPE_CHECKING:
+    import threading
+
+    from fieldgrid.geodesy import Datum
+    from fieldgrid.live import Live
+    from fieldgrid.recording import Recording
+    from fieldgrid.rig import Rig
+
+_PANEL = "Sources"
+
+GNSS = typer.Option(
+    "--gnss",
+    metavar="URL|FILE",
+    help="The receiver: tcp://HOST:PORT, udp://[HOST]:PORT, gpsd://HOST[:PORT], "
+    "serial:/dev/ttyUSB0?baud=115200, a FIFO, or - for standard input. With --replay: which GNSS "
+    "log of the recording, or the path of another.",
+    rich_help_panel=_PANEL,
+)
+
+
+class SourceFlags(NamedTuple):
+    """Sources of images, and who is told of the window around the vehicle."""
+
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            "--images",
+            metavar="FOLDER",
+            help="Take images as they appear in a folder that is laid out as a recording.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="N|L,R",
+            help="Take images of a UVC camera: one device, left and right side by side, or two.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    camera_fps: Annotated[
+        float,
+        typer.Option(
+            "--camera-fps",
+            metavar="N",
+            help="Take so many pairs a second of --camera at most.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = 10.0
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            metavar="FOLDER",
+            help="The folder of a recording whose calibration/ is that of --camera.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    feed: Annotated[
+        str | None,
+        typer.Option(
+            "--feed",
+            metavar="tcp://HOST:PORT",
+            help="Send the costmap around the vehicle to whoever connects; HOST is 127.0.0.1 for "
+            "this machine alone.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
+
+class Driven(NamedTuple):
+    """What a session is made for, and how it is pushed to, until the event is set; `run` returns
+    whether all was pushed before."""
+
+    rig: Rig
+    name: str
+    datum_hint: Datum | None
+    source: str
+    source_sha256: str
+    notes: tuple[str, ...]
+    run: Callable[[Live, threading.Event], bool]
+
+
+def of_recording(found: Recording, rate: float | None) -> Driven:
+    """A recording that is replayed."""
+    from fieldgrid.live import replay
+
+    return Driven(
+        found.rig,
+        found.name,
+        found.datum_hint,
+        found.gnss_source,
+        found.gnss_sha256(),
+        (*found.losses, *found.notes),
+        lambda live, stop: replay(live, found, rate=rate, stop=stop),
+    )
+
+
+def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
+    """A receiver and a folder or a camera; a usage error where one of them is not said."""
+    from fieldgrid.errors import ConfigError
+    from fieldgrid.live import ImageFolder, Receiver, Sources, StereoDevices, parse_devices
+    from fieldgrid.live.intake import Source
+    from fieldgrid.recording.growing import open_growing
+    from fieldgrid.recording.stored import PairKind
+
+    if drive.gnss is None:
+        raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
+    receiver = Receiver(drive.gnss)
+    images: Source
+    if flags.camera is None:
+        assert flags.images is not None
+        folder = open_growing(flags.images, drive.options())
+        images = ImageFolder(folder)
+    else:
+        devices = parse_devices(flags.camera)
+        if flags.rig is None:
+            raise typer.BadParameter(
+                "say which folder has the calibration/ of the camera", param_hint="--rig"
+            )
+        folder = open_growing(flags.rig, drive.options())
+        if not isinstance(folder.kind, PairKind):
+            raise ConfigError(f"{flags.rig} is of no stereo pair; give the rig of the camera.")
+        images = StereoDevices(
+            devices, folder.rig, folder.kind.rectifier, most_fps=flags.camera_fps
+        )
+
+    def run(live: Live, stop: threading.Event) -> bool:
+        with Sources(live, (receiver, images)) as sources:
+            while not (stop.is_set() or sources.wait(_LOOK_S)):
+                pass
+        return not stop.is_set()
+
+    return Driven(folder.rig, folder.name, folder.datum_hint, drive.gnss, "", folder.notes, run)
+
+
+_LOOK_S = 0.2
+"""How often it is looked whether the session is to end."""

@@ -1,0 +1,125 @@
+"""A receiver on a link: its bytes to fixes, as they come."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+
+from fieldgrid.fixes import Fix
+from fieldgrid.gnss import NmeaStream, UbxParser
+from fieldgrid.live.intake import Intake, SourceEndedError
+from fieldgrid.live.links import Address, LinkEndedError, check_link, open_link, parse_address
+
+POLL_S = 0.25
+
+DECIDES = 3
+"""Fixes of one protocol after which it is known which ones the receiver writes."""
+
+TURNS_AFTER = 20
+"""So many fixes of the other protocol without one of that which is taken, and it is taken."""
+
+
+class ReceiverStream:
+    """Fixes out of the bytes of a receiver that writes NMEA 0183, UBX or both.
+
+    One protocol is taken, since both tell the same positions, each rounded in its own way: of both
+    it is UBX, as in a log. The first fixes wait until that is known.
+    """
+
+    def __init__(self) -> None:
+        self._nmea, self._ubx = NmeaStream(late_epochs=1), UbxParser()
+        self._held: dict[str, list[Fix]] = {"UBX": [], "NMEA": []}
+        self.protocol = ""
+        """The protocol that is taken, empty while that is open."""
+
+    def feed(self, data: bytes) -> list[Fix]:
+        """The fixes that are complete after some more bytes."""
+        return self._take(self._ubx.feed(data), self._nmea.feed(data), DECIDES)
+
+    def finish(self) -> list[Fix]:
+        """The fixes that were still open at the end."""
+        return self._take(self._ubx.close(), self._nmea.finish(), 1)
+
+    def _take(self, ubx: list[Fix], nmea: list[Fix], decides: int) -> list[Fix]:
+        held = self._held
+        held["UBX"] += ubx
+        held["NMEA"] += nmea
+        if self.protocol and held[self.protocol]:
+            return self._given()
+        fewest = TURNS_AFTER if self.protocol else decides
+        if max(map(len, held.values())) < fewest:
+            return []
+        self.protocol = next(name for name, fixes in held.items() if fixes)
+        return self._given()
+
+    def _given(self) -> list[Fix]:
+        fixes = self._held[self.protocol]
+        self._held = {"UBX": [], "NMEA": []}
+        return fixes
+
+    def why_no_fix(self) -> str:
+        """Why bytes come and no fix, and what to do."""
+        nmea, ubx = self._nmea.log([]), self._ubx.log([])
+        if nmea.undated:
+            return "the date is missing; let the receiver write RMC or ZDA besides GGA"
+        if nmea.no_position or ubx.no_position:
+            return "the receiver has no position yet"
+        if nmea.sentences or ubx.messages:
+            return "no message has a position; let the receiver write GGA and RMC, or NAV-PVT"
+        return "no sentence of NMEA and no message of UBX is whole; check the baud rate"
+
+
+class Receiver:
+    """A receiver as a source of fixes; `address` is written as `--gnss` has it.
+
+    The stream goes on over losses of the link, so that a date that was told once holds. Raises
+    ConfigError for what is no address, and for a serial port without pyserial.
+    """
+
+    def __init__(self, address: str | Address) -> None:
+        self._address = parse_address(address) if isinstance(address, str) else address
+        check_link(self._address)
+        self._stream = ReceiverStream()
+
+    @property
+    def name(self) -> str:
+        """The receiver and its address."""
+        return f"The receiver at {self._address.text}"
+
+    def run(self, intake: Intake) -> None:
+        """Give fixes as they come; see `Source`."""
+        pauses, is_silent, told_no_fix = intake.pauses, False, False
+        with closing(open_link(self._address)) as link:
+            heard_s = fix_s = time.monotonic()
+            while not intake.stop.is_set():
+                try:
+                    data = link.read(min(POLL_S, pauses.silent_s))
+                except LinkEndedError:
+                    raise SourceEndedError("has come to its end.") from None
+                now_s = time.monotonic()
+                still_s = now_s - heard_s
+                if not data:
+                    if still_s > pauses.silent_s and not is_silent:
+                        is_silent = True
+                        intake.tell(f"has sent nothing for {still_s:.0f} s; the mapping goes on.")
+                    if still_s > pauses.dead_s and self._address.is_reopened:
+                        raise ConnectionError(f"nothing came for {pauses.dead_s:.0f} s")
+                    continue
+                intake.arrived()
+                if is_silent:
+                    is_silent = False
+                    intake.tell(f"sends again, after {still_s:.0f} s.")
+                heard_s = now_s
+                if fixes := self._stream.feed(data):
+                    fix_s, told_no_fix = now_s, False
+                    for fix in fixes:
+                        intake.push_fix(fix)
+                elif now_s - fix_s > pauses.no_fix_s and not told_no_fix:
+                    told_no_fix = True
+                    why = self._stream.why_no_fix()
+                    intake.tell(f"sends, but no fix for {now_s - fix_s:.0f} s: {why}.")
+
+    def finish(self, intake: Intake) -> None:
+        """Give the fixes that were still open."""
+        for fix in self._stream.finish():
+            intake.push_fix(fix)

@@ -1,0 +1,190 @@
+"""A plain folder in which the frames of a drive appear while it is driven."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
+
+from fieldgrid.errors import RecordingError
+from fieldgrid.geodesy import Datum
+from fieldgrid.recording.files import MAX_TEXT_BYTES
+from fieldgrid.recording.folder import SESSION, mounting_path
+from fieldgrid.recording.frame_table import (
+    TABLE,
+    Layout,
+    file_time_ns,
+    needed_columns,
+    shot_of_row,
+)
+from fieldgrid.recording.frames import Frame
+from fieldgrid.recording.image_format import image_format
+from fieldgrid.recording.images import ImageFile
+from fieldgrid.recording.options import DriveOptions
+from fieldgrid.recording.sensors import read_seen
+from fieldgrid.recording.settings_file import (
+    SETTINGS,
+    Settings,
+    read_session_datum,
+    read_settings,
+)
+from fieldgrid.recording.stored import FrameKind, PairKind, Shot
+from fieldgrid.rig import Rig
+
+_PAIRS_TELL = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
+_OTHERS_TELL = frozenset({".png"})
+"""Endings of files that tell whether they are whole."""
+
+
+@dataclass(slots=True, eq=False)
+class GrowingFolder:
+    """A folder of the layout of a recording, and which of its frames were found so far.
+
+    Not safe to call from several threads.
+    """
+
+    path: Path
+    name: str
+    rig: Rig
+    datum_hint: Datum | None
+    notes: tuple[str, ...]
+    kind: FrameKind
+    _settings: Settings
+    _layout: Layout
+    _is_first: bool = True
+    _found: set[str] = field(default_factory=set)
+    _read_bytes: int = 0
+    _header: list[str] = field(default_factory=list)
+    _lines: int = 0
+
+    def new_shots(self) -> tuple[list[Shot], list[RecordingError]]:
+        """The frames that were not there the last time, in order of time, and what is wrong with
+        names and rows that are new. Files may be missing yet where the table names them, or be half
+        written. OSError where the folder cannot be read, RecordingError for a table that has become
+        shorter."""
+        table = self.path / (self._settings.frames or TABLE)
+        shots: list[Shot] = []
+        problems: list[RecordingError] = []
+        for found in self._from_table(table) if table.exists() else self._from_names():
+            if isinstance(found, Shot):
+                shots.append(found)
+            else:
+                problems.append(found)
+        return sorted(shots), problems
+
+    def frame(self, shot: Shot) -> Frame:
+        """The frame, its files unread. The first one tells how many of 16 bits are filled, where
+        nothing else does, which is added to the notes."""
+        if self._is_first and isinstance(self.kind, PairKind):
+            stored, notes = image_format(self.path, [shot], self._settings)
+            self.kind = replace(self.kind, image_format=stored)
+            self.notes += notes
+        self._is_first = False
+        return self.kind.frame(self.path, shot)
+
+    def is_whole(self, shot: Shot) -> bool | None:
+        """Whether the files of a frame are written to their end; None where they are of a kind
+        that does not tell."""
+        tells = _PAIRS_TELL if isinstance(self.kind, PairKind) else _OTHERS_TELL
+        says: bool | None = True
+        for name in shot.files:
+            path = self.path / name
+            if not path.is_file():
+                return False
+            if path.suffix.lower() not in tells:
+                says = None
+            elif not ImageFile(path).is_whole():
+                return False
+        return says
+
+    def state(self, shot: Shot) -> tuple[tuple[int, int], ...]:
+        """Size and time of change of the files of a frame, (-1, 0) of a missing one."""
+        found = []
+        for name in shot.files:
+            try:
+                status = (self.path / name).stat()
+                found.append((status.st_size, status.st_mtime_ns))
+            except OSError:
+                found.append((-1, 0))
+        return tuple(found)
+
+    def _from_names(self) -> Iterator[Shot | RecordingError]:
+        listings: list[dict[str, str]] = []
+        for where in self._layout.folders:
+            with os.scandir(self.path / where) as entries:
+                names = [PurePath(entry.name) for entry in entries]
+            listings.append(
+                {n.stem: f"{where}/{n}" for n in names if n.suffix.lower() in self._layout.suffixes}
+            )
+        for stem in set.intersection(*map(set, listings)) - self._found:
+            self._found.add(stem)
+            files = tuple(listing[stem] for listing in listings)
+            try:
+                yield Shot(file_time_ns(self.path, files[0], self._layout), stem, files)
+            except RecordingError as problem:
+                yield problem
+
+    def _from_table(self, table: Path) -> Iterator[Shot | RecordingError]:
+        """What the rows tell that end with a new line and were not read yet."""
+        with table.open("rb") as file:
+            if file.seek(0, os.SEEK_END) < self._read_bytes:
+                raise RecordingError(
+                    f"{table} has become shorter than what was read of it; begin a new drive in "
+                    "another folder."
+                )
+            file.seek(self._read_bytes)
+            data = file.read(MAX_TEXT_BYTES)
+        for raw in data[: data.rfind(b"\n") + 1].splitlines(keepends=True):
+            self._read_bytes += len(raw)
+            self._lines += 1
+            where = f"{table}, line {self._lines}"
+            try:
+                if (shot := self._of_row(raw, where)) is not None:
+                    yield shot
+            except RecordingError as problem:
+                yield problem
+            except (UnicodeDecodeError, csv.Error) as problem:
+                yield RecordingError(f"{where}: {problem}; correct it.")
+
+    def _of_row(self, raw: bytes, where: str) -> Shot | None:
+        cells = [cell.strip() for cell in next(csv.reader([raw.decode("utf-8-sig")]), [])]
+        if self._header:
+            if not any(cells):
+                return None
+            cells += [""] * len(self._header)
+            return shot_of_row(dict(zip(self._header, cells, strict=False)), where, self._layout)
+        needed = needed_columns(self._layout)
+        if not set(needed) <= set(cells):
+            raise RecordingError(f"{where} is no header with at least {', '.join(needed)}.")
+        self._header = cells
+        return None
+
+
+def open_growing(path: str | Path, options: DriveOptions | None = None) -> GrowingFolder:
+    """The folder in which frames will appear: `left/` and `right/` (or `depth/`, `disparity/`,
+    `clouds/`), with `frames.csv` or times as names, and `calibration/` as a recording has it. Of
+    the options, `mounting` and `image_time_offset_ns` count.
+
+    Raises RecordingError for what is no such folder, CalibrationError where it does not say what
+    the frames will be of.
+    """
+    path, options = Path(path), options or DriveOptions()
+    if not path.is_dir():
+        what = "is no folder" if path.exists() else "does not exist"
+        raise RecordingError(f"{path} {what}; give the folder in which images appear.")
+    settings = read_settings(path / SETTINGS)
+    mounting = options.find_mounting(mounting_path(path), path)
+    offset_ns = options.offset_or(settings.image_time_offset_ns)
+    seen = read_seen(path, settings, mounting, offset_ns, growing=True)
+    return GrowingFolder(
+        path,
+        settings.name or path.resolve().name,
+        seen.rig,
+        settings.datum or read_session_datum(path / SESSION),
+        seen.notes,
+        seen.kind,
+        settings,
+        seen.layout,
+    )
