@@ -304,10 +304,10 @@ def ground_steps(low: Float64, ground: Float64, counts: Int32) -> Float64:
     above = (np.arange(BINS) - BINS / 2) * BIN_M > top
     standing = (counts * above).sum(axis=2) > STANDING_SHARE * counts.sum(axis=2)
     height = np.where(found & ~standing, low, np.nan)
-    steps = np.full(low.shape, np.nan)
-    raise_to_steps(height, steps)
-    raise_to_steps(height.T, steps.T)
-    return steps
+    along, across = np.full(low.shape, np.nan), np.full(low.shape[::-1], np.nan)
+    raise_to_steps(height, along)
+    raise_to_steps(np.ascontiguousarray(height.T), across)  # one memory order: compiled once
+    return np.asarray(np.fmax(along, across.T))
 
 
 @kernel

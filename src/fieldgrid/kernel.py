@@ -14,9 +14,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
+from pathlib import Path
 from typing import Any
 
 _COMPILING = threading.RLock()
+
+_WATCHED: list[Callable[[], None]] = []
+"""Whom to tell that a kernel is compiled, and not loaded."""
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -46,6 +50,7 @@ class Kernel:
             if self._compiled is None:
                 import numba
 
+                _watch()
                 names = self._function.__globals__
                 for name in self._function.__code__.co_names:
                     used = names.get(name)
@@ -61,6 +66,40 @@ class Kernel:
     def cache_folder(self) -> str | None:
         """Where the machine code is kept, None where there is no place for it."""
         return getattr(self.compiled().stats, "cache_path", None)
+
+    def is_kept(self) -> bool:
+        """Whether machine code of this version of the kernel is kept."""
+        folder, source = self.cache_folder(), Path(self._function.__code__.co_filename)
+        if folder is None:
+            return False
+        kept = Path(folder).glob(f"{source.stem}.{self._function.__name__}-*.nbi")
+        return any(one.stat().st_mtime_ns >= source.stat().st_mtime_ns for one in kept)
+
+
+def when_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell` once, when the first kernel of this process is compiled for want of kept code."""
+    _WATCHED.append(tell)
+
+
+def _watch() -> None:
+    if not _WATCHED:
+        return
+    from numba.core import event
+
+    tell = _WATCHED.pop()
+
+    class FirstOnly(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                self.told = True
+                tell()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    event.register("numba:compile", FirstOnly())  # type: ignore[no-untyped-call]
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:

@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from fieldgrid.cli.commands import CONTEXT, Commands
 from fieldgrid.cli.output import log_cost, printable
+from fieldgrid.cli.warming import tell_of_compiling
 from fieldgrid.errors import FieldgridError
 
 app = typer.Typer(
@@ -56,6 +57,7 @@ def main() -> None:
     """Run the command line; the entry point of the `fieldgrid` script."""
     # A polite request to end unwinds like an error, so that nothing half-written stays.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    tell_of_compiling()
     # A name that is no UTF-8 can still be printed.
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output, progress
+from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
@@ -180,7 +180,7 @@ def command(
 
     partly: PartlyBuiltError | None = None
     try:
-        with progress.building(out, wait_s) as tell:
+        with warming.frames_ahead(), progress.building(out, wait_s) as tell:
             reports = build_map(
                 recordings,
                 out,

@@ -157,11 +157,14 @@ def couplings(x, fix_en, weight, lever, turned, step_s):  # type: ignore[no-unty
         east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
         north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
         turn = x[k, V] * x[k, KAPPA]
-        state[0] = sin, cos, -lever[0], sin, cos
-        state[1] = cos, -sin, lever[1], cos, -sin
+        # Element by element: an assignment to a row takes four seconds to compile.
+        state[0, 0], state[0, 1], state[0, 2] = sin, cos, -lever[0]
+        state[0, 3], state[0, 4] = sin, cos
+        state[1, 0], state[1, 1], state[1, 2] = cos, -sin, lever[1]
+        state[1, 3], state[1, 4] = cos, -sin
         # A fix that is stamped late is of an earlier place.
-        constant[0] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
-        constant[1] = 1.0, 0.0, -lever[1] * turn
+        constant[0, 0], constant[0, 1], constant[0, 2] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
+        constant[1, 0], constant[1, 1], constant[1, 2] = 1.0, 0.0, -lever[1] * turn
         for axis in range(2):
             off = east * sin + north * cos if axis == 0 else east * cos - north * sin
             for a in range(3):

@@ -1,0 +1,47 @@
+"""Kernels: kept machine code, and who is told that there is none."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+_MODULE = """
+from fieldgrid.kernel import kernel
+
+@kernel
+def double(values):
+    for k in range(len(values)):
+        values[k] *= 2.0
+"""
+
+_RUN = """
+import numpy as np
+from fieldgrid.kernel import when_compiling
+when_compiling(lambda: print("compiling"))
+from loops import double
+print(double.is_kept())
+for kind in (np.float64, np.float32):
+    double(np.ones(2, kind))
+print(double.is_kept())
+"""
+
+
+def _run(folder: Path) -> list[str]:
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "kept")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_that_a_kernel_is_compiled_is_told_once_and_what_is_kept_is_known(tmp_path: Path) -> None:
+    module = tmp_path / "loops.py"
+    module.write_text(_MODULE)
+    assert _run(tmp_path) == ["False", "compiling", "True"]
+    assert _run(tmp_path) == ["True", "True"]
+    # Another version of the module.
+    module.write_text(_MODULE.replace("2.0", "3.0"))
+    later_ns = 10_000_000_000 + module.stat().st_mtime_ns
+    os.utime(module, ns=(later_ns, later_ns))
+    assert _run(tmp_path)[:2] == ["False", "compiling"]
