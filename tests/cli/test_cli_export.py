@@ -62,6 +62,10 @@ def test_the_ending_says_the_format(fieldgrid: Run, f_map: Path, tmp_path: Path)
         assert answer["map"] == str(f_map)
         for file in answer["files"]:
             assert file["bytes"] == Path(file["path"]).stat().st_size > 0
+        with open_map(f_map) as universal:
+            assert answer["about"]["cell_m"] == universal.cell_m
+            assert answer["about"]["datum"]["lat_deg"] == universal.datum.lat_deg
+            assert answer["about"]["bounds_m"]["west"] == universal.bounds.west_m
     named = fieldgrid("export", f_map, tmp_path / "odd.name", "--format", "geotiff")
     assert named.output().splitlines()[0].split() == ["format", "geotiff"]
     assert faults(opened(tmp_path / "odd.name")) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -75,6 +76,15 @@ def coarse(key: str) -> Selection:
     return Selection() if key == "qgz" else Selection(cell_m=COARSE_M)
 
 
+def texts_in(value: Any) -> list[str]:
+    """The strings among the values of what JSON holds."""
+    if isinstance(value, dict):
+        return [text for one in value.values() for text in texts_in(one)]
+    if isinstance(value, list):
+        return [text for one in value for text in texts_in(one)]
+    return [value] if isinstance(value, str) else []
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_asymmetric_map(tmp_path_factory.mktemp("map") / "f.gpkg")
@@ -121,6 +131,10 @@ def test_what_is_there_stays_unless_told_otherwise(
     assert all(path.exists() for path in done.paths)
     listed = sorted(tmp_path.iterdir())
     assert listed == sorted(done.paths)
+    # A program is told in numbers what a reader is told in words.
+    about = json.loads(json.dumps(dict(done.about)))
+    assert about or not done.rows
+    assert [text for text in texts_in(about) if re.search(r"\d", text)] in ([], ["WGS84"])
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with pytest.raises(MapExistsError, match="--overwrite"):
         export_map(universal, out, part, format=key)

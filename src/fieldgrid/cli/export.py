@@ -198,7 +198,7 @@ def _as_dict(map_: Path, name: str, done: Exported) -> dict[str, Any]:
         "map": str(map_),
         "format": name,
         "files": [{"path": str(path), "bytes": _bytes(path)} for path in done.paths],
-        "about": dict(done.rows),
+        "about": dict(done.about),
     }
 
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
+from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
@@ -70,7 +71,8 @@ def export_npz(
                 for name, raw in raws.items():
                     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                         raw.copy_to(member)
-    return Exported((path,), (("cells", f"{window.width} x {window.height}"),))
+    rows = (("cells", f"{window.width} x {window.height}"),)
+    return Exported((path,), rows, extent(lattice, window, datum))
 
 
 def _cells(view: MapView) -> dict[str, AnyArray]:
@@ -127,7 +129,7 @@ def export_zarr(
     with replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft:
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
         dataset.to_zarr(draft, mode="w", zarr_format=2, consolidated=True)
-    return Exported((path,), _size(view))
+    return Exported((path,), _size(view), extent(view.lattice, view.window, view.datum))
 
 
 def export_netcdf(
@@ -142,7 +144,7 @@ def export_netcdf(
     with replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file:
         # In memory: HDF5 ends the program when the disk fills up.
         file.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=packed))
-    return Exported((path,), _size(view))
+    return Exported((path,), _size(view), extent(view.lattice, view.window, view.datum))
 
 
 def _dataset(

@@ -15,6 +15,23 @@ CONVENTION = (
 )
 
 
+def extent(lattice: Lattice, window: Window, datum: Datum) -> dict[str, Any]:
+    """The datum, the cells and their bounds in metres, as JSON can hold them."""
+    bounds = lattice.bounds(window)
+    return {
+        "datum": {
+            "lat_deg": datum.lat_deg,
+            "lon_deg": datum.lon_deg,
+            "height_m": datum.height_m,
+            "ellipsoid": "WGS84",
+        },
+        "cell_m": lattice.cell_m,
+        "width": window.width,
+        "height": window.height,
+        "bounds_m": dict(zip(("west", "south", "east", "north"), map(float, bounds), strict=True)),
+    }
+
+
 def georeference(lattice: Lattice, window: Window, datum: Datum) -> dict[str, Any]:
     """The datum, the plane, the extent and its corners on Earth, as JSON can hold them.
 
@@ -28,18 +45,9 @@ def georeference(lattice: Lattice, window: Window, datum: Datum) -> dict[str, An
     names = ("south_west", "south_east", "north_east", "north_west")
     return {
         "fieldgrid_georeference": VERSION,
-        "datum": {
-            "lat_deg": datum.lat_deg,
-            "lon_deg": datum.lon_deg,
-            "height_m": datum.height_m,
-            "ellipsoid": "WGS84",
-        },
+        **extent(lattice, window, datum),
         "convention": CONVENTION,
         "crs_wkt": datum.crs_wkt("WKT2_2019"),
-        "cell_m": cell_m,
-        "width": window.width,
-        "height": window.height,
-        "bounds_m": dict(zip(("west", "south", "east", "north"), map(float, bounds), strict=True)),
         "pixel_to_map": [cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m],
         "corners_deg": {
             name: [round(float(lat), 10), round(float(lon), 10)]

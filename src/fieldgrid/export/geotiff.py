@@ -62,7 +62,7 @@ def export_geotiff(
         painted(universal, path, selection, epsg) as raster,
     ):
         _copy(raster, file, write_overviews(universal, selection, raster))
-    return Exported((path,), raster.rows)
+    return Exported((path,), raster.rows, raster.about)
 
 
 def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False) -> None:
@@ -83,7 +83,7 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
             with creating(pixels, plane, layout, tags) as dataset:
                 dataset.write(view.change[::-1], 1)
             # What became of a cell has no average.
-            _copy(Raster(pixels, plane, plane, layout, (), scratch), file, resampling="MODE")
+            _copy(Raster(pixels, plane, plane, layout, (), {}, scratch), file, resampling="MODE")
         finally:
             scratch.discard()
 

@@ -21,6 +21,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
+from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
@@ -91,7 +92,14 @@ def export_kmz(
         ("pictures, lines, marks", f"{count}, {lines}, {len(marks)}"),
         ("datum", universal.datum.described()),
     )
-    return Exported((path,), rows)
+    about = {
+        "layer": selection.layer,
+        **extent(lattice, whole, universal.datum),
+        "pictures": count,
+        "lines": lines,
+        "marks": len(marks),
+    }
+    return Exported((path,), rows, about)
 
 
 def _is_ours(file: Path) -> bool:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export.georeference import georeference
+from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -110,7 +110,9 @@ def export_nav2(
     )
     cells = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
     rows = (("mode", options.mode), ("cells", cells), *_rows(part.counts))
-    return Exported((paths[-1], *paths[:-1]), rows)
+    about = {"mode": options.mode, **_counted(part.counts)}
+    about |= extent(whole.lattice, whole.window, universal.datum)
+    return Exported((paths[-1], *paths[:-1]), rows, about)
 
 
 def _export_tiles(
@@ -152,7 +154,9 @@ def _export_tiles(
         ("mode", options.mode),
         *_rows(counts),
     )
-    return Exported((folder,), rows)
+    about = {"mode": options.mode, "tiles": len(tiles), **_counted(counts)}
+    about |= extent(whole.lattice, whole.window, universal.datum)
+    return Exported((folder,), rows, about)
 
 
 class _Part:
@@ -273,6 +277,12 @@ def _rows(counts: Int64) -> tuple[tuple[str, str], ...]:
         ("free, in doubt, obstacle, unknown", ", ".join(map(str, known))),
         ("kept out of", str(keepout)),
     )
+
+
+def _counted(counts: Int64) -> dict[str, Any]:
+    """Cells of each kind, and those to be kept out of."""
+    kinds = ("free", "in_doubt", "obstacle", "unknown", "kept_out_of")
+    return dict(zip(kinds, counts.tolist(), strict=True))
 
 
 register(

@@ -55,7 +55,7 @@ def export_png(
             ours=is_ours,
             what="a PNG",
         )
-    return Exported((paths[-1], *paths[:-1]), picture.raster.rows)
+    return Exported((paths[-1], *paths[:-1]), picture.raster.rows, picture.raster.about)
 
 
 class _Picture:

@@ -58,7 +58,7 @@ def export_qgz(
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         archive.writestr(f"{path.stem}.qgs", document)
-    return Exported((path,), _rows(universal))
+    return Exported((path,), _rows(universal), {"layers": _names(universal)})
 
 
 def _is_ours(file: Path) -> bool:

@@ -8,7 +8,7 @@ more than some blocks are ever in memory.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.export.georeference import extent
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -74,6 +75,7 @@ class Raster(NamedTuple):
     cells: Plane
     layout: Layout
     rows: tuple[tuple[str, str], ...]
+    about: Mapping[str, Any]
     scratch: Scratch
 
 
@@ -136,6 +138,11 @@ def painted(
                     for number, band in enumerate(layout.bands(view, selection.layer), 1):
                         dataset.write(band[::-1], number, window=place)
         rows = _rows(universal, selection, blocks.lattice, blocks.window)
+        about = {
+            "layer": selection.layer,
+            **extent(blocks.lattice, blocks.window, universal.datum),
+            "epsg": epsg,
+        }
         if other is not None:
             plane, source = other, file
             file = scratch.file("projected")
@@ -143,7 +150,11 @@ def painted(
             side = f"{plane.transform.a:.9g} x {-plane.transform.e:.9g}"
             rows += (("pixels", f"{plane.width} x {plane.height} of {side}"),)
         crs = f"EPSG:{epsg}" if epsg is not None else "Transverse Mercator at the datum"
-        yield Raster(file, plane, cells, layout, (*rows, ("plane", crs)), scratch)
+        about |= {
+            "pixels": [plane.width, plane.height],
+            "pixel_size": [plane.transform.a, -plane.transform.e],
+        }
+        yield Raster(file, plane, cells, layout, (*rows, ("plane", crs)), about, scratch)
 
 
 def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:

@@ -23,6 +23,7 @@ from enum import StrEnum
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from pydantic import ValidationError
@@ -49,10 +50,12 @@ _BUILT_IN = (
 
 
 class Exported(NamedTuple):
-    """What an export has written: its files or folders, and rows (label, value) for a reader."""
+    """What an export has written: its files or folders, rows (label, value) for a reader, and the
+    same as numbers for a program."""
 
     paths: tuple[Path, ...]
     rows: tuple[tuple[str, str], ...] = ()
+    about: Mapping[str, Any] = MappingProxyType({})
 
 
 class Holds(StrEnum):

@@ -20,7 +20,7 @@ from fieldgrid.cost import CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import foxglove_messages, ros_messages
 from fieldgrid.export.features import trajectories
-from fieldgrid.export.georeference import georeference
+from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
@@ -103,7 +103,7 @@ def export_mcap(
                 topic, raw.schema_name, "protobuf", raw.schema, raw.data, content.start_ns
             )
         count = _write(writer, content)
-    return Exported((path,), content.rows(count + len(own)))
+    return Exported((path,), content.rows(count + len(own)), content.about(count + len(own)))
 
 
 def _foxglove(
@@ -147,7 +147,7 @@ def export_rosbag2(
     content = _Content.of(universal, selection, options.curve())
     with BagFolderWriter(path, storage=options.storage, overwrite=overwrite) as writer:
         count = _write(writer, content)
-    return Exported((path,), content.rows(count))
+    return Exported((path,), content.rows(count), content.about(count))
 
 
 class _Content(NamedTuple):
@@ -188,6 +188,12 @@ class _Content(NamedTuple):
         """The size as text."""
         window = self.whole.window
         return f"{window.width} x {window.height} cells of {self.whole.lattice.cell_m:g} m"
+
+    def about(self, messages: int) -> dict[str, Any]:
+        """The same as numbers."""
+        whole, datum = self.whole, self.universal.datum
+        counts = {"messages": messages, "tiles": len(self.tiles)}
+        return extent(whole.lattice, whole.window, datum) | counts
 
     def rows(self, messages: int) -> tuple[tuple[str, str], ...]:
         """What a reader is told."""

@@ -62,7 +62,7 @@ def export_csv(
         ours=lambda file: mentions(beside, b"http://www.w3.org/ns/csvw"),
         what="a CSV",
     )
-    return Exported((path, beside), (("cells", str(rows)),))
+    return Exported((path, beside), (("cells", str(rows)),), {"cells": rows})
 
 
 def export_parquet(
@@ -109,7 +109,7 @@ def export_parquet(
         _refuse_empty(rows, path)
         geo = _geoparquet(universal.datum, [*low.tolist(), *high.tolist()])
         writer.add_key_value_metadata({"geo": json.dumps(geo)})
-    return Exported((path,), (("cells", str(rows)),))
+    return Exported((path,), (("cells", str(rows)),), {"cells": rows})
 
 
 def _geometry(places: Float64) -> dict[str, Any]:

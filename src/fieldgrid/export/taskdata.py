@@ -112,6 +112,11 @@ def export_taskdata(
             ("guidance curves", str(_count_curves(field))),
             ("grid of zones", f"{columns} x {rows}"),
         ),
+        {
+            "obstacles": len(obstacles.geometry),
+            "guidance_curves": _count_curves(field),
+            "grid_of_zones": [columns, rows],
+        },
     )
 
 

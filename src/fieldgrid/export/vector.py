@@ -66,7 +66,7 @@ def export_geojson(
     ours = partial(mentions, mark=b'"name": "fieldgrid"')
     with replacing(path, overwrite=overwrite, ours=ours, what="a GeoJSON") as file:
         _write_geojson(file, path, layers, universal.datum)
-    return Exported((path,), _rows(layers))
+    return Exported((path,), _rows(layers), _counted(layers))
 
 
 def geojson_text(
@@ -120,7 +120,7 @@ def export_geopackage(
                 # GDAL 3.6, of Debian stable, warns of newer versions.
                 dataset_options={"VERSION": "1.3"},
             )
-    return Exported((path,), _rows(layers))
+    return Exported((path,), _rows(layers), _counted(layers))
 
 
 def export_flatgeobuf(
@@ -148,7 +148,7 @@ def export_flatgeobuf(
             crs,
             layer_options={"DESCRIPTION": _FLATGEOBUF},
         )
-    return Exported((path,), _rows(layers))
+    return Exported((path,), _rows(layers), _counted(layers))
 
 
 def export_dxf(
@@ -164,7 +164,7 @@ def export_dxf(
     layers = _layers(universal, selection, options)
     features = [Feature(layer.name, shape, {}) for layer in layers for shape in layer.geometry]
     write_features(path, features, universal.datum, overwrite=overwrite)
-    return Exported((path,), _rows(layers))
+    return Exported((path,), _rows(layers), _counted(layers))
 
 
 def export_shapefile(
@@ -187,12 +187,12 @@ def export_shapefile(
             with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
                 for part in sorted(Path(folder).iterdir()):
                     archive.write(part, part.name)
-        return Exported((path,), _rows(layers))
+        return Exported((path,), _rows(layers), _counted(layers))
     with replacing_folder(
         path, overwrite=overwrite, ours=_is_shapefiles, what="exported shapefiles"
     ) as draft:
         _write_shapefiles(draft, path, layers, universal.datum)
-    return Exported((path,), _rows(layers))
+    return Exported((path,), _rows(layers), _counted(layers))
 
 
 def _write_shapefiles(
@@ -264,6 +264,10 @@ def _layers(
 
 def _rows(layers: Sequence[FeatureLayer]) -> tuple[tuple[str, str], ...]:
     return tuple((f"features in {layer.name}", str(len(layer.geometry))) for layer in layers)
+
+
+def _counted(layers: Sequence[FeatureLayer]) -> dict[str, Any]:
+    return {"features": {layer.name: len(layer.geometry) for layer in layers}}
 
 
 def _datum_tags(datum: Datum) -> dict[str, str]:
