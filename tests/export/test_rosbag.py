@@ -224,6 +224,7 @@ def check_fixes(found: list[Any], session: str) -> None:
     np.testing.assert_allclose(north, driven.north_m[rows], atol=CENTIMETRE)
     np.testing.assert_allclose(up, driven.up_m[rows], atol=CENTIMETRE)
     for fix in found:
+        assert fix.header.frame_id == f"{session}/base_footprint"
         variances = np.diag(np.array(fix.position_covariance).reshape(3, 3))
         np.testing.assert_allclose(variances, [4e-4, 4e-4, 16e-4])
         assert (fix.position_covariance_type, fix.status.status) == (2, 2)

@@ -101,11 +101,11 @@ def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
     return path_message(time_ns, MAP, track.time_ns[rows].tolist(), places, yaw_rad)
 
 
-def fixes(track: Trajectory, wanted: Bool) -> Iterator[tuple[int, Any]]:
+def fixes(track: Trajectory, wanted: Bool, base: str) -> Iterator[tuple[int, Any]]:
     """The time in ns and the sensor_msgs/NavSatFix of each wanted row that a fix gave.
 
-    The positions are those of the vehicle's grid origin, not of its antenna. The height's
-    variance is not estimated; twice the horizontal sigma is usual.
+    The positions are those of the vehicle's grid origin, the frame `base`, not of its antenna. The
+    height's variance is not estimated; twice the horizontal sigma is usual.
     """
     rows = np.flatnonzero(wanted & (track.quality != Quality.ESTIMATED))
     places = track.datum.to_geodetic(track.east_m[rows], track.north_m[rows], track.up_m[rows])
@@ -119,7 +119,7 @@ def fixes(track: Trajectory, wanted: Bool) -> Iterator[tuple[int, Any]]:
             Quality(track.quality[k]),
             sigma_m=sigma_m if math.isfinite(sigma_m) else None,
         )
-        yield time_ns, nav_sat_fix(fix, MAP)
+        yield time_ns, nav_sat_fix(fix, base)
 
 
 def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any, Any]]:

@@ -256,7 +256,7 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
         yield from heapq.merge(
             (
                 _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
-                for time_ns, fix in ros_messages.fixes(track, wanted)
+                for time_ns, fix in ros_messages.fixes(track, wanted, base)
             ),
             (
                 one
