@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import xml.etree.ElementTree as ElementTree
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -149,6 +151,32 @@ def test_tracks_over_ground_without_rows(fieldgrid: Run, meadow: Path, tmp_path:
     told = json.loads(along)
     assert told["swaths"]["worked_m2"] > 0.8 * told["swaths"]["reachable_m2"]
     assert "--tracks" in fieldgrid("route", meadow, "--cover").sentence()
+
+
+def test_tracks_and_lanes_for_terminals_and_lanelet2(
+    fieldgrid: Run, meadow: Path, field: Path, tmp_path: Path
+) -> None:
+    usb, osm, rows = (tmp_path / name for name in ("t.taskdata.zip", "t.osm", "rows.taskdata.zip"))
+    asked = ("route", meadow, "--cover", "--tracks", "--width", "2", "--headland-passes", "0")
+    fieldgrid(*asked, "--direction", "45", "--swaths", usb).output()
+    lines = patterns(usb)
+    assert len(lines) > 3
+    assert all("F1-T" in name for name in lines)
+    fieldgrid(*asked, "--direction", "45", "--swaths", osm, "--speed-limit", "5").output()
+    assert osm.read_text().count("<relation") == len(lines)
+    assert "swaths" in fieldgrid("export", field, rows, "--guidance", "lanes").output()
+    assert set(patterns(rows)) == {"B1-L1", "B1-L2", "B1-L3"}
+    wrong = fieldgrid("export", meadow, tmp_path / "no.taskdata.zip", "--guidance", "lanes")
+    assert "No lanes were found" in wrong.sentence()
+    assert "for Lanelet2" in fieldgrid(*asked, "--swaths", tmp_path / "t.kml",
+                                       "--speed-limit", "5").sentence()  # fmt: skip
+
+
+def patterns(usb: Path) -> set[str]:
+    """The names of the guidance patterns of task data."""
+    with zipfile.ZipFile(usb) as archive:
+        root = ElementTree.fromstring(archive.read("TASKDATA/TASKDATA.XML"))
+    return {str(pattern.get("B")) for pattern in root.iterfind("PFD/GGP/GPN")}
 
 
 def test_options_of_tracks_that_cannot_be(fieldgrid: Run, meadow: Path, tmp_path: Path) -> None:

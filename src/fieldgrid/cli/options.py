@@ -75,6 +75,12 @@ Spacing = Annotated[
 ObstacleAbove = Annotated[
     int, typer.Option(metavar="N", help="Density above which a cell is an obstacle.")
 ]
+SpeedLimit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="KMH", help="Speed limit of the lanes in .osm, km/h.", rich_help_panel=OUTPUT
+    ),
+]
 DatumText = Annotated[
     str | None,
     typer.Option(

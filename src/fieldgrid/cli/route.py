@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 _FORM, _EXAMPLE = "E,N or E,N,HEADING", "12.5,-40 or 12.5,-40,90"
 _COVER, _TRACKS = "Along lanes", "Along tracks, with --cover --tracks"
 _OF_TRACKS = {"width", "overlap", "direction", "along", "boundary", "headland_passes"}
+_TASKDATA = (".taskdata", ".taskdata.zip")
 _OF_LANES = {"crop", "spacing"}
-_OF_COVER = {"lanes", "tracks", "agopengps", "swaths"} | _OF_LANES | _OF_TRACKS
+_OF_COVER = {"lanes", "tracks", "agopengps", "swaths", "speed_limit"} | _OF_LANES | _OF_TRACKS
 
 
 def command(
@@ -113,7 +114,8 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the lanes or tracks: .geojson, .gpkg, .csv, .kml or .dxf.",
+            help="Write the lanes or tracks: .geojson, .gpkg, .csv, .kml, .dxf, .osm for Lanelet2, "
+            ".taskdata.zip for a terminal.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -146,6 +148,7 @@ def command(
     ] = None,
     bounds: options.BoundsValues = None,
     at: options.At = None,
+    speed_limit: options.SpeedLimit = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -171,8 +174,11 @@ def command(
     from fieldgrid.cost import CostCurve
     from fieldgrid.coverage import Tracks, plan_coverage
     from fieldgrid.errors import NoRouteError
+    from fieldgrid.export import Selection
+    from fieldgrid.export.guidance import TaskdataOptions
+    from fieldgrid.export.taskdata import export_taskdata
     from fieldgrid.grids import FREE_UP_TO
-    from fieldgrid.mapfile import read_datum
+    from fieldgrid.mapfile import open_map, read_datum
     from fieldgrid.publish import refuse_input
     from fieldgrid.route import Vehicle, plan_route, read_vehicle
     from fieldgrid.route.output import check_target, write_route
@@ -251,7 +257,20 @@ def command(
     if coverage is not None and agopengps is not None:
         write_agopengps(coverage.planting, agopengps, overwrite=overwrite)
     if coverage is not None and swaths is not None:
-        write_planting(coverage.planting, swaths, overwrite=overwrite)
+        if swaths.name.lower().endswith(_TASKDATA):
+            with open_map(map_) as opened:
+                export_taskdata(
+                    opened,
+                    swaths,
+                    Selection(ground["bounds"], at=at),
+                    TaskdataOptions(obstacle_above=obstacle_above),
+                    overwrite=overwrite,
+                    planting=coverage.planting,
+                )
+        else:
+            write_planting(
+                coverage.planting, swaths, speed_limit_kmh=speed_limit, overwrite=overwrite
+            )
     if as_json:
         output.print_json({"map": str(map_), "found": True, **_as_dict(route, coverage, out)})
     else:

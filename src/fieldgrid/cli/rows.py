@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 def command(
     map_: options.MapArgument,
-    out: Annotated[Path | None, options.out_file(".geojson, .gpkg, .csv, .kml or .dxf")] = None,
+    out: Annotated[
+        Path | None, options.out_file(".geojson, .gpkg, .csv, .kml, .dxf, or .osm for Lanelet2")
+    ] = None,
     crop: options.CropName = "vineyard",
     spacing: options.Spacing = None,
     plant_spacing: Annotated[
@@ -53,6 +55,7 @@ def command(
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
+    speed_limit: options.SpeedLimit = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -66,6 +69,8 @@ def command(
         fieldgrid rows vineyard.gpkg -o rows.geojson
 
         fieldgrid rows orchard.gpkg --crop orchard --truth trees.csv
+
+        fieldgrid rows vineyard.gpkg -o lanes.osm --speed-limit 5
     """
     from fieldgrid.evaluation import read_survey
     from fieldgrid.mapfile import open_map
@@ -101,7 +106,7 @@ def command(
     if agopengps is not None:
         write_agopengps(planting, agopengps, overwrite=overwrite)
     if out is not None:
-        write_planting(planting, out, overwrite=overwrite)
+        write_planting(planting, out, speed_limit_kmh=speed_limit, overwrite=overwrite)
     if as_json:
         value = _as_dict(map_, planting)
         if compared is not None:

@@ -99,7 +99,8 @@ class Network:
         order = best_order(costs, known, worth, self.costs)
         missed = order.left_out(len(worth))
         pairs = [pair for pair in self._doubtful if missed & {node // 2 for node in pair}]
-        pairs = sorted(pairs, key=lambda pair: float(bounds[pair]))[:_RETRIES]
+        most = _RETRIES if self._headland is None else _RETRIES // 4
+        pairs = sorted(pairs, key=lambda pair: float(bounds[pair]))[:most]
         for pair, cost in zip(pairs, self.costs(pairs, _MORE_POSES), strict=True):
             costs[pair] = cost
         return best_order(costs, known, worth, self.costs) if pairs else order
@@ -114,7 +115,8 @@ class Network:
         if self._headland is not None:
             left = self._distance(b, self._headland)
             if math.isfinite(left[self._headland.coarse_place(starts[0])]):
-                samples = self._headland.search(starts, goals, left, max_poses).samples
+                few = max_poses // 4  # there is more ground to try
+                samples = self._headland.search(starts, goals, left, few).samples
         if not len(samples):
             found = self.searcher.search(starts, goals, self._distance(b), max_poses)
             samples = found.samples

@@ -18,9 +18,9 @@ from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export.georeference import extent, georeference
-from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.speed import Cells, SpeedOptions, filter_parameters, speed_mask
 from fieldgrid.export.tiles import Whole, cut, whole_of
 from fieldgrid.export.together import write_together
 from fieldgrid.mapfile import Readable
@@ -48,8 +48,8 @@ MODES: dict[str, tuple[str, ...]] = {
 """The modes of the map server, and the pictures that can hold each; the first is the usual one."""
 
 
-class Nav2Options(CurveOptions):
-    """How the map server is to read the picture."""
+class Nav2Options(SpeedOptions):
+    """How the map server is to read the picture, and where a vehicle is to be slow."""
 
     mode: Literal["trinary", "scale", "raw"] = setting(
         "trinary", "what the grey values mean", flag=Flag("--mode", "trinary|scale|raw")
@@ -81,7 +81,9 @@ def export_nav2(
     overwrite: bool,
 ) -> Exported:
     """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`, and
-    the keep-outs as a mask for Nav2's keepout filter: `OUT.keepout.yaml` with its picture.
+    the keep-outs as a mask for Nav2's keepout filter: `OUT.keepout.yaml` with its picture; where a
+    speed of slow zones is given, those for the speed filter, too: `OUT.speed.yaml` with its picture
+    and `OUT.speed.params.yaml`.
 
     The curve of the options makes an occupancy of the density. `trinary` keeps free and obstacle;
     doubt is read back as unknown. `scale` and `raw` keep each of 0..100 and unknown exactly. The
@@ -99,6 +101,11 @@ def export_nav2(
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
     options.picture(), options.curve()
     whole = whole_of(universal, selection)
+    if whole.is_large and options.slow_percent is not None:
+        raise ConfigError(
+            f"{whole.window.width} x {whole.window.height} cells are too large for one Nav2 map, "
+            "and a speed mask is of one; give smaller --bounds or a larger --cell."
+        )
     if whole.is_large:
         return _export_tiles(universal, path, selection, options, whole, overwrite=overwrite)
     part = _Part(universal, path, selection, options)
@@ -166,13 +173,20 @@ class _Part:
         self, universal: Readable, path: Path, selection: Selection, options: Nav2Options
     ) -> None:
         self._path, self._layer, self._options = path, selection.layer, options
-        view = selection.view(universal, universal.deciding(selection.cell_m))
+        counted = ("count",) if options.slow_percent and options.slow_seen_by else ()
+        view = selection.view(universal, (*universal.deciding(selection.cell_m), *counted))
         decision = view.decision(selection.layer)
         self._lattice, self._window, self._datum = view.lattice, view.window, view.datum
         self._occupancy = options.curve().occupancy(*decision)
         self._keepout = np.zeros(view.window.shape, np.int8)
         if decision.keepout is not None:
             self._keepout[decision.keepout] = OCCUPIED
+        self._slow: npt.NDArray[np.int8] | None = None
+        if options.slow_percent is not None:
+            frames = view.layer("count") if counted else None
+            places = view.lattice, view.window
+            cells = Cells(self._occupancy, self._keepout > 0, frames, *places)
+            self._slow = speed_mask(cells, options)
 
     @property
     def counts(self) -> Int64:
@@ -202,12 +216,26 @@ class _Part:
                 "least_seen": curve.least_seen,
             },
         }
+        slow = {} if self._slow is None else self._speed_writers(path, self._slow)
         return {
+            **slow,
             picture: _picture_writer(self._occupancy, mode, kind),
             mask_picture: _picture_writer(self._keepout, "trinary", "pgm"),
             mask: _text_writer(self._yaml(mask_picture.name, "trinary")),
             georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
             path: _text_writer(self._yaml(picture.name, mode)),
+        }
+
+    def _speed_writers(
+        self, path: Path, slow: npt.NDArray[np.int8]
+    ) -> dict[Path, Callable[[Path], None]]:
+        mask, picture = path.with_suffix(".speed.yaml"), path.with_suffix(".speed.pgm")
+        return {
+            picture: _picture_writer(slow, "raw", "pgm"),
+            mask: _text_writer(self._yaml(picture.name, "raw")),
+            path.with_suffix(".speed.params.yaml"): _text_writer(
+                _dumped(filter_parameters(mask.name))
+            ),
         }
 
     def _yaml(self, picture: str, mode: str) -> str:

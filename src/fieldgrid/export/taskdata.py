@@ -1,8 +1,9 @@
 """ISO 11783-10 task data, version 4.3, for tractor terminals and farm management.
 
-A field with its boundary, the obstacles as polygons, and each drive's forward stretches as guidance
-curves; and a task with a grid of zones, obstacle, in doubt, free, where a terminal would else take
-what nobody has seen for free. The boundary is that of mapped ground, not of the land register.
+A field with its boundary, the obstacles as polygons, and guidance: each drive's forward stretches
+as curves, or lanes and tracks as swaths; and a task with a grid of zones, obstacle, in doubt, free,
+where a terminal would else take what nobody has seen for free. The boundary is that of mapped
+ground, not of the land register.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import feature_layers
-from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
@@ -28,22 +29,16 @@ from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
 from fieldgrid.publish import replacing, replacing_folder
+from fieldgrid.rows import Planting, find_rows
 from fieldgrid.trajectory import Status
 from fieldgrid.vectors import FeatureLayer
 
 _DECIMALS = 9
 """0.1 mm; the standard allows no more."""
 
-_NAME = 32
-"""The most letters of a designator."""
-
 MAX_GRID_CELLS = 50_000_000
 """A terminal that takes a grid at all takes one of some megabytes."""
 
-MIN_CURVE_M = 2.0
-"""A guidance curve that is shorter guides nobody."""
-
-_CURVE_TOLERANCE_M = 0.05
 _BOUNDARY_TOLERANCE_M = 0.5
 _SAMPLES = 3
 """Each cell of the grid is the worst of 3 x 3 points in it: it lies askew to the map's cells."""
@@ -75,12 +70,14 @@ def export_taskdata(
     universal: MapFile,
     path: Path,
     selection: Selection,
-    options: ShapeOptions,
+    options: TaskdataOptions,
     *,
     overwrite: bool,
+    planting: Planting | None = None,
 ) -> Exported:
     """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA. With
-    a path that ends in .zip that folder is packed into the file, as farm software takes it.
+    a path that ends in .zip that folder is packed into the file, as farm software takes it. The
+    guidance is that of the options, or the lanes of `planting`.
 
     Raises ConfigError when isoxml is not installed, and for a grid that is too large for a
     terminal.
@@ -90,7 +87,22 @@ def export_taskdata(
     obstacles, drives, footprints = layers
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
-    field = _field(universal, selection.area(universal), obstacles, drives, footprints)
+    if planting is None and options.guidance == "lanes":
+        planting = find_rows(
+            universal, crop=options.crop, bounds=selection.bounds,
+            obstacle_above=options.obstacle_above, at=selection.at,
+        )  # fmt: skip
+        if not planting.lanes:
+            raise ConfigError(
+                "No lanes were found in the map; --crop says which rows to look for, and "
+                "--guidance drives needs none."
+            )
+
+    def points(line: Any, kinds: Sequence[Any]) -> list[Any]:
+        return _points(line, universal.datum, kinds)
+
+    groups = drive_groups(drives, points) if planting is None else _lane_groups(planting, points)
+    field = _field(universal, selection.area(universal), obstacles, footprints, groups)
     what = "exported task data"
     if path.suffix.lower() == ".zip":
         with (
@@ -109,7 +121,7 @@ def export_taskdata(
         (path,),
         (
             ("obstacles", str(len(obstacles.geometry))),
-            ("guidance curves", str(_count_curves(field))),
+            ("guidance curves" if planting is None else "swaths", str(_count_patterns(field))),
             ("grid of zones", f"{columns} x {rows}"),
         ),
         {
@@ -228,8 +240,8 @@ def _field(
     universal: MapFile,
     area: Bounds | None,
     obstacles: FeatureLayer,
-    drives: FeatureLayer,
     footprints: FeatureLayer,
+    groups: list[Any],
 ) -> Any:
     """The field as the library's value."""
     import shapely
@@ -258,19 +270,29 @@ def _field(
             says = f"keep-out {mark.name}".rstrip()
             shape = mark.geometry.buffer(0.5 * universal.cell_m if mark.is_point else 0.0)
             keepouts.append(_polygon(shape, iso.PolygonType.Obstacle, says, datum))
-    curves = _curves(drives, datum)
-    groups = [iso.GuidanceGroup(id="GGP1", designator="drives", guidance_patterns=curves)]
     return iso.Partfield(
         id="PFD1",
-        designator=universal.path.stem[:_NAME],
+        designator=universal.path.stem[:NAME],
         area=round(mapped.area),
         polygons=[*boundary, *shapes, *keepouts],
         points=flags,
-        guidance_groups=groups if curves else [],
+        guidance_groups=groups,
     )
 
 
-def _count_curves(field: Any) -> int:
+def _lane_groups(planting: Planting, points: Points) -> list[Any]:
+    from isoxml.models.base import v4 as iso
+
+    def boundary(area: Any) -> list[Any]:
+        return [
+            _polygon(part, iso.PolygonType.PartfieldBoundary, "worked", planting.datum)
+            for part in _parts(area)
+        ]
+
+    return lane_groups(planting, points, boundary)
+
+
+def _count_patterns(field: Any) -> int:
     return sum(len(group.guidance_patterns) for group in field.guidance_groups)
 
 
@@ -287,7 +309,7 @@ def _polygon(polygon: Any, kind: Any, says: str, datum: Datum) -> Any:
     ]
     return iso.Polygon(
         type=kind,
-        designator=says[:_NAME],
+        designator=says[:NAME],
         area=round(polygon.area),
         line_strings=[
             iso.LineString(
@@ -299,36 +321,6 @@ def _polygon(polygon: Any, kind: Any, says: str, datum: Datum) -> Any:
     )
 
 
-def _curves(drives: FeatureLayer, datum: Datum) -> list[Any]:
-    """The forward stretches of the drives as guidance curves from A to B."""
-    import shapely
-    from isoxml.models.base import v4 as iso
-
-    curves: list[Any] = []
-    columns = (drives.geometry, drives.columns["session"], drives.columns["gear"])
-    for line, session, gear in zip(*columns, strict=True):
-        if gear < 0 or line.length < MIN_CURVE_M:
-            continue
-        simple = shapely.simplify(line, _CURVE_TOLERANCE_M)
-        kinds = [iso.PointType.GuidancePoint] * len(simple.coords)
-        kinds[0], kinds[-1] = iso.PointType.GuidanceReferenceA, iso.PointType.GuidanceReferenceB
-        number = len(curves) + 1
-        curves.append(
-            iso.GuidancePattern(
-                id=f"GPN{number}",
-                designator=f"{session} {number}"[-_NAME:],
-                type=iso.GuidancePatternType.Curve,
-                line_strings=[
-                    iso.LineString(
-                        type=iso.LineStringType.GuidancePattern,
-                        points=_points(simple, datum, kinds),
-                    )
-                ],
-            )
-        )
-    return curves
-
-
 def _points(line: Any, datum: Datum, kinds: Sequence[Any], says: str = "") -> list[Any]:
     from isoxml.models.base import v4 as iso
 
@@ -336,7 +328,7 @@ def _points(line: Any, datum: Datum, kinds: Sequence[Any], says: str = "") -> li
     lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
     return [
         iso.Point(
-            type=kind, designator=says[:_NAME] or None, north=_decimal(lat), east=_decimal(lon)
+            type=kind, designator=says[:NAME] or None, north=_decimal(lat), east=_decimal(lon)
         )
         for kind, lat, lon in zip(kinds, lat_deg.tolist(), lon_deg.tolist(), strict=True)
     ]
@@ -381,7 +373,7 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
     document = iso.Iso11783TaskData(
         version_minor=iso.Iso11783TaskDataVersionMinor.VALUE_3,
         management_software_manufacturer="fieldgrid",
-        management_software_version=version("fieldgrid")[:_NAME],
+        management_software_version=version("fieldgrid")[:NAME],
         data_transfer_origin=iso.Iso11783TaskDataDataTransferOrigin.FMIS,
         partfields=[field],
         tasks=[task],
@@ -395,7 +387,7 @@ register(
         ("taskdata", "taskdata.zip"),
         "ISO 11783-10 task data 4.3",
         export_taskdata,
-        ShapeOptions,
+        TaskdataOptions,
         Holds.SHAPES,
         folder=True,
         readers="tractor terminals, farm software",

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fieldgrid.errors import ConfigError
+from fieldgrid.rows.lanelet2 import write_lanelet2
 from fieldgrid.rows.result import Planting
 from fieldgrid.vectors import Feature, write_features
+
+OSM = ".osm"
 
 
 def planting_features(planting: Planting) -> list[Feature]:
@@ -69,6 +73,14 @@ def planting_features(planting: Planting) -> list[Feature]:
     ]  # fmt: skip
 
 
-def write_planting(planting: Planting, path: Path, *, overwrite: bool = False) -> None:
-    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`."""
+def write_planting(
+    planting: Planting, path: Path, *, speed_limit_kmh: float | None = None, overwrite: bool = False
+) -> None:
+    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`; as .osm its
+    lanes for Lanelet2, with a speed limit where one is given."""
+    if path.suffix.lower() == OSM:
+        write_lanelet2(planting, path, speed_limit_kmh=speed_limit_kmh, overwrite=overwrite)
+        return
+    if speed_limit_kmh is not None:
+        raise ConfigError(f"A speed limit is for Lanelet2, and {path.name} does not end in {OSM}.")
     write_features(path, planting_features(planting), planting.datum, overwrite=overwrite)

@@ -1,0 +1,130 @@
+"""Guidance of ISO 11783-10: drives, lanes between rows and parallel tracks to steer by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from fieldgrid.export.options import ShapeOptions
+from fieldgrid.polyline import project
+from fieldgrid.rows import Lane, Planting
+from fieldgrid.settings import Flag, setting
+from fieldgrid.vectors import FeatureLayer
+
+MIN_CURVE_M = 2.0
+"""A guidance curve that is shorter guides nobody."""
+
+NAME = 32
+"""The most letters of a designator."""
+
+_TOLERANCE_M = 0.05
+_LANE_TOLERANCE_M = 0.01
+_STRAIGHT_M = 0.02
+"""A lane that bends less is a line from A to B, another one a curve."""
+
+
+class TaskdataOptions(ShapeOptions):
+    """What the terminal is to steer by."""
+
+    guidance: Literal["drives", "lanes"] = setting(
+        "drives", "what a terminal steers by", flag=Flag("--guidance", "drives|lanes")
+    )
+    crop: str = setting(
+        "vineyard", "whose rows make the lanes, as in `fieldgrid rows`", flag=Flag("--crop", "NAME")
+    )
+
+
+Points = Callable[[Any, Sequence[Any]], list[Any]]
+"""The points of a line in metres, as the library has them, of so many kinds."""
+
+
+def drive_groups(drives: FeatureLayer, points: Points) -> list[Any]:
+    """The forward stretches of the drives as guidance curves from A to B, in one group."""
+    import shapely
+    from isoxml.models.base import v4 as iso
+
+    curves: list[Any] = []
+    columns = (drives.geometry, drives.columns["session"], drives.columns["gear"])
+    for line, session, gear in zip(*columns, strict=True):
+        if gear < 0 or line.length < MIN_CURVE_M:
+            continue
+        number = len(curves) + 1
+        curves.append(
+            iso.GuidancePattern(
+                id=f"GPN{number}",
+                designator=f"{session} {number}"[-NAME:],
+                type=iso.GuidancePatternType.Curve,
+                line_strings=[_line(shapely.simplify(line, _TOLERANCE_M), points)],
+            )
+        )
+    group = iso.GuidanceGroup(id="GGP1", designator="drives", guidance_patterns=curves)
+    return [group] if curves else []
+
+
+def lane_groups(
+    planting: Planting, points: Points, boundary: Callable[[Any], list[Any]]
+) -> list[Any]:
+    """A group for each block: its boundary, and each lane or track as one swath.
+
+    A swath has its width, is not carried on at its ends and not repeated beside it: the next one is
+    a pattern of its own.
+    """
+    from isoxml.models.base import v4 as iso
+
+    groups: list[Any] = []
+    count = 0
+    for block in planting.blocks:
+        patterns = []
+        for lane in planting.lanes:
+            if lane.block != block.id:
+                continue
+            count += 1
+            patterns.append(_swath(lane, count, points))
+        if patterns:
+            groups.append(
+                iso.GuidanceGroup(
+                    id=f"GGP{len(groups) + 1}",
+                    designator=block.id[:NAME],
+                    guidance_patterns=patterns,
+                    boundary_polygons=boundary(block.area),
+                )
+            )
+    return groups
+
+
+def _swath(lane: Lane, number: int, points: Points) -> Any:
+    import shapely
+    from isoxml.models.base import v4 as iso
+
+    corners = shapely.get_coordinates(lane.line)
+    is_straight = float(np.abs(project(corners, corners[[0, -1]])[1]).max()) <= _STRAIGHT_M
+    line = (
+        shapely.LineString(corners[[0, -1]])
+        if is_straight
+        else shapely.simplify(lane.line, _LANE_TOLERANCE_M)
+    )
+    kind = iso.GuidancePatternType.AB if is_straight else iso.GuidancePatternType.Curve
+    width_mm = round(1000.0 * lane.area.area / lane.length_m)
+    return iso.GuidancePattern(
+        id=f"GPN{number}",
+        designator=lane.id[-NAME:],
+        type=kind,
+        propagation_direction=iso.GuidancePatternPropagationDirection.NoPropagation,
+        extension=iso.GuidancePatternExtension.NoExtensions,
+        number_of_swaths_left=0,
+        number_of_swaths_right=0,
+        line_strings=[_line(line, points, width_mm)],
+    )
+
+
+def _line(line: Any, points: Points, width_mm: int | None = None) -> Any:
+    """A line from A to B."""
+    from isoxml.models.base import v4 as iso
+
+    kinds = [iso.PointType.GuidancePoint] * len(line.coords)
+    kinds[0], kinds[-1] = iso.PointType.GuidanceReferenceA, iso.PointType.GuidanceReferenceB
+    return iso.LineString(
+        type=iso.LineStringType.GuidancePattern, width=width_mm, points=points(line, kinds)
+    )

@@ -1,0 +1,138 @@
+"""Where a vehicle is to be slow: a mask for Nav2's speed filter, in percent of its highest speed.
+
+The filter takes `BASE + MULTIPLIER * value` for the limit, and 0 for none.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.array_types import AnyArray, Bool, Float64
+from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.options import CurveOptions
+from fieldgrid.lattice import Lattice, Window
+from fieldgrid.settings import Flag, setting
+
+BASE, MULTIPLIER = 100.0, -1.0
+FILTER_INFO, FILTER_MASK = "/speed_filter_info", "/speed_filter_mask"
+_PERCENT_OF_HIGHEST = 1
+_MOST_BYTES = 200_000_000
+
+
+class SpeedOptions(CurveOptions):
+    """Where the speed is limited."""
+
+    slow_percent: int | None = setting(
+        None,
+        "speed of slow zones in percent of the highest, in a mask for the speed filter",
+        usual="no mask",
+        flag=Flag("--slow-percent", "1..99"),
+        ge=1,
+        le=99,
+    )
+    slow_within_m: float = setting(
+        1.0,
+        "slow so near to obstacles, keep-outs, turns and ground that was not seen",
+        flag=Flag("--slow-within", "M"),
+        ge=0.0,
+        le=50.0,
+    )
+    slow_seen_by: int = setting(
+        0,
+        "slow where fewer frames saw a cell",
+        flag=Flag("--slow-seen-by", "FRAMES"),
+        ge=0,
+        le=10**6,
+    )
+    slow_turns: Path | None = setting(
+        None,
+        "slow at the turns of this route",
+        usual="none",
+        flag=Flag("--slow-turns", "ROUTE.csv"),
+    )
+    slow_radius_m: float = setting(
+        10.0, "radius below which a route turns", flag=Flag("--slow-radius", "M"), gt=0.0, le=1000.0
+    )
+
+
+class Cells(NamedTuple):
+    """What of a map the mask is made of: occupancy, keep-outs, frames that saw each cell (None
+    where that does not matter), and where the cells are."""
+
+    occupancy: npt.NDArray[np.int8]
+    keepout: Bool
+    frames: AnyArray | None
+    lattice: Lattice
+    window: Window
+
+
+def speed_mask(cells: Cells, options: SpeedOptions) -> npt.NDArray[np.int8]:
+    """Values of the mask, int8 [rows north, columns east]: 0 without a limit."""
+    assert options.slow_percent is not None
+    barred = np.isin(cells.occupancy, (OCCUPIED, UNKNOWN_OCCUPANCY)) | cells.keepout
+    if options.slow_turns is not None:
+        barred |= _turns(options.slow_turns, options.slow_radius_m, cells)
+    # Beyond the map nothing was seen, either.
+    free = np.pad((~barred).astype(np.uint8), 1)
+    away = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    # From middle to middle; some point of either cell may be half a diagonal nearer.
+    slow = (away - np.sqrt(2.0)) * cells.lattice.cell_m < options.slow_within_m
+    if cells.frames is not None:
+        slow |= cells.frames < options.slow_seen_by
+    return np.where(slow, np.int8(100 - options.slow_percent), np.int8(0))
+
+
+def filter_parameters(mask: str) -> dict[str, Any]:
+    """Parameters of the two servers of Nav2 that the filter listens to."""
+    return {
+        "speed_filter_mask_server": {
+            "ros__parameters": {
+                "frame_id": "map", "topic_name": FILTER_MASK, "yaml_filename": mask,
+            }
+        },
+        "speed_costmap_filter_info_server": {
+            "ros__parameters": {
+                "type": _PERCENT_OF_HIGHEST, "filter_info_topic": FILTER_INFO,
+                "mask_topic": FILTER_MASK, "base": BASE, "multiplier": MULTIPLIER,
+            }
+        },
+    }  # fmt: skip
+
+
+def _turns(path: Path, radius_m: float, cells: Cells) -> Bool:
+    """The cells of the poses in which a route turns."""
+    places = _turning_poses(path, radius_m)
+    i, j = cells.lattice.index(places[:, 0], places[:, 1])
+    i, j = i - cells.window.i0, j - cells.window.j0
+    found = np.zeros(cells.occupancy.shape, dtype=np.bool_)
+    inside = (i >= 0) & (j >= 0) & (i < cells.window.width) & (j < cells.window.height)
+    found[j[inside], i[inside]] = True
+    return found
+
+
+def _turning_poses(path: Path, radius_m: float) -> Float64:
+    """East and north of the poses of a route whose curvature is that of a turn."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{path} is over {_MOST_BYTES // 10**6} MB; no route is.")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [
+                (float(row["east_m"]), float(row["north_m"]))
+                for row in csv.DictReader(file)
+                if abs(float(row["curvature_1pm"])) > 1.0 / radius_m
+            ]
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise ConfigError(
+            f"{path} is no route of `fieldgrid route -o route.csv` ({type(error).__name__}: "
+            f"{error}); plan one."
+        ) from error
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
