@@ -126,7 +126,7 @@ def export_taskdata(
         ),
         {
             "obstacles": len(obstacles.geometry),
-            "guidance_curves": _count_curves(field),
+            "guidance_curves" if planting is None else "swaths": _count_patterns(field),
             "grid_of_zones": [columns, rows],
         },
     )
