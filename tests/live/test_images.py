@@ -40,11 +40,12 @@ def test_frames_are_taken_as_they_are_whole_and_in_order(folder: Path) -> None:
         append(folder, ROWS[1][20:] + ROWS[2])
         drop(TWO_LANES, folder, ROWS[3])
         notes.wait(lambda: bool(notes.frames))
+        append(folder, "000004,now,,left/000004.jpg,right/000004.jpg\n" + ROWS[5])
+        notes.wait_told("has a frame that is left out: ")  # so it has looked again
+        assert [frame.frame_id for frame in notes.frames] == ["000001"]
         with (folder / "right" / "000002.jpg").open("ab") as image:
             image.write(half[len(half) // 2 :])
         notes.wait(lambda: len(notes.frames) == 3)
-        append(folder, "000004,now,,left/000004.jpg,right/000004.jpg\n" + ROWS[5])
-        notes.wait_told("has a frame that is left out: ")
     assert [frame.frame_id for frame in notes.frames] == ["000001", "000002", "000003"]
     assert notes.frames[0].time_ns == FIRST_NS + 1_630_000_000
     left, _ = notes.frames[1].images()

@@ -75,7 +75,7 @@ def test_a_receiver_that_is_not_there_yet_is_tried_until_it_is() -> None:
 
 
 def test_a_silent_receiver_is_told_and_a_dead_link_opened_again() -> None:
-    pauses = Pauses(0.01, 0.02, silent_s=0.02, dead_s=0.3, no_fix_s=60.0)
+    pauses = Pauses(0.01, 0.02, silent_s=0.02, dead_s=2.0, no_fix_s=60.0)
     with listening() as (server, place), running(Receiver(f"tcp://{place}"), pauses) as notes:
         first, _ = server.accept()
         with first:
@@ -185,7 +185,7 @@ def test_a_serial_port_that_is_pulled_out(tmp_path: Path) -> None:
             os.write(ours, b"\r\n")
     os.close(ours)
     os.close(theirs)
-    assert notes.fixes[0] == FIXES[0]
+    assert notes.fixes[0] in FIXES  # the port may have been opened in the middle of a sentence
 
 
 def test_a_serial_port_without_pyserial(monkeypatch: pytest.MonkeyPatch) -> None:
