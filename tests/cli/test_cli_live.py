@@ -163,5 +163,9 @@ def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> N
     assert "does not exist" in fieldgrid(*live, "--images", "nowhere", *gnss).sentence()
     assert "is no camera" in fieldgrid(*live, "--camera", "x", "--rig", drive, *gnss).sentence()
     assert "is no source" in fieldgrid(*live, *images, "--gnss", "http://a:1").sentence()
+    replay = ("--replay", drive, "--gnss-log", "x")
+    assert "does not take it" in fieldgrid(*live, *replay).usage()
+    nowhere = ("--gnss-log", tmp_path / "nowhere" / "log")
+    assert "cannot be written" in fieldgrid(*live, *images, *gnss, *nowhere).sentence()
     assert "is no feed" in fieldgrid(*live, *images, *gnss, "--feed", "7007").sentence()
     assert list(tmp_path.iterdir()) == []

@@ -89,6 +89,26 @@ def test_a_silent_receiver_is_told_and_a_dead_link_opened_again() -> None:
     assert notes.fixes == FIXES
 
 
+def test_a_log_that_cannot_be_written_is_told_and_ends_nothing(tmp_path: Path) -> None:
+    folder, log = tmp_path / "gnss", tmp_path / "gnss" / "log.nmea"
+    with pytest.raises(ConfigError, match=r"log\.nmea cannot be written: No such file"):
+        Receiver("-", log)
+    folder.mkdir()
+    with listening() as (server, place), running(Receiver(f"tcp://{place}", log)) as notes:
+        link, _ = server.accept()
+        with link:
+            log.unlink()
+            folder.rmdir()
+            link.sendall(LOG[:HALF])
+            notes.wait_told(f"is not logged: {log} cannot be written (No such file or directory).")
+            folder.mkdir()
+            link.sendall(LOG[HALF:])
+            notes.wait_told(f"is logged in {log} again.")
+        notes.wait_told("is not there")
+    assert notes.fixes == FIXES
+    assert LOG.endswith(log.read_bytes())
+
+
 @pytest.mark.parametrize(
     ("sent", "why"),
     [

@@ -36,13 +36,15 @@ def test_the_map_through_a_socket_and_a_folder_is_that_of_a_build(
     """The receiver is lost in between, and images come twice and late."""
     out, heard = tmp_path / "m.gpkg", Heard()
     folder = empty_copy(short_drive, tmp_path / "drive")
+    (folder / "gnss").mkdir()
+    kept = folder / "gnss" / "gnss_rtk.nmea"
     log = (short_drive / "gnss" / "gnss_rtk.nmea").read_bytes()
     half = log.index(b"$GPGGA", len(log) // 2)
     watched = open_growing(folder)
     with open_recording(short_drive) as recording, listening() as (server, place):
         assert watched.rig == recording.rig
         live = begin(recording, out, on_result=heard)
-        with Sources(live, (Receiver(f"tcp://{place}"), ImageFolder(watched)), QUICK):
+        with Sources(live, (Receiver(f"tcp://{place}", kept), ImageFolder(watched)), QUICK):
             heard.wait_text("is watched for frames.")
             link, _ = server.accept()
             with link:
@@ -61,7 +63,7 @@ def test_the_map_through_a_socket_and_a_folder_is_that_of_a_build(
         assert live.counts.late == 1
         live.finish()
     # The folder becomes the recording of the drive.
-    shutil.copytree(short_drive / "gnss", folder / "gnss")
+    assert kept.read_bytes() == log
     shutil.copy(short_drive / "frames.csv", folder)
     build_map([folder], tmp_path / "built.gpkg", BuildSettings())
     assert content(out) == content(tmp_path / "built.gpkg")

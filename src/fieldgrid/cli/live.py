@@ -167,8 +167,7 @@ def command(
 def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
     """A usage error for what would be ignored with this source."""
     every = {str(one.name) for one in ctx.command.params}
-    idle = {"rate"} if replay is None else set()
-    idle |= {"topic"} if replay is None else set()
+    idle = {"rate", "topic"} if replay is None else {"gnss_log"}
     idle |= {"camera_fps", "rig"} if sources.camera is None else set()
     options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
 

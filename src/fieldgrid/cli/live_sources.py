@@ -69,6 +69,16 @@ class SourceFlags(NamedTuple):
             rich_help_panel=_PANEL,
         ),
     ] = None
+    gnss_log: Annotated[
+        Path | None,
+        typer.Option(
+            "--gnss-log",
+            metavar="FILE",
+            help="Append what the receiver sends to a log, such as FOLDER/gnss/log.nmea, by which "
+            "--finish-from FOLDER works.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
     feed: Annotated[
         str | None,
         typer.Option(
@@ -119,7 +129,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
 
     if drive.gnss is None:
         raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
-    receiver = Receiver(drive.gnss)
+    receiver = Receiver(drive.gnss, flags.gnss_log)
     images: Source
     if flags.camera is None:
         assert flags.images is not None

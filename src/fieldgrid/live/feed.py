@@ -62,9 +62,11 @@ def encode_window(window: LiveWindow, number: int) -> bytes:
 
 def _units(values: Float32, unit: float) -> UInt16:
     """Whole units, little endian, rounded up: no cell is younger or surer than it is said to be."""
-    scaled = np.ceil(np.clip(values, 0.0, MOST * unit) / np.float32(unit))
-    known = np.minimum(np.where(np.isnan(scaled), 0.0, scaled), MOST)
-    return np.where(np.isnan(values), UNKNOWN, known).astype("<u2")
+    scaled = values * np.float32(1.0 / unit)
+    np.ceil(scaled, out=scaled)
+    np.clip(scaled, 0.0, MOST, out=scaled)
+    scaled[np.isnan(values)] = UNKNOWN
+    return scaled.astype("<u2")
 
 
 def parse_feed(text: str) -> tuple[str, int]:

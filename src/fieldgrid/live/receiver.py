@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
+from pathlib import Path
 
+from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.gnss import NmeaStream, UbxParser
 from fieldgrid.live.intake import Intake, SourceEndedError
@@ -72,14 +74,18 @@ class ReceiverStream:
 class Receiver:
     """A receiver as a source of fixes; `address` is written as `--gnss` has it.
 
-    The stream goes on over losses of the link, so that a date that was told once holds. Raises
-    ConfigError for what is no address, and for a serial port without pyserial.
+    The stream goes on over losses of the link, so that a date that was told once holds. What comes
+    is appended to the file `log` as well, where one is given. Raises ConfigError for what is no
+    address, for a serial port without pyserial, and for a log that cannot be written.
     """
 
-    def __init__(self, address: str | Address) -> None:
+    def __init__(self, address: str | Address, log: Path | None = None) -> None:
         self._address = parse_address(address) if isinstance(address, str) else address
         check_link(self._address)
         self._stream = ReceiverStream()
+        self._log, self._log_problem = log, ""
+        if why := self._keep(b""):
+            raise ConfigError(f"The log {log} cannot be written: {why}; give another place.")
 
     @property
     def name(self) -> str:
@@ -106,6 +112,7 @@ class Receiver:
                         raise ConnectionError(f"nothing came for {pauses.dead_s:.0f} s")
                     continue
                 intake.arrived()
+                self._keep_or_tell(data, intake)
                 if is_silent:
                     is_silent = False
                     intake.tell(f"sends again, after {still_s:.0f} s.")
@@ -118,6 +125,23 @@ class Receiver:
                     told_no_fix = True
                     why = self._stream.why_no_fix()
                     intake.tell(f"sends, but no fix for {now_s - fix_s:.0f} s: {why}.")
+
+    def _keep(self, data: bytes) -> str:
+        """Append to the log; why that is not possible, or nothing."""
+        if self._log is not None:
+            try:
+                with self._log.open("ab") as file:
+                    file.write(data)
+            except OSError as error:
+                return error.strerror or str(error)
+        return ""
+
+    def _keep_or_tell(self, data: bytes, intake: Intake) -> None:
+        before, self._log_problem = self._log_problem, self._keep(data)
+        if self._log_problem and not before:
+            intake.tell(f"is not logged: {self._log} cannot be written ({self._log_problem}).")
+        elif before and not self._log_problem:
+            intake.tell(f"is logged in {self._log} again.")
 
     def finish(self, intake: Intake) -> None:
         """Give the fixes that were still open."""

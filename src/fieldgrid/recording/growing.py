@@ -6,7 +6,7 @@ import csv
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
@@ -54,7 +54,10 @@ class GrowingFolder:
     _settings: Settings
     _layout: Layout
     _is_first: bool = True
-    _found: set[str] = field(default_factory=set)
+    _names: list[set[str]] = field(default_factory=list)
+    """Of each folder of the layout, what it held the last time."""
+    _alone: list[dict[str, str]] = field(default_factory=list)
+    """Of each folder, the files by their stems that have no partner in another yet."""
     _read_bytes: int = 0
     _header: list[str] = field(default_factory=list)
     _lines: int = 0
@@ -111,16 +114,19 @@ class GrowingFolder:
         return tuple(found)
 
     def _from_names(self) -> Iterator[Shot | RecordingError]:
-        listings: list[dict[str, str]] = []
-        for where in self._layout.folders:
-            with os.scandir(self.path / where) as entries:
-                names = [PurePath(entry.name) for entry in entries]
-            listings.append(
-                {n.stem: f"{where}/{n}" for n in names if n.suffix.lower() in self._layout.suffixes}
-            )
-        for stem in set.intersection(*map(set, listings)) - self._found:
-            self._found.add(stem)
-            files = tuple(listing[stem] for listing in listings)
+        """What the names tell that were not there the last time, once all its files are there."""
+        if not self._alone:
+            self._names = [set() for _ in self._layout.folders]
+            self._alone = [{} for _ in self._layout.folders]
+        for k, where in enumerate(self._layout.folders):
+            names = set(os.listdir(self.path / where))
+            for name in names - self._names[k]:
+                stem, suffix = os.path.splitext(name)
+                if suffix.lower() in self._layout.suffixes:
+                    self._alone[k][stem] = f"{where}/{name}"
+            self._names[k] = names
+        for stem in set.intersection(*map(set, self._alone)):
+            files = tuple(alone.pop(stem) for alone in self._alone)
             try:
                 yield Shot(file_time_ns(self.path, files[0], self._layout), stem, files)
             except RecordingError as problem:
