@@ -141,13 +141,12 @@ def worked_share(coverage: Coverage, task: Task) -> float:
     j, i = np.nonzero(reachable)
     points = np.column_stack([east_m[i], north_m[j]])
     done = np.zeros(len(points), dtype=bool)
-    working = np.flatnonzero(route.lane != "")
-    for k in working[:: max(1, round(0.1 / _CELL_M))]:
-        phi = math.radians(route.heading_deg[k])
-        dx, dy = points[:, 0] - route.east_m[k], points[:, 1] - route.north_m[k]
-        ahead = dx * math.sin(phi) + dy * math.cos(phi)
-        aside = dx * math.cos(phi) - dy * math.sin(phi)
-        done |= (np.abs(ahead) <= 0.06) & (np.abs(aside) <= 0.5 * wide)
+    for name in dict.fromkeys(route.lane[route.lane != ""].tolist()):
+        k = np.flatnonzero(route.lane == name)
+        way = shapely.LineString(np.column_stack([route.east_m, route.north_m])[k[0] : k[-1] + 2])
+        strip = way.buffer(0.5 * wide, cap_style="flat")
+        shapely.prepare(strip)
+        done |= shapely.contains_xy(strip, points)
     return float(done.mean()) if len(done) else 1.0
 
 

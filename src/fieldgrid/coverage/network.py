@@ -25,6 +25,10 @@ _USUALLY = 1.5
 """So much more than its lower bound a way between tracks is taken to cost before it is planned:
 headlands leave hardly any way straight, and of many tracks few ways need planning."""
 
+_MOST_FAILED = 8
+"""Ways from the end of a track that are searched for in vain before it is taken to have none but
+those that were found: where a vehicle hardly turns, all others take minutes to fail, too."""
+
 _DISTANCE_BYTES = 200_000_000
 _CURVES_WITHIN = 12.0
 """Turning radii within which a curve says more of a way than its distance does."""
@@ -53,6 +57,7 @@ class Network:
         self.starts, self.goals, self._progress = starts, goals, progress
         self.ways: dict[tuple[int, int], Float64] = {}
         self._doubtful: dict[tuple[int, int], None] = {}
+        self._failed: dict[int, int] = {}
         self._cut_off: dict[int, Float64] = {}
         self._left: dict[tuple[int, bool], Float32] = {}
 
@@ -113,6 +118,8 @@ class Network:
             return math.inf
         samples = np.zeros((0, 5))
         if self._headland is not None:
+            if max_poses == _MAX_POSES and self._failed.get(a, 0) >= _MOST_FAILED:
+                return math.inf
             left = self._distance(b, self._headland)
             if math.isfinite(left[self._headland.coarse_place(starts[0])]):
                 few = max_poses // 4  # there is more ground to try
@@ -122,6 +129,7 @@ class Network:
             samples = found.samples
         self.ways[a, b] = samples
         if not len(samples):
+            self._failed[a] = self._failed.get(a, 0) + 1
             if found.exhausted:
                 self._cut_off[a] = found.tried_m
             else:
