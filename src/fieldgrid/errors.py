@@ -10,6 +10,7 @@ what to do next::
     │   ├── NoFramesError                 a drive without frames where they are needed
     │   └── LimitError                    an input that unfolds to more than it may
     ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
+    ├── ClusterError       (RuntimeError) a Dask cluster that is not there, or cannot do the work
     ├── NoRouteError                      no way from start to goal, and where it is blocked
     ├── DatumError         (ValueError)   a position that does not belong to this datum
     ├── MapError           (ValueError)   a map file that is foreign, damaged or too new
@@ -47,6 +48,10 @@ class LimitError(RecordingError):
 
 class GnssError(FieldgridError, ValueError):
     """No usable fix, or none at the time of the images."""
+
+
+class ClusterError(FieldgridError, RuntimeError):
+    """A Dask cluster that cannot be reached, or whose workers cannot do the work."""
 
 
 class NoRouteError(FieldgridError):

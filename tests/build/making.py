@@ -16,7 +16,9 @@ import pytest
 from fieldgrid.build import (
     SessionReport,
     build_map,
+    drives,
 )
+from fieldgrid.build.staging import DriveWork
 from fieldgrid.recording import (
     Frame,
     StereoFrame,
@@ -65,6 +67,19 @@ def children(pid: int) -> list[int]:
     """The processes that a process, any thread of it, has started; none where /proc is missing."""
     lists = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(word) for found in lists for word in found.read_text().split()]
+
+
+def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many frames each run of shares has that this process stages from now on."""
+    runs: list[int] = []
+    original = drives.stage_frames
+
+    def counted(work: DriveWork, first: int, last: int, jobs: int) -> Any:
+        runs.append(last - first)
+        return original(work, first, last, jobs)
+
+    monkeypatch.setattr(drives, "stage_frames", counted)
+    return runs
 
 
 def damage(image: Path) -> None:

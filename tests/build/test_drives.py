@@ -9,16 +9,23 @@ import sqlite3
 import subprocess
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from fieldgrid.build import PartlyBuiltError, Progress, drives, parts
-from fieldgrid.build.staging import DriveWork
 from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
 from fieldgrid.mapfile import Patience, open_map
 from tests.build import failing
-from tests.build.making import COURSE, SMALL_SHARES, MakeDrive, build, children, content, damage
+from tests.build.making import (
+    COURSE,
+    SMALL_SHARES,
+    MakeDrive,
+    build,
+    children,
+    content,
+    count_staged,
+    damage,
+)
 from tests.cli.conftest import in_a_process
 
 
@@ -127,19 +134,6 @@ def _is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many frames each run of shares has that this process stages from now on."""
-    runs: list[int] = []
-    original = drives.stage_frames
-
-    def counted(work: DriveWork, first: int, last: int, jobs: int) -> Any:
-        runs.append(last - first)
-        return original(work, first, last, jobs)
-
-    monkeypatch.setattr(drives, "stage_frames", counted)
-    return runs
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ import pty
 import re
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,8 @@ import cv2
 import numpy as np
 import pytest
 
+from fieldgrid.build import build_map, cluster
+from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 from fieldgrid.reasons import grouped_reasons
@@ -702,3 +706,37 @@ def test_a_map_made_by_the_command_is_the_map_of_the_function(
     bounds = Bounds(-10.0, 50.0, 0.0, 60.0)
     with open_map(out) as one, open_map(two_lanes_map) as other:
         np.testing.assert_array_equal(one.read(bounds).density, other.read(bounds).density)
+
+
+# --- on a cluster
+
+
+def test_a_scheduler_that_is_not_there_is_told_before_anything_is_done(
+    fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
+    drive = make_drive()
+    with socket.socket() as taken:  # bound, and nobody listens
+        taken.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        said = fieldgrid("build", drive, "-o", tmp_path / "m.gpkg", "--scheduler", address)
+    assert f"No Dask scheduler answers at {address} (" in said.sentence()
+    assert "start one there with: dask scheduler, or check" in said.sentence()
+    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
+
+
+def test_without_dask_the_way_to_get_it_is_told(
+    fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    said = fieldgrid("build", make_drive(), "-o", tmp_path / "m.gpkg", "--scheduler", "tcp://a:1")
+    assert "is not installed; run: pip install 'fieldgrid[dask]'" in said.err
+    assert said.status == 1
+
+
+def test_jobs_and_a_scheduler_exclude_each_other(fieldgrid: Run, tmp_path: Path) -> None:
+    out = tmp_path / "m.gpkg"
+    said = fieldgrid("build", "drive", "-o", out, "--jobs", 2, "--scheduler", "tcp://a:1")
+    assert "the workers of the --scheduler stage the frames" in said.usage()
+    with pytest.raises(ConfigError, match="leave out --jobs"):
+        build_map([tmp_path], out, BuildSettings(), jobs=2, scheduler="tcp://a:1")

@@ -1,9 +1,9 @@
 """Many recordings to one map: staged side by side, put into the map one after the other.
 
 What can be checked is checked before the first image is read. Staging is shared among processes,
-over drives and within long ones; poses, the fold and the map itself belong to this process alone.
-A drive that fails is left out. Staged parts lie beside the map until the build has done all that
-it can (`build.parts`).
+of this machine or of a cluster, over drives and within long ones; poses, the fold and the map
+itself belong to this process alone. A drive that fails is left out. Staged parts lie beside the map
+until the build has done all that it can (`build.parts`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from queue import Empty
+from typing import TYPE_CHECKING
 
+from fieldgrid.build.cluster import Cluster, connected
+from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Moved, Shared
 from fieldgrid.build.part_key import part_key
 from fieldgrid.build.parts import (
     SHARE_FRAMES,
@@ -28,12 +31,13 @@ from fieldgrid.build.parts import (
     write_part,
 )
 from fieldgrid.build.perception import follows_camera
-from fieldgrid.build.pool import Event, Failed, Moved, Pool, Shared
+from fieldgrid.build.pool import Pool
 from fieldgrid.build.poses import check_images, check_poses, estimate_drive
 from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
 from fieldgrid.build.session import NewSession, Telling, check_names
 from fieldgrid.build.staging import Staged, stage_frames
 from fieldgrid.errors import (
+    ClusterError,
     ConfigError,
     DatumError,
     FieldgridError,
@@ -48,6 +52,9 @@ from fieldgrid.pose import tells_attitude
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 WORTH_FRAMES = 128
 """Frames from which on processes pay: each takes a second to start, and threads do without."""
@@ -92,6 +99,7 @@ def build_map(
     name: str | None = None,
     every: int = 1,
     jobs: int | None = None,
+    scheduler: str | Client | None = None,
     resume: bool | None = None,
     skip_bad: int | float = 0,
     fail_fast: bool = False,
@@ -102,9 +110,10 @@ def build_map(
 
     Each is opened with `options` as by `open_drive`. What can be checked is checked before the
     first image is read. `jobs` is the number of processes or, for few frames, of threads (all
-    cores if None); the map's bits do not depend on it. Of frames that cannot be read so many are
-    left out as `skip_bad` says: a number, or below 1 a share of the frames of each drive.
-    `patience` is how long another writer of the map is waited for.
+    cores if None); the map's bits do not depend on it. With a `scheduler`, the address of a Dask
+    scheduler or a client of it, its workers stage the frames instead. Of frames that cannot be read
+    so many are left out as `skip_bad` says: a number, or below 1 a share of the frames of each
+    drive. `patience` is how long another writer of the map is waited for.
 
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
     names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
@@ -113,16 +122,20 @@ def build_map(
     with `resume` it is used. Where there is such a folder, None refuses to build and False removes
     it. What was staged of other inputs or by other settings is refused.
     """
+    if scheduler is not None and jobs is not None:
+        raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     build = _Build(
         Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
     )
     check_output(build.out, append=append, overwrite=overwrite)
     if not append:
         refuse_input(build.out, [Path(path) for path in paths])
-    settle_left_behind(build.out, resume)
     build.drives = [_Drive(number, path, str(path)) for number, path in enumerate(paths)]
     is_there = bool(resume) and build.out.exists() and not (append or overwrite)
     with ExitStack() as opened:
+        if scheduler is not None:
+            build.client = opened.enter_context(connected(scheduler))
+        settle_left_behind(build.out, resume)
         if skip_bad > 0:
             options = replace(options or DriveOptions(), incomplete=True)
         build.open(opened, options, name)
@@ -163,11 +176,6 @@ def build_map(
     return reports
 
 
-def _bound(skip_bad: int | float, count: int) -> int:
-    """How many of the frames may be bad."""
-    return int(skip_bad * count) if isinstance(skip_bad, float) else skip_bad
-
-
 @dataclass(slots=True)
 class _Build:
     """A build while it runs."""
@@ -180,7 +188,8 @@ class _Build:
     fail_fast: bool
     progress: Callable[[Progress], None] | None
     drives: list[_Drive] = field(default_factory=list)
-    pool: Pool | None = None
+    client: Client | None = None
+    executor: Executor | None = None
 
     def open(self, opened: ExitStack, options: DriveOptions | None, name: str | None) -> None:
         """Open the recordings."""
@@ -242,8 +251,10 @@ class _Build:
         reports: list[SessionReport] = []
         missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
         with ExitStack() as running:
-            if self.jobs > 1 and missing * SHARE_FRAMES >= WORTH_FRAMES:
-                self.pool = running.enter_context(Pool(min(self.jobs, missing), self.out))
+            if self.client is not None and missing:
+                self.executor = running.enter_context(Cluster(self.client))
+            elif self.jobs > 1 and missing * SHARE_FRAMES >= WORTH_FRAMES:
+                self.executor = running.enter_context(Pool(min(self.jobs, missing), self.out))
             for drive in self._good():
                 self._begin(drive, universal, taken)
             for drive in self._good():
@@ -251,8 +262,8 @@ class _Build:
                     report = self._finish(drive, universal, taken, is_there=is_there)
                 except _OF_A_DRIVE as error:
                     self._fail(drive, error)
-                except MapError as error:
-                    if not self._anything_staged():
+                except (MapError, ClusterError) as error:
+                    if not any(one.parts.frames_done for one in self.drives if not one.error):
                         raise
                     raise type(error)(
                         f"{error} What was staged is kept in {parts_folder(self.out)}; the same "
@@ -274,9 +285,12 @@ class _Build:
         drive.tell = Telling(drive.session, self.progress)
         if parts.frames_done:
             drive.tell(parts.moved_m, parts.frames_done)
-        if self.pool is not None:
+        if self.executor is not None:
             work = drive.session.work(drive.recording.source)
-            self.pool.add(drive.number, drive.name, work, parts.folder, parts.missing())
+            where = drive.recording.path
+            self.executor.add(
+                DriveOrder(drive.number, drive.name, where, work, parts.folder, parts.missing())
+            )
 
     def _finish(
         self, drive: _Drive, universal: MapFile, taken: list[str], *, is_there: bool
@@ -289,13 +303,13 @@ class _Build:
                 f"{self.out} has a session {drive.name!r} already, and no staged part of it to go "
                 "on with: that build had finished. Leave the recording out, or give --name."
             )
-        if self.pool is None:
+        if self.executor is None:
             self._stage(drive)
         while drive.error is None and not parts.is_complete:
             self._next_event()
         if drive.error is not None:
             raise drive.error
-        self._check_bad(drive)
+        parts.check_bad(self.skip_bad)
         staged = parts.staged()
         if drive.name in taken:
             if not is_in_map(universal, drive.name, staged):
@@ -323,13 +337,15 @@ class _Build:
                     frames = islice(looks, share.last - share.first)
                     write_part(parts.folder, self.out, share, frames, drive.tell)
                     parts.take(share)
-                    self._check_bad(drive)
+                    parts.check_bad(self.skip_bad)
 
     def _next_event(self) -> None:
-        """Take what the processes tell."""
-        assert self.pool is not None
+        """Take what the processes or workers tell."""
+        assert self.executor is not None
         try:
-            event: Event = self.pool.events.get(timeout=0.5)  # so that Ctrl-C is heard everywhere
+            event: Event = self.executor.events.get(
+                timeout=0.5
+            )  # so that Ctrl-C is heard everywhere
         except Empty:
             return
         drive = self.drives[event.drive]
@@ -346,23 +362,13 @@ class _Build:
                     "disk."
                 )
             try:
-                self._check_bad(drive)
+                drive.parts.check_bad(self.skip_bad)
             except RecordingError as error:
                 self._fail(drive, error)
         else:
             if isinstance(event, Moved) and drive.began_s is None:
                 drive.began_s = event.at_s
             drive.tell(event.moved_m, event.frames)
-
-    def _check_bad(self, drive: _Drive) -> None:
-        """Raise RecordingError when more frames are bad than may be."""
-        bad, count = drive.parts.bad_count, drive.session.total
-        if bad > (most := _bound(self.skip_bad, count)):
-            raise RecordingError(
-                f"{bad} of {count} frames of {drive.name} cannot be read, and --skip-bad allows "
-                f"{most}; allow more, or copy the recording again. "
-                f"First: {drive.parts.bad[0].reason}"
-            )
 
     def _good(self) -> Iterator[_Drive]:
         """The drives that have not failed; raises when there is none."""
@@ -375,15 +381,12 @@ class _Build:
     def _fail(self, drive: _Drive, error: FieldgridError) -> None:
         """Leave a drive out, or end the build."""
         drive.error = error
-        if self.pool is not None:
-            self.pool.drop(drive.number)
+        if self.executor is not None:
+            self.executor.drop(drive.number)
         if drive.key:
             drive.parts.remove()
         if self.fail_fast or len(self.drives) == 1:
             raise error
-
-    def _anything_staged(self) -> bool:
-        return any(drive.parts.frames_done for drive in self.drives if not drive.error)
 
 
 def is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:

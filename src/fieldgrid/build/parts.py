@@ -14,7 +14,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from fieldgrid.build.report import BadFrame, StageTimes
 from fieldgrid.build.staging import Found, Looked, Staged, Tell, collect
 from fieldgrid.closing import Closing
-from fieldgrid.errors import ConfigError, MapError, MapWriteError
+from fieldgrid.errors import ConfigError, MapError, MapWriteError, RecordingError
 from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile, read_staged
 from fieldgrid.odometry import Refusal, Step
 from fieldgrid.publish import holding
@@ -117,7 +117,7 @@ class DriveParts(Closing):
     """The parts of a drive: those that are there already, and those to be made."""
 
     def __init__(self, out: Path, key: str, name: str, recording: str, count: int) -> None:
-        self.key, self._out = key, out
+        self.key, self._out, self._name, self._count = key, out, name, count
         self.folder = parts_folder(out) / key
         self.shares = [
             Share(first, min(first + SHARE_FRAMES, count))
@@ -164,6 +164,17 @@ class DriveParts(Closing):
     def bad(self) -> list[BadFrame]:
         """The frames that could not be read, of the parts that are done, in order."""
         return [bad for _, part in sorted(self._parts.items()) for bad in part.bad]
+
+    def check_bad(self, skip_bad: int | float) -> None:
+        """Raise RecordingError when more frames are bad than may be: so many or, below 1, such a
+        share of the drive's."""
+        most = int(skip_bad * self._count) if isinstance(skip_bad, float) else skip_bad
+        if self.bad_count > most:
+            raise RecordingError(
+                f"{self.bad_count} of {self._count} frames of {self._name} cannot be read, and "
+                f"--skip-bad allows {most}; allow more, or copy the recording again. "
+                f"First: {self.bad[0].reason}"
+            )
 
     @property
     def is_complete(self) -> bool:
@@ -228,10 +239,16 @@ def joined(parts: Sequence[Staged]) -> Staged:
     return whole
 
 
+class PartBytes(NamedTuple):
+    """What is in the two files of a part."""
+
+    grids: bytes
+    info: bytes
+
+
 def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], tell: Tell) -> None:
     """Make the part of a share of the frames that come. MapWriteError on a full disk."""
-    draft = folder / f"{share.name}.{secrets.token_hex(4)}.partial"
-    try:
+    with _draft_of(folder, share) as draft:
         with StageFile(draft, out) as file:
             staged = collect(looks, file, tell)
         body = json.dumps(
@@ -245,6 +262,28 @@ def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], t
         draft.replace(folder / f"{share.name}.grids")
         draft.write_text(f"{_digest(body)}\n{body}", encoding="utf-8")
         draft.replace(folder / f"{share.name}.json")
+
+
+def part_bytes(folder: Path, share: Share) -> PartBytes:
+    """A part that was written, for another machine to keep."""
+    grids, info = ((folder / f"{share.name}.{kind}").read_bytes() for kind in ("grids", "json"))
+    return PartBytes(grids, info)
+
+
+def keep_part(folder: Path, share: Share, part: PartBytes) -> None:
+    """Write a part that another machine has made. MapWriteError on a full disk."""
+    with _draft_of(folder, share) as draft:
+        for kind, data in (("grids", part.grids), ("json", part.info)):
+            draft.write_bytes(data)
+            draft.replace(folder / f"{share.name}.{kind}")
+
+
+@contextmanager
+def _draft_of(folder: Path, share: Share) -> Iterator[Path]:
+    """Where a file of a part is written before it gets its name; gone at the end of the block."""
+    draft = folder / f"{share.name}.{secrets.token_hex(4)}.partial"
+    try:
+        yield draft
     except OSError as error:
         if isinstance(error, MapWriteError):
             raise

@@ -19,8 +19,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
+from fieldgrid.build.executor import DriveOrder, Event, Failed, Moved, Shared, Undone
 from fieldgrid.build.parts import Share
-from fieldgrid.build.staging import DriveWork
 from fieldgrid.build.worker import (
     Answer,
     Defect,
@@ -45,40 +45,6 @@ _ONE_THREAD = {
 }
 
 
-class Moved(NamedTuple):
-    """A frame of a drive is staged, so many seconds on `time.perf_counter`."""
-
-    drive: int
-    moved_m: float
-    at_s: float
-    frames: int = 1
-
-
-class Shared(NamedTuple):
-    """A share of a drive is staged."""
-
-    drive: int
-    share: Share
-
-
-class Failed(NamedTuple):
-    """A drive cannot be staged."""
-
-    drive: int
-    error: BaseException
-
-
-class Undone(NamedTuple):
-    """A process died: frames that were done are to be done again; both numbers are negative."""
-
-    drive: int
-    frames: int
-    moved_m: float
-
-
-Event = Moved | Shared | Failed | Undone
-
-
 class _Task(NamedTuple):
     drive: int
     share: Share
@@ -91,7 +57,8 @@ class _Drive(NamedTuple):
 
 
 class Pool(Closing):
-    """So many processes, and what they tell, as `events`. They start with the first share."""
+    """So many processes (a :class:`~fieldgrid.build.executor.Executor`). They start with the first
+    share."""
 
     def __init__(self, count: int, out: Path) -> None:
         self.events: SimpleQueue[Event] = SimpleQueue()
@@ -109,17 +76,15 @@ class Pool(Closing):
         for thread in self._threads:
             thread.start()
 
-    def add(
-        self, drive: int, name: str, work: DriveWork, folder: Path, shares: list[Share]
-    ) -> None:
+    def add(self, order: DriveOrder) -> None:
         """Stage these shares of a drive, after those that were added before."""
         try:
-            packed = pickle.dumps(work)
+            packed = pickle.dumps(order.work)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             raise not_importable(error) from error
         with self._changed:
-            self._drives[drive] = _Drive(name, packed, folder)
-            self._tasks += [_Task(drive, share) for share in shares]
+            self._drives[order.drive] = _Drive(order.name, packed, order.folder)
+            self._tasks += [_Task(order.drive, share) for share in order.shares]
             self._changed.notify_all()
 
     def drop(self, drive: int) -> None:

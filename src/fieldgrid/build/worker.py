@@ -90,11 +90,11 @@ def main() -> None:
             answer(Defect(traceback.format_exc()))
 
 
-def not_importable(error: Exception) -> ConfigError:
+def not_importable(error: Exception, remedy: str = "give --jobs 1") -> ConfigError:
     """That frames are of a class that only the program that made them knows."""
     return ConfigError(
         f"The frames of this drive cannot be given to other processes ({error}); define their "
-        "classes in a module that can be imported, or give --jobs 1."
+        f"classes in a module that can be imported, or {remedy}."
     )
 
 

@@ -136,6 +136,14 @@ def command(
             help="Processes, or threads for few frames [default: one a core].",
         ),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:8786",
+            help="A Dask scheduler, whose workers then stage the frames; they must find the "
+            "recordings at the same paths.",
+        ),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Make a map from recordings (stereo pairs and GNSS), or append them to one.
@@ -156,6 +164,8 @@ def command(
 
         fieldgrid build 2026-06-*/ -o season.gpkg --resume
 
+        fieldgrid build 2026-06-*/ -o season.gpkg --scheduler tcp://10.0.0.5:8786
+
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
     if repose is not None:
@@ -170,6 +180,10 @@ def command(
         raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
+    if scheduler is not None and jobs is not None:
+        raise typer.BadParameter(
+            "the workers of the --scheduler stage the frames; leave it out", param_hint="--jobs"
+        )
     source = poses.source()
     if source is not None and len(recordings) > 1:
         raise typer.BadParameter("poses are those of a single recording", param_hint="--poses")
@@ -192,6 +206,7 @@ def command(
                 name=name,
                 every=every,
                 jobs=jobs,
+                scheduler=scheduler,
                 resume=resume,
                 skip_bad=_bad(skip_bad),
                 fail_fast=fail_fast,

@@ -1,0 +1,73 @@
+"""Who stages shares of drives for a build, and what they tell it.
+
+`build.pool` does it in processes of this machine, `build.cluster` in those of a Dask cluster.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from queue import SimpleQueue
+from typing import NamedTuple, Protocol
+
+from fieldgrid.build.parts import Share
+from fieldgrid.build.staging import DriveWork
+
+
+class Moved(NamedTuple):
+    """Frames of a drive are staged; at `at_s`, on `time.perf_counter`, it was in work."""
+
+    drive: int
+    moved_m: float
+    at_s: float
+    frames: int = 1
+
+
+class Shared(NamedTuple):
+    """A share of a drive is staged, and its part written."""
+
+    drive: int
+    share: Share
+
+
+class Failed(NamedTuple):
+    """A drive cannot be staged."""
+
+    drive: int
+    error: BaseException
+
+
+class Undone(NamedTuple):
+    """A process died: frames that were done are to be done again; both numbers are negative."""
+
+    drive: int
+    frames: int
+    moved_m: float
+
+
+Event = Moved | Shared | Failed | Undone
+
+
+class DriveOrder(NamedTuple):
+    """A drive of which these shares are to be staged, their parts to be written to a folder.
+
+    `recording` is where the recording lies, as it was given.
+    """
+
+    drive: int
+    name: str
+    recording: Path
+    work: DriveWork
+    folder: Path
+    shares: list[Share]
+
+
+class Executor(Protocol):
+    """Stages what it is given, in that order, and tells of it by `events`."""
+
+    events: SimpleQueue[Event]
+
+    def add(self, order: DriveOrder) -> None:
+        """Stage these shares of a drive, after those that were added before."""
+
+    def drop(self, drive: int) -> None:
+        """Stage no more shares of a drive."""
