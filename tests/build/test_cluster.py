@@ -257,7 +257,7 @@ def test_a_scheduler_without_workers_is_not_waited_for_without_end(
         build([make_drive()], tmp_path / "m.gpkg", scheduler=empty.scheduler_address)
 
 
-@pytest.mark.parametrize("address", ["here", "tcp://"])
+@pytest.mark.parametrize("address", ["here", "tcp://", "tcp://127.0.0.1:99999"])
 def test_an_address_that_is_none(
     address: str, make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

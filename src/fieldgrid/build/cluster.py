@@ -58,7 +58,8 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
         return
     try:
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="fieldgrid")
-    except (OSError, ValueError, TypeError) as error:
+    # Of a loaded machine Dask asserts that its own thread has begun in time.
+    except (OSError, ValueError, TypeError, OverflowError, AssertionError) as error:
         raise ClusterError(
             f"No Dask scheduler answers at {scheduler} ({_first_line(error)}); start one there "
             "with: dask scheduler, or check address and firewall."
