@@ -169,7 +169,7 @@ def command(
 
         fieldgrid route field.gpkg --cover --tracks --width 3 -o work.csv
 
-        fieldgrid route field.gpkg --cover --tracks --along edge --swaths swaths.kml
+        fieldgrid route field.gpkg --cover --tracks --along edge --swaths x.kml
     """
     from fieldgrid.cost import CostCurve
     from fieldgrid.coverage import Tracks, plan_coverage

@@ -25,6 +25,10 @@ _USUALLY = 1.5
 """So much more than its lower bound a way between tracks is taken to cost before it is planned:
 headlands leave hardly any way straight, and of many tracks few ways need planning."""
 
+_ENOUGH = 4
+"""Ways that are planned for each track before the order is made of those that are known: of a
+hundred tracks, the best order would take thousands."""
+
 _MOST_FAILED = 8
 """Ways from the end of a track that are searched for in vain before it is taken to have none but
 those that were found: where a vehicle hardly turns, all others take minutes to fail, too."""
@@ -101,14 +105,15 @@ class Network:
         nearest ways from and to them of which the search was cut short are searched for longer."""
         costs, known = self.bounds()
         bounds = costs.copy()
-        order = best_order(costs, known, worth, self.costs)
+        enough = None if self._headland is None else _ENOUGH * len(worth)
+        order = best_order(costs, known, worth, self.costs, enough=enough)
         missed = order.left_out(len(worth))
         pairs = [pair for pair in self._doubtful if missed & {node // 2 for node in pair}]
         most = _RETRIES if self._headland is None else _RETRIES // 4
         pairs = sorted(pairs, key=lambda pair: float(bounds[pair]))[:most]
         for pair, cost in zip(pairs, self.costs(pairs, _MORE_POSES), strict=True):
             costs[pair] = cost
-        return best_order(costs, known, worth, self.costs) if pairs else order
+        return best_order(costs, known, worth, self.costs, enough=enough) if pairs else order
 
     def _cost(self, a: int, b: int, max_poses: int) -> float:
         starts, goals = self._starts(a), self._goals(b)

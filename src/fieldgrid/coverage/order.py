@@ -24,6 +24,9 @@ _EFFORT = 9_000_000
 """Of the local search: it restarts so often, over the cube of the number of things."""
 
 
+_SHUNNED = 5.0
+
+
 class Order(NamedTuple):
     """Nodes in the order of visiting, and what they cost, with the worth of what is left out."""
 
@@ -42,16 +45,19 @@ def best_order(
     look_up: Callable[[list[tuple[int, int]]], list[float]],
     *,
     exact_up_to: int = EXACT_UP_TO,
+    enough: int | None = None,
 ) -> Order:
     """The best order by costs that are looked up as they are needed, for pairs of nodes.
 
     `costs` are lower bounds but where `known`; both are filled in. An order whose costs are all
     known is the best one, since no other can become cheaper: exactly so up to `exact_up_to` things,
-    and as far as the local search finds it above.
+    and as far as the local search finds it above. After `enough` costs were looked up, what is not
+    known is shunned: it is taken for dearer, so that the order is made of what is known, as far as
+    that leaves nothing out.
     """
     count = len(worth)
     sequence, thorough = np.arange(count), min(max(_EFFORT // count**3, 3), 400)
-    kicks = 1
+    kicks, looked_up = 1, 0
     while True:
         if count <= exact_up_to:
             order = _exact(costs, worth)
@@ -66,6 +72,10 @@ def best_order(
         kicks = 1 if missing else thorough
         for pair, cost in zip(missing, look_up(missing), strict=True):
             costs[pair], known[pair] = cost, True
+        looked_up += len(missing)
+        if enough is not None and looked_up >= enough:
+            costs[~known] *= _SHUNNED
+            enough = None
 
 
 def _exact(costs: Float64, worth: Float64) -> Order:
