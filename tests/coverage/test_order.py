@@ -83,3 +83,24 @@ def test_costs_are_looked_up_only_where_they_matter() -> None:
         assert order.cost == pytest.approx(cost_of(tuple(order.nodes), true, worth))
         assert order.cost <= 1.1 * known_order(true, worth, 10).cost
         assert len(asked) < 0.5 * true.size
+
+
+def test_when_enough_costs_are_known_the_order_is_made_of_them() -> None:
+    """Fewer are asked for, the order costs what it says, and nothing more is left out."""
+    asked: dict[int | None, int] = {}
+    for enough in (None, 12):
+        true, worth = random_costs(3, 12, 0.1), np.full(12, WORTH)
+        count = [0]
+
+        def look_up(
+            pairs: list[tuple[int, int]], true: Float64 = true, count: list[int] = count
+        ) -> list[float]:
+            count[0] += len(pairs)
+            return [float(true[pair]) for pair in pairs]
+
+        bounds, known = np.minimum(0.5 * true, 20.0), np.zeros(true.shape, dtype=np.bool_)
+        order = best_order(bounds, known, worth, look_up, exact_up_to=0, enough=enough)
+        assert order.cost == pytest.approx(cost_of(tuple(order.nodes), true, worth))
+        assert not order.left_out(12)
+        asked[enough] = count[0]
+    assert asked[12] < 0.7 * asked[None], asked

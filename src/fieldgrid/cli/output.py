@@ -143,8 +143,8 @@ def known(value: float) -> float | None:
 
 
 def number(value: float | None, digits: int, unit: str = "") -> str:
-    """A rounded number with its unit, or a dash where there is none."""
-    if value is None:
+    """A rounded number with its unit, or a dash where there is none (None, NaN)."""
+    if value is None or math.isnan(value):
         return "-"
     return f"{value:.{digits}f}{' ' + unit if unit else ''}"
 

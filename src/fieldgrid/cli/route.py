@@ -329,8 +329,9 @@ def _print(route: Route, coverage: Coverage | None) -> None:
         summary.append((what, f"{count} of {count + len(coverage.left_out)}"))
         if coverage.swaths is not None:
             done = coverage.swaths
+            headings = [block.heading_deg for block in coverage.planting.blocks]
             summary += [
-                ("heading", ", ".join(f"{b.heading_deg:.1f} °" for b in coverage.planting.blocks)),
+                ("heading", ", ".join(output.number(value, 1, "°") for value in headings)),
                 ("worked", output.number(done.worked_m2, 0, "m²")),
                 ("of what can be reached", output.percent(done.worked_m2 / done.reachable_m2, 1)),
                 ("crossing worked ground", output.number(done.crossing_m, 1, "m")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -30,8 +31,8 @@ _ENOUGH = 4
 hundred tracks, the best order would take thousands."""
 
 _MOST_FAILED = 8
-"""Ways from the end of a track that are searched for in vain before it is taken to have none but
-those that were found: where a vehicle hardly turns, all others take minutes to fail, too."""
+"""Ways from the end of a track, or to it, that are searched for in vain before it is taken to have
+none but those that were found: where a vehicle hardly turns, others take minutes to fail, too."""
 
 _DISTANCE_BYTES = 200_000_000
 _CURVES_WITHIN = 12.0
@@ -61,7 +62,8 @@ class Network:
         self.starts, self.goals, self._progress = starts, goals, progress
         self.ways: dict[tuple[int, int], Float64] = {}
         self._doubtful: dict[tuple[int, int], None] = {}
-        self._failed: dict[int, int] = {}
+        self._failed_from: Counter[int] = Counter()
+        self._failed_to: Counter[int] = Counter()
         self._cut_off: dict[int, Float64] = {}
         self._left: dict[tuple[int, bool], Float32] = {}
 
@@ -123,7 +125,8 @@ class Network:
             return math.inf
         samples = np.zeros((0, 5))
         if self._headland is not None:
-            if max_poses == _MAX_POSES and self._failed.get(a, 0) >= _MOST_FAILED:
+            failed = max(self._failed_from[a], self._failed_to[b] if b < len(self.passes) else 0)
+            if max_poses == _MAX_POSES and failed >= _MOST_FAILED:
                 return math.inf
             left = self._distance(b, self._headland)
             if math.isfinite(left[self._headland.coarse_place(starts[0])]):
@@ -134,7 +137,8 @@ class Network:
             samples = found.samples
         self.ways[a, b] = samples
         if not len(samples):
-            self._failed[a] = self._failed.get(a, 0) + 1
+            self._failed_from[a] += 1
+            self._failed_to[b] += 1
             if found.exhausted:
                 self._cut_off[a] = found.tried_m
             else:
