@@ -34,6 +34,10 @@ CONNECT_S = 10.0
 NO_WORKERS_S = 60.0
 """How long a scheduler may take to answer, and may be without a worker."""
 
+_NO_SCHEDULER = (OSError, ValueError, TypeError, OverflowError, AssertionError, MemoryError)
+"""What connecting raises: on a loaded machine Dask asserts that its own thread has begun in time,
+and what a server of another kind says it takes for the size of a message."""
+
 _AHEAD = 2
 """Shares that are handed out for each thread of a worker: one to work at, one to go on with."""
 
@@ -58,8 +62,7 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
         return
     try:
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="fieldgrid")
-    # Of a loaded machine Dask asserts that its own thread has begun in time.
-    except (OSError, ValueError, TypeError, OverflowError, AssertionError) as error:
+    except _NO_SCHEDULER as error:
         raise ClusterError(
             f"No Dask scheduler answers at {scheduler} ({_first_line(error)}); start one there "
             "with: dask scheduler, or check address and firewall."

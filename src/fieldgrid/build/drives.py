@@ -133,8 +133,6 @@ def build_map(
     build.drives = [_Drive(number, path, str(path)) for number, path in enumerate(paths)]
     is_there = bool(resume) and build.out.exists() and not (append or overwrite)
     with ExitStack() as opened:
-        if scheduler is not None:
-            build.client = opened.enter_context(connected(scheduler))
         settle_left_behind(build.out, resume)
         if skip_bad > 0:
             options = replace(options or DriveOptions(), incomplete=True)
@@ -155,6 +153,8 @@ def build_map(
         check_names(
             [drive.name for drive in build.drives if not drive.error], () if resume else taken
         )
+        if scheduler is not None:
+            build.client = opened.enter_context(connected(scheduler))
         datum = build.estimate(datum)
         if not (append or is_there):
             universal = opened.enter_context(

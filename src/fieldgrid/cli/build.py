@@ -164,7 +164,7 @@ def command(
 
         fieldgrid build 2026-06-*/ -o season.gpkg --resume
 
-        fieldgrid build 2026-06-*/ -o season.gpkg --scheduler tcp://10.0.0.5:8786
+        fieldgrid build june-*/ -o all.gpkg --scheduler tcp://10.0.0.5:8786
 
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
