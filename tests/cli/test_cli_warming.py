@@ -1,7 +1,7 @@
 """The first run: another process compiles what frames need."""
 
 import os
-import time
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,38 +10,41 @@ from fieldgrid.cli import warming
 from fieldgrid.kernel import Kernel
 from fieldgrid.mapfile import workers
 
-_SAYS_WHO = "import os, pathlib, sys, time; pathlib.Path({path!r}).write_text(str(os.getpid()))"
+_SAYS_WHO = "import os, signal; open({path!r}, 'w').write(str(os.getpid())); signal.pause()"
 
 
-def _started(kept: bool, cores: int, path: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """Whether a process is started; it must have gone when the block ends."""
-    code = _SAYS_WHO.format(path=str(path)) + "; time.sleep(600)"
-    monkeypatch.setattr(warming, "_FRAMES", code)
+def _given(monkeypatch: pytest.MonkeyPatch, *, kept: bool, cores: int) -> None:
     monkeypatch.setattr(Kernel, "is_kept", lambda _: kept)
     monkeypatch.setattr(workers, "cores", lambda: cores)
-    with warming.frames_ahead():
-        if kept or cores == 1:
-            return path.exists()
-        until = time.monotonic() + 60.0
-        while not (path.exists() and path.read_text()):
-            assert time.monotonic() < until, "no process was started"
-            os.sched_yield()
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(path.read_text()), 0)
-    return True
 
 
-def test_another_process_compiles_where_nothing_is_kept(
+def test_another_process_compiles_where_nothing_is_kept_and_is_gone_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert _started(False, 2, tmp_path / "who", monkeypatch)
+    pipe = tmp_path / "who"
+    os.mkfifo(pipe)
+    monkeypatch.setattr(warming, "_FRAMES", _SAYS_WHO.format(path=str(pipe)))
+    _given(monkeypatch, kept=False, cores=2)
+    with warming.frames_ahead():
+        number = int(pipe.read_text())  # waits for the process
+        os.kill(number, 0)
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
 
 
-@pytest.mark.parametrize(("kept", "cores"), [(True, 2), (False, 1)])
+@pytest.mark.parametrize(
+    ("kept", "cores", "here"), [(True, 2, True), (False, 1, True), (False, 2, False)]
+)
 def test_none_is_started_where_it_would_not_help(
-    kept: bool, cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: bool, cores: int, here: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not _started(kept, cores, tmp_path / "who", monkeypatch)
+    def refuse(*_: object, **__: object) -> None:
+        pytest.fail("a process was started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    _given(monkeypatch, kept=kept, cores=cores)
+    with warming.frames_ahead(here=here):
+        pass
 
 
 def test_what_is_compiled_is_what_frames_need() -> None:

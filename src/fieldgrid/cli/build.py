@@ -194,7 +194,10 @@ def command(
 
     partly: PartlyBuiltError | None = None
     try:
-        with warming.frames_ahead(), progress.building(out, wait_s) as tell:
+        with (
+            warming.frames_ahead(here=scheduler is None),
+            progress.building(out, wait_s) as tell,
+        ):
             reports = build_map(
                 recordings,
                 out,

@@ -28,8 +28,9 @@ def tell_of_compiling() -> None:
 
 
 @contextmanager
-def frames_ahead() -> Iterator[None]:
-    """While this process compiles what poses need, let another one compile what frames need.
+def frames_ahead(*, here: bool = True) -> Iterator[None]:
+    """While this process compiles what poses need, let another one compile what frames need, where
+    frames are staged `here`, on this machine.
 
     Numba compiles one function at a time in a process. Where there is a single core, the code is
     kept already, or there is no place to keep it, nothing is started; what is not ready at the end
@@ -38,7 +39,7 @@ def frames_ahead() -> Iterator[None]:
     from fieldgrid.binning import bin_pixels
     from fieldgrid.mapfile.workers import cores
 
-    if cores() < 2 or bin_pixels.cache_folder() is None or bin_pixels.is_kept():
+    if not here or cores() < 2 or bin_pixels.cache_folder() is None or bin_pixels.is_kept():
         yield
         return
     process = subprocess.Popen(

@@ -137,24 +137,12 @@ def painted(
                     place = _pixels(blocks.window, view.window)
                     for number, band in enumerate(layout.bands(view, selection.layer), 1):
                         dataset.write(band[::-1], number, window=place)
-        rows = _rows(universal, selection, blocks.lattice, blocks.window)
-        about = {
-            "layer": selection.layer,
-            **extent(blocks.lattice, blocks.window, universal.datum),
-            "epsg": epsg,
-        }
         if other is not None:
-            plane, source = other, file
-            file = scratch.file("projected")
+            plane, source, file = other, file, scratch.file("projected")
             warp(source, file, other, layout, tags)
-            side = f"{plane.transform.a:.9g} x {-plane.transform.e:.9g}"
-            rows += (("pixels", f"{plane.width} x {plane.height} of {side}"),)
-        crs = f"EPSG:{epsg}" if epsg is not None else "Transverse Mercator at the datum"
-        about |= {
-            "pixels": [plane.width, plane.height],
-            "pixel_size": [plane.transform.a, -plane.transform.e],
-        }
-        yield Raster(file, plane, cells, layout, (*rows, ("plane", crs)), about, scratch)
+        place = extent(blocks.lattice, blocks.window, universal.datum)
+        told = _told(selection.layer, place, universal.datum, plane, epsg)
+        yield Raster(file, plane, cells, layout, *told, scratch)
 
 
 def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:
@@ -298,24 +286,28 @@ def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
             "FIELDGRID_DATUM_HEIGHT_M + value + (east^2 + north^2) / 12.75e6 m"
         )
     names = selection.sessions(universal)
-    tags["FIELDGRID_SESSIONS"] = str(len(names))
+    tags |= {"FIELDGRID_SESSIONS": str(len(names)), "FIELDGRID_AS_OF_SESSION": names[-1]}
     last = {info.name: info.last_time_ns for info in universal.sessions()}[names[-1]]
-    tags["FIELDGRID_AS_OF_SESSION"] = names[-1]
     if last is not None:
         tags["FIELDGRID_AS_OF_TIME"] = datetime.fromtimestamp(last // 10**9, UTC).isoformat()
     return tags
 
 
-def _rows(
-    universal: Readable, selection: Selection, lattice: Lattice, window: Window
-) -> tuple[tuple[str, str], ...]:
-    bounds = lattice.bounds(window)
-    return (
-        ("layer", f"{selection.layer}: {LAYERS[selection.layer].meaning}"),
-        ("cells", f"{window.width} x {window.height} of {lattice.cell_m:g} m"),
-        ("west south east north", " ".join(f"{value:.3f}" for value in bounds) + " m"),
-        ("datum", universal.datum.described()),
+def _told(
+    layer: str, place: dict[str, Any], datum: Datum, plane: Plane, epsg: int | None
+) -> tuple[tuple[tuple[str, str], ...], dict[str, Any]]:
+    """What a raster is, as rows for a reader and as numbers for a program."""
+    size, side = [plane.width, plane.height], [plane.transform.a, -plane.transform.e]
+    pixels = f"{size[0]} x {size[1]} of {side[0]:.9g} x {side[1]:.9g}"
+    rows = (
+        ("layer", f"{layer}: {LAYERS[layer].meaning}"),
+        ("cells", f"{place['width']} x {place['height']} of {place['cell_m']:g} m"),
+        ("west south east north", " ".join(f"{v:.3f}" for v in place["bounds_m"].values()) + " m"),
+        ("datum", datum.described()),
+        *(() if epsg is None else (("pixels", pixels),)),
+        ("plane", "Transverse Mercator at the datum" if epsg is None else f"EPSG:{epsg}"),
     )
+    return rows, {"layer": layer, **place, "epsg": epsg, "pixels": size, "pixel_size": side}
 
 
 def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
