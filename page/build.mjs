@@ -35,7 +35,9 @@ const result = await build({
   metafile: true,
   banner: { js: `// built from ${hash.digest("hex")}; licences in licences.txt` },
 });
-copyFileSync(join(here, "src", "index.html"), join(out, "index.html"));
+for (const name of ["index.html", "live.html"]) {
+  copyFileSync(join(here, "src", name), join(out, name));
+}
 
 // The licence of every package of which something is in the bundle.
 const packages = new Set(

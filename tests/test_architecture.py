@@ -60,6 +60,7 @@ LAYERS = (
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "stac"),
     ("inspection", "mounting", "convert", "view", "live"),
+    ("onlookers",),
     ("cli",),
     ("__main__",),
 )

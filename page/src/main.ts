@@ -7,6 +7,7 @@ import "./style.css";
 import { type About, type Cell, type Source, Server } from "./data";
 import { announce, el } from "./dom";
 import { embedded } from "./embedded";
+import { follow } from "./live";
 import { MapView } from "./mapview";
 import { Measure } from "./measure";
 import { EvidencePanel } from "./panels/evidence";
@@ -23,6 +24,10 @@ const POSE_PX = 8;
 
 async function start(): Promise<void> {
   document.body.append(el("div", { id: "announcements", role: "status", "aria-live": "polite" }));
+  if (document.documentElement.dataset.page === "live") {
+    await follow(token());
+    return;
+  }
   const source: Source = embedded() ?? new Server(token());
   try {
     build(await source.about(), source);

@@ -18,10 +18,10 @@ import type { Store } from "./state";
 import { toGeodetic } from "./plane";
 import { Tracks } from "./tracks";
 
-const plane = new Projection({ code: "fieldgrid-plane", units: "m", extent: [-60_000, -60_000, 60_000, 60_000] });
+export const plane = new Projection({ code: "fieldgrid-plane", units: "m", extent: [-60_000, -60_000, 60_000, 60_000] });
 
 /** A scale in metres or centimetres: OpenLayers says 1000 mm for a metre. */
-class ScaleBar extends ScaleLine {
+export class ScaleBar extends ScaleLine {
   override render(event: MapEvent): void {
     super.render(event);
     const says = this.element?.querySelector(".ol-scale-line-inner");

@@ -53,7 +53,7 @@ export async function greyAt(blob: Blob, column: number, row: number): Promise<n
   return pixels.data[at + 3] ? pixels.data[at] : null;
 }
 
-async function decode(blob: Blob) {
+export async function decode(blob: Blob) {
   // As stored: no colour profile of the screen may change a value.
   const image = await createImageBitmap(blob, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
   const canvas = document.createElement("canvas");

@@ -40,6 +40,14 @@ OCCUPANCY: Ramp = (
 )
 """Probabilities: the same colours, with the edge at one half."""
 
+COST: Ramp = (
+    Stop(0.0, "#fdf8e7"),
+    Stop(252.5 / 255.0, "#d9ab4a"),
+    Stop(252.5 / 255.0, "#c23b2e"),
+    Stop(1.0, "#4a0a1c"),
+)
+"""Costs 0..255 as Nav2 has them: the same colours, with the edge before 253."""
+
 VALUES: Ramp = (
     Stop(0.0, "#00224e"),
     Stop(0.125, "#123570"),

@@ -10,6 +10,7 @@ import socket
 import subprocess
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
@@ -111,7 +112,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
     folder, out = empty_copy(drive, tmp_path / "row"), tmp_path / "m.gpkg"
     arguments = ("live", "-o", out, "--images", folder, "--gnss", "-", "--json")
     with subprocess.Popen(
-        in_a_process(*arguments, "--feed", "tcp://127.0.0.1:0"),
+        in_a_process(*arguments, "--feed", "tcp://127.0.0.1:0", "--view", "0"),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stdin is not None
@@ -129,6 +130,10 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
         feed = process.stderr.readline().decode()
         port = re.search(r"connects to tcp://127\.0\.0\.1:(\d+)\n", feed)
         assert port is not None
+        link = re.search(
+            r"follows the vehicle is (http://\S+/)#", process.stderr.readline().decode()
+        )
+        assert link is not None
         until("is watched for frames.")
         with socket.create_connection(("127.0.0.1", int(port[1])), 60) as client:
             process.stdin.write((drive / "gnss" / "gnss_rtk.nmea").read_bytes())
@@ -138,6 +143,10 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
                 until('{"grid"')
             client.settimeout(60)
             assert client.recv(4, socket.MSG_WAITALL) == b"FGWN"
+            with urlopen(f"{link[1]}api/live", timeout=60) as news:
+                told = json.loads(news.readline().removeprefix(b"data: "))
+            assert told["session"] == "row"
+            assert told["window"]["fixes"]
             os.kill(process.pid, request_to_end)
             last = [json.loads(line) for line in process.stdout]
         told = process.stderr.read().decode()
@@ -167,5 +176,8 @@ def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> N
     assert "does not take it" in fieldgrid(*live, *replay).usage()
     nowhere = ("--gnss-log", tmp_path / "nowhere" / "log")
     assert "cannot be written" in fieldgrid(*live, *images, *gnss, *nowhere).sentence()
+    assert (
+        "is no address; give --view" in fieldgrid(*live, *images, *gnss, "--view", "x").sentence()
+    )
     assert "is no feed" in fieldgrid(*live, *images, *gnss, "--feed", "7007").sentence()
     assert list(tmp_path.iterdir()) == []

@@ -13,6 +13,7 @@ import pytest
 
 from fieldgrid.costmap import Costmap
 from fieldgrid.errors import ConfigError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.live import Doubt, Feed, LiveWindow, feed, parse_feed
@@ -39,7 +40,8 @@ def window(frames: int = 7, *, size: tuple[int, int] = (HEIGHT, WIDTH)) -> LiveW
     pose = Pose(5, -1.5, 3.25, 0.0, 271.5, 0.02, 0.4, 1.25, Status.OK, "")
     return LiveWindow(
         *(1_308_133_815_469_000_000, Costmap.from_view(view), view, age_s, sigma_m, pose),
-        *("no frame for 4.0 s", frames, "000007", 0.1, Doubt.NO_FRAMES),
+        *("no frame for 4.0 s", frames, "000007", 0.1, Doubt.NO_FRAMES, 1),
+        *(FixColumns.of([]), np.zeros(0, dtype=np.bool_)),
     )
 
 

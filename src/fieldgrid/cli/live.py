@@ -24,6 +24,7 @@ from fieldgrid.settings import Overrides
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
     from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
+    from fieldgrid.onlookers import LivePage
 
 _SESSION = "Session and map file"
 _AT_THE_END = {"out", "finish", "finish_from", "as_json", "quiet", "verbose"}
@@ -127,6 +128,8 @@ def command(
 
         fieldgrid live -o row.gpkg --replay june --feed tcp://127.0.0.1:7007
 
+        fieldgrid live -o row.gpkg --images june --gnss - --view 8080
+
         fieldgrid live -o row.gpkg --finish --accept clock-offset
     """
     driving = [replay is not None, sources.images is not None, sources.camera is not None]
@@ -159,7 +162,7 @@ def command(
             opened = stack.enter_context(open_drive(replay, drive.options()))
             driven = of_recording(opened.recording(), _rate(rate))
         report, counts = _drive(
-            *(driven, out, append, name, datum, sources.feed, settings, config), as_json=as_json
+            *(driven, out, append, name, datum, sources, settings, config), as_json=as_json
         )
     _report(report, counts, out, as_json=as_json)
 
@@ -191,7 +194,7 @@ def _drive(
     append: bool,
     name: str | None,
     datum: str | None,
-    feed: str | None,
+    sources: SourceFlags,
     settings: Overrides,
     config: Path | None,
     *,
@@ -204,8 +207,10 @@ def _drive(
     with ExitStack() as stack:
         line = stack.enter_context(progress.living())
         watch = _Watch(line, as_json=as_json)
-        if feed is not None:
-            watch.feed = stack.enter_context(_feed(feed, watch))
+        if sources.feed is not None:
+            watch.feed = stack.enter_context(_feed(sources.feed, watch))
+        if sources.view is not None:
+            watch.page = stack.enter_context(_page(sources.view, name or driven.name))
         live = Live(
             out,
             driven.rig,
@@ -255,6 +260,15 @@ def _feed(text: str, watch: _Watch) -> Feed:
     return feed
 
 
+def _page(text: str, session: str) -> LivePage:
+    """The page at an address."""
+    from fieldgrid.onlookers import LivePage, parse_address
+
+    page = LivePage(*parse_address(text, "--view"), session=session)
+    output.message(f"the page that follows the vehicle is {page.link}")
+    return page
+
+
 @contextmanager
 def _ended_by_signals() -> Iterator[threading.Event]:
     """In the block Ctrl-C and SIGTERM set an event, and interrupt nothing."""
@@ -275,6 +289,7 @@ class _Watch:
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
         self.feed: Feed | None = None
+        self.page: LivePage | None = None
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
         self._window: LiveWindow | None = None
@@ -285,6 +300,8 @@ class _Watch:
 
         if self.feed is not None and isinstance(result, LiveWindow):
             self.feed.put(result)
+        if self.page is not None:
+            self.page.take(result)
         if self._as_json:
             output.print_json_line(result.as_dict())
             return

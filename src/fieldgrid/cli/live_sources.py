@@ -31,7 +31,7 @@ GNSS = typer.Option(
 
 
 class SourceFlags(NamedTuple):
-    """Sources of images, and who is told of the window around the vehicle."""
+    """Sources of images, and who looks on."""
 
     images: Annotated[
         Path | None,
@@ -86,6 +86,16 @@ class SourceFlags(NamedTuple):
             metavar="tcp://HOST:PORT",
             help="Send the costmap around the vehicle to whoever connects; HOST is 127.0.0.1 for "
             "this machine alone.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    view: Annotated[
+        str | None,
+        typer.Option(
+            "--view",
+            metavar="[HOST:]PORT",
+            help="Serve a page that follows the vehicle, for this machine alone unless a HOST is "
+            "given; port 0 is any that is free.",
             rich_help_panel=_PANEL,
         ),
     ] = None

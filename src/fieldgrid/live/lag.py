@@ -52,6 +52,8 @@ class Trailing:
         self._last_fix_ns: int | None = None
         self._ahead = 0
         self.newest_ns = 0
+        self.fixes = FixColumns.of([])
+        """Those of the latest estimate, used or not."""
 
     @property
     def last_fix_ns(self) -> int | None:
@@ -103,8 +105,9 @@ class Trailing:
         if len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - self._last_fix_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
+        self.fixes = FixColumns.of_rows(fixes)
         found = estimate_poses(
-            FixColumns.of_rows(fixes),
+            self.fixes,
             self._rig,
             self.datum,
             self._settings.pose,

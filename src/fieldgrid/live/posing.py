@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from fieldgrid.build import cell_budget
 from fieldgrid.build.poses import no_ground
 from fieldgrid.cost import CostCurve
@@ -107,6 +109,8 @@ class Poser:
         self._newest: Seen | None = None
         self._doubt: str | None = None
         self._pose: Pose | None = None
+        self._gear = 0
+        self._used = np.zeros(0, dtype=np.bool_)
         self._heard_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
         self._thread.start()
@@ -170,9 +174,12 @@ class Poser:
             )
         except FieldgridError as error:
             doubt, code = str(error), Doubt.NO_FIXES
+            self._used = np.zeros(len(self._trailing.fixes), dtype=np.bool_)
         if estimate is not None:
             self._say_refused(estimate)
-            self._pose, doubt = self._now(estimate)
+            self._pose, self._gear, doubt = self._now(estimate)
+            track = estimate.trajectory
+            self._used = np.isin(self._trailing.fixes.time_ns, track.time_ns[track.accepted])
             code = Doubt.POSE if doubt else Doubt.NONE
             if self._pose.status is not Status.REJECTED:
                 self._window.follow(self._pose)
@@ -190,14 +197,15 @@ class Poser:
             self._say(What.POSE, f"The window around the vehicle {how}")
         self._doubt = doubt
 
-    def _now(self, estimate: Estimate) -> tuple[Pose, str]:
-        """The latest pose with what may have happened since, and why it is not to be trusted."""
+    def _now(self, estimate: Estimate) -> tuple[Pose, int, str]:
+        """The latest pose with what may have happened since, its gear, and why it is not to be
+        trusted."""
         trajectory, newest_ns = estimate.trajectory, self._trailing.newest_ns
         known = trajectory.time_ns[trajectory.accepted]
         if not len(known):
-            pose, _ = pose_at(trajectory, newest_ns)
-            return pose, pose.reason
-        pose, _ = pose_at(trajectory, min(newest_ns, int(known[-1])))
+            pose, gear = pose_at(trajectory, newest_ns)
+            return pose, gear, pose.reason
+        pose, gear = pose_at(trajectory, min(newest_ns, int(known[-1])))
         since_s = max(newest_ns - int(known[-1]), 0) / 1e9
         if since_s > 0.0:
             speed_mps = abs(pose.speed_mps)
@@ -211,8 +219,8 @@ class Poser:
         if since_s > SILENT_S / 2.0:
             after = trajectory.time_ns > known[-1]
             why = trajectory.reason[-1] if after.any() else "the receiver wrote none"
-            return pose, f"no pose that can be used for {since_s:.1f} s: {why}"
-        return pose, pose.reason if pose.status is Status.REJECTED else ""
+            return pose, gear, f"no pose that can be used for {since_s:.1f} s: {why}"
+        return pose, gear, pose.reason if pose.status is Status.REJECTED else ""
 
     def _placed(self, estimate: Estimate | None, doubt: str) -> list[Placed]:
         """Tell the poses of the frames that wait, place those that are settled for good, and return
@@ -268,6 +276,9 @@ class Poser:
                 newest.frame_id if is_in and newest else "",
                 latency_s,
                 code,
+                self._gear,
+                self._trailing.fixes,
+                self._used,
             )
         )
 

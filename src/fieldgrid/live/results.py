@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import Float32
+from fieldgrid.array_types import Bool, Float32
 from fieldgrid.costmap import Costmap
+from fieldgrid.fixes import FixColumns
 from fieldgrid.grids import LocalGrid
 from fieldgrid.mapfile import MapView
 from fieldgrid.trajectory import Pose
@@ -126,7 +127,9 @@ class LiveWindow:
     [rows north, columns east] is how long before the latest data a cell was last seen,
     `sigma_m` how far off a cell at the far end of the frame that saw it last may be (1 sigma);
     both NaN where nothing was seen. `latency_s` is from the push of `frame_id`, the newest
-    frame, to here; None, and no name, while that is not in it.
+    frame, to here; None, and no name, while that is not in it. `gear` is that of the pose: +1
+    forward, -1 reverse, 0 at rest or not known. `fixes` are those of the last seconds by the
+    receiver's word, of its antenna, `used` [n] which of them the pose goes by.
     """
 
     time_ns: int
@@ -140,6 +143,9 @@ class LiveWindow:
     frame_id: str
     latency_s: float | None
     doubt_code: Doubt
+    gear: int
+    fixes: FixColumns
+    used: Bool
 
     @property
     def is_trusted(self) -> bool:
@@ -155,6 +161,7 @@ class LiveWindow:
             "trusted": self.is_trusted,
             "doubt": self.doubt,
             "doubt_code": int(self.doubt_code),
+            "gear": self.gear,
             "frames": self.frames,
             "known_cells": int(seen.sum()),
             "bounds_m": [float(value) for value in self.view.bounds],

@@ -12,6 +12,7 @@ from starlette.routing import Route
 
 TYPES = {
     "index.html": "text/html",
+    "live.html": "text/html",
     "viewer.js": "text/javascript",
     "viewer.css": "text/css",
     "licences.txt": "text/plain",
@@ -25,11 +26,11 @@ def read_file(name: str) -> bytes:
     return (files("fieldgrid.view") / "static" / name).read_bytes()
 
 
-def routes() -> list[Route]:
-    """The page at the root, and its files beside it."""
+def routes(front: str = "index.html") -> list[Route]:
+    """A page at the root, and the files that it loads beside it."""
     return [
-        Route("/", _serving("index.html")),
-        *(Route(f"/{name}", _serving(name)) for name in TYPES if name != "index.html"),
+        Route("/", _serving(front)),
+        *(Route(f"/{name}", _serving(name)) for name in TYPES if not name.endswith(".html")),
     ]
 
 

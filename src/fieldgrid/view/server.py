@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import uvicorn
+from starlette.applications import Starlette
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.view.app import Viewer, make_app
@@ -51,19 +52,19 @@ def view_maps(
         port = int(listening.getsockname()[1])
         access = network_access(token, port, host) if host else loopback_access(token, port)
         viewer = Viewer(maps, access, writable, tuple(recordings), tuple(routes))
-        link = f"http://{_in_link(host)}:{port}/#token={token}"
+        link = f"http://{in_link(host)}:{port}/#token={token}"
         if ready is not None:
             ready(link)
         if open_browser:
             webbrowser.open(link)
-        make_server(viewer).run(sockets=[listening])
+        make_server(make_app(viewer)).run(sockets=[listening])
 
 
-def make_server(viewer: Viewer) -> uvicorn.Server:
-    """The web server of a viewer, to be run with the sockets that it answers on."""
+def make_server(app: Starlette) -> uvicorn.Server:
+    """The web server of an application, to be run with the sockets that it answers on."""
     return uvicorn.Server(
         uvicorn.Config(
-            make_app(viewer),
+            app,
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -86,7 +87,7 @@ def listen(host: str, port: int) -> socket.socket:
     return listening
 
 
-def _in_link(host: str | None) -> str:
+def in_link(host: str | None) -> str:
     """The host as another machine, or this one, calls it."""
     if host is None:
         return LOOPBACK
