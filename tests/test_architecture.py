@@ -36,7 +36,7 @@ LAYERS = (
         "vectors",
     ),
     ("settings",),
-    ("cloud", "depth", "lens", "travel"),
+    ("cloud", "depth", "lens", "sweep", "travel"),
     (
         "gnss",
         "course",

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from fieldgrid.recording import CloudFrame, Frame, Recording, StereoFrame
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig, StereoCamera
+from fieldgrid.sweep import Sweep
 
 _Float64 = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -40,6 +41,9 @@ class Memory:
 
     def read(self) -> npt.NDArray[np.generic]:
         return self.values
+
+    def sweep(self) -> Sweep:
+        return Sweep(self.values)  # type: ignore[arg-type]
 
     def encoded(self) -> bytes:
         return b""

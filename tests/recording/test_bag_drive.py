@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording import CloudFrame, DepthFrame, Recording, open_recording
+from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, StereoCamera
 from fieldgrid.ros.gnss import quality_of
@@ -510,6 +511,31 @@ def test_clouds_are_turned_to_right_down_forward(opened: Opened) -> None:
         points = frame.source.read()
     assert points[:, 2].min() > 3.0
     assert points[:, 1].max() == pytest.approx(5.0 * math.sin(0.4), rel=1e-5)  # below the sensor
+
+
+@pytest.mark.parametrize(
+    ("topic", "settings", "corrected"),
+    [
+        ("/lidar/points", "", False),
+        ("/lidar/points_undistorted", "", True),
+        ("/lidar/points_undistorted", "[cloud]\ncorrected = false\n", False),
+        ("/lidar/points", "[cloud]\ncorrected = true\n", True),
+    ],
+)
+def test_clouds_that_were_corrected_have_no_times_any_more(
+    topic: str, settings: str, corrected: bool, opened: Opened
+) -> None:
+    def said(maker: Maker) -> list[Said]:
+        return [one._replace(topic=topic) for one in clouds_said(maker)]
+
+    with opened(said) as recording:
+        folder = recording.path.parent  # type: ignore[attr-defined]
+    (folder / "recording.toml").write_text(settings)
+    with open_recording(folder / "bag.mcap") as recording:
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, CloudFrame)
+        assert isinstance(frame.source, MessageCloud)
+        assert frame.source.corrected == corrected
 
 
 def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:

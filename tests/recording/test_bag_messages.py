@@ -219,6 +219,51 @@ def test_points_are_turned_and_those_that_are_none_dropped(read: Make) -> None:
     np.testing.assert_allclose(cloud, kept @ half.T, rtol=1e-4, atol=1e-4)
 
 
+TIMED = RNG.uniform(-20, 20, (200, 3))
+AFTER_S = np.linspace(0.0, 0.0995, len(TIMED))
+
+
+@pytest.mark.parametrize(
+    ("name", "datatype", "dtype", "values"),
+    [
+        ("t", 6, "<u4", AFTER_S * 1e9),  # Ouster
+        ("time", 7, "<f4", AFTER_S - 0.0995),  # Velodyne
+        ("timestamp", 8, "<f8", UTC / 1e9 + AFTER_S),  # Hesai
+        ("timestamp", 8, "<f8", UTC + AFTER_S * 1e9),  # Livox
+        ("offset_time", 6, "<u4", AFTER_S * 1e9),
+    ],
+)
+@pytest.mark.parametrize("container", ["bag", "mcap"])
+def test_the_times_of_points(
+    name: str, datatype: int, dtype: str, values: Any, container: Container, tmp_path: Path
+) -> None:
+    points = TIMED.astype("<f4")
+    points[5, 0] = np.nan
+    layout = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), (name, dtype)]
+    cells = np.zeros(len(points), dtype=layout)
+    for axis, column in zip("xyz", points.T, strict=True):
+        cells[axis] = column
+    cells[name] = np.rint(values) if dtype == "<u4" else values
+    maker = Maker(container)
+    kinds = {"x": 7, "y": 7, "z": 7, "intensity": 7, name: datatype}
+    assert cells.dtype.fields is not None
+    fields = [
+        maker.of("sensor_msgs/msg/PointField", name=k, offset=o, datatype=kinds[k], count=1)
+        for k, (_, o) in cells.dtype.fields.items()
+    ]
+    size = cells.dtype.itemsize
+    more = {"fields": fields, "point_step": size, "row_step": size * len(points)}
+    message = maker.cloud(UTC, points, **more, data=cells.view(np.uint8))
+    path = bags.write_bag(tmp_path / "m", container, maker, [Said(UTC, "/t", message)])
+    with open_bag(path) as bag:
+        (found,) = bag.messages()
+        # The frame's own time may be the recorder's: points go by the header's stamp.
+        sweep = MessageCloud(found, UTC + 30_000_000).sweep()
+    expected = np.delete(AFTER_S, 5) - (0.0995 if name == "time" else 0.0)
+    assert np.array_equal(sweep.points_m, np.delete(points, 5, axis=0))
+    assert sweep.after_s == pytest.approx(expected, abs=2e-6)
+
+
 @pytest.mark.parametrize(
     ("fields", "match"),
     [

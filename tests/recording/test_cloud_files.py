@@ -114,6 +114,59 @@ def test_a_ply_with_other_properties_and_faces(tmp_path: Path) -> None:
     assert found.tolist() == [[1.5, 2.0, 3.5], [4.5, 5.0, 6.5]]
 
 
+STAMP_NS = 1_780_000_000_000_000_000
+AFTER_S = np.linspace(0.0, 0.0995, len(POINTS))
+
+
+def timed_ply(path: Path, kind: str) -> Path:
+    """A PLY of `POINTS` with a time of each, in front of them."""
+    vertices = np.zeros(len(POINTS), [("t", "<u4"), ("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    vertices["t"] = np.rint(AFTER_S * 1e9)
+    for axis, column in zip("xyz", POINTS.T, strict=True):
+        vertices[axis] = column
+    header = f"ply\nformat {kind} 1.0\nelement vertex {len(POINTS)}\nproperty uint t\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    rows = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in vertices.tolist())
+    path.write_bytes(header.encode() + (rows.encode() if kind == "ascii" else vertices.tobytes()))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+def test_a_ply_may_say_when_points_were_taken(kind: str, tmp_path: Path) -> None:
+    path = timed_ply(tmp_path / "a.ply", kind)
+    points, after_s = CloudFile(path, "rdf", STAMP_NS).sweep()
+    assert points == pytest.approx(POINTS, abs=1e-4)
+    assert after_s == pytest.approx(AFTER_S, abs=1e-6)
+    assert CloudFile(path, "rdf", STAMP_NS, corrected=True).sweep().after_s is None
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_a_pcd_may_say_when_points_were_taken(encoding: str, tmp_path: Path) -> None:
+    """By the clock of the stamps: the point that is none is left out with its time."""
+    absolute = STAMP_NS / 1e9 - 0.04 + AFTER_S
+    places = POINTS.copy()
+    places[7, 1] = np.nan
+    cloud = Pcd.from_points(
+        [*places.T, absolute], ("x", "y", "z", "timestamp"), (*[np.float32] * 3, np.float64)
+    )
+    cloud.save(tmp_path / "a.pcd", encoding=Encoding(encoding))
+    points, after_s = CloudFile(tmp_path / "a.pcd", "rdf", STAMP_NS).sweep()
+    assert points == pytest.approx(np.delete(POINTS, 7, axis=0), abs=1e-4)
+    assert after_s == pytest.approx(np.delete(AFTER_S, 7) - 0.04, abs=1e-6)
+
+
+def test_the_times_of_a_las_are_utc(tmp_path: Path) -> None:
+    data = las(POINTS)
+    data.gps_time = GPS_S + AFTER_S
+    data.write(tmp_path / "a.las")
+    stamp_ns = las_time_ns(tmp_path / "a.las", MAX_BYTES)
+    after_s = CloudFile(tmp_path / "a.las", "rdf", stamp_ns + 50_000_000).sweep().after_s
+    assert after_s == pytest.approx(AFTER_S - 0.05, abs=1e-6)
+    data = las(POINTS, standard=False)
+    data.write(tmp_path / "b.las")
+    assert CloudFile(tmp_path / "b.las", "rdf", stamp_ns).sweep().after_s is None
+
+
 def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
     bad = np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e30]], np.float32)
     np.save(tmp_path / "a.npy", np.vstack([bad, POINTS]))

@@ -17,9 +17,10 @@ from fieldgrid.choices import Doubt
 from fieldgrid.errors import CalibrationError, FieldgridError, RecordingError
 from fieldgrid.odometry import features
 from fieldgrid.reasons import commonest_reason
-from fieldgrid.recording import Frame, Recording
+from fieldgrid.recording import CloudFrame, Frame, Recording
 from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
 from fieldgrid.settings import BuildSettings
+from fieldgrid.sweep import FEWEST_TIMES
 from fieldgrid.vertical import SHIFT_ERROR_PX, misalignment, vertical_shifts
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
@@ -126,6 +127,43 @@ def sensor_notes(
             "Nothing says how the error of the depths grows with range, so they count up to "
             f"{max_range_m:g} m; add the baseline to their calibration, or give --max-range."
         )
+
+
+def has_sweeps(recording: Recording) -> bool:
+    """Whether the frames are clouds, whose points may have times of their own."""
+    return isinstance(recording.rig.sensor, Lidar)
+
+
+def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterator[str]:
+    """What becomes of the motion within a sweep, by one of the clouds that can be read."""
+    if not has_sweeps(recording):
+        return
+    for frame in _probes(recording, len(range(0, recording.frame_count, every)), every):
+        assert isinstance(frame, CloudFrame)
+        try:
+            points_m, after_s = frame.source.sweep()
+        except RecordingError:  # which is told when the frame is staged
+            continue
+        if after_s is None and len(points_m) < FEWEST_TIMES:
+            continue
+        if after_s is None:
+            yield (
+                "No usable times of their points are with the clouds, or they are corrected "
+                "already, so they stay as they are: what the vehicle moves within a sweep is in "
+                "them."
+            )
+        elif is_carried:
+            yield (
+                f"The points of a sweep ({np.ptp(after_s):.3f} s) are carried to its stamp by the "
+                "vehicle's way."
+            )
+        else:
+            yield (
+                "The points of the clouds have times, but the vehicle's way is known only when "
+                "the drive has ended, so the motion within a sweep stays in live grids; to have "
+                "it out, build the drive from a recording."
+            )
+        return
 
 
 def swapped(recording: Recording, frames: int, every: int) -> bool:

@@ -221,6 +221,7 @@ class _Build:
                     drive.name,
                     self.every,
                     skips_bad=self.skip_bad > 0,
+                    known=trajectory,
                 )
             except FieldgridError as error:
                 self._fail(drive, error)

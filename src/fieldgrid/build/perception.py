@@ -24,6 +24,8 @@ from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
+from fieldgrid.sweep import Sweep, Way
+from fieldgrid.trajectory import Trajectory
 
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
@@ -54,26 +56,33 @@ def perceive(
     *,
     odometry: bool = False,
     attitude: Attitude | None = None,
+    way: Way | None = None,
 ) -> Generator[Perceived, None, None]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
     when it is not taken to its end: its threads end then.
 
-    With the vehicle's `attitude` their columns are vertical.
+    With the vehicle's `attitude` their columns are vertical; by its `way` the points of a sweep are
+    carried to its stamp.
     """
 
     def look(frame: Frame) -> Perceived:
-        return perceive_frame(frame, gridder, odometry=odometry, attitude=attitude)
+        return perceive_frame(frame, gridder, odometry=odometry, attitude=attitude, way=way)
 
     return side_by_side(look, frames, jobs)
 
 
 def perceive_frame(
-    frame: Frame, gridder: LocalGridder, *, odometry: bool, attitude: Attitude | None
+    frame: Frame,
+    gridder: LocalGridder,
+    *,
+    odometry: bool,
+    attitude: Attitude | None,
+    way: Way | None,
 ) -> Perceived:
     """One frame, read and perceived here; RecordingError where it cannot be read."""
     time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
     tilt = None if attitude is None else attitude.tilt_at(time_ns)
-    return frame.read(_Stages(frame, gridder, odometry, tilt))
+    return frame.read(_Stages(frame, gridder, odometry, tilt, way))
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -161,10 +170,15 @@ class _Stages:
     """Makes what is perceived of one frame once it is read, and times it from here on."""
 
     def __init__(
-        self, frame: Frame, gridder: LocalGridder, odometry: bool, tilt: Tilt | None
+        self,
+        frame: Frame,
+        gridder: LocalGridder,
+        odometry: bool,
+        tilt: Tilt | None,
+        way: Way | None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
-        self._tilt = tilt
+        self._tilt, self._way = tilt, way
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perceived:
@@ -193,8 +207,13 @@ class _Stages:
         """Of an image of depths."""
         return self._gridded(self._gridder.from_depth, depth_m)
 
-    def cloud(self, points_m: Float32) -> Perceived:
-        """Of a cloud."""
+    def cloud(self, sweep: Sweep) -> Perceived:
+        """Of a cloud, its points as they lay at its stamp where that is known."""
+        points_m = sweep.points_m
+        if self._way is not None:
+            rig = self._gridder.rig
+            time_ns = self._frame.time_ns + rig.image_time_offset_ns
+            points_m = self._way.carried(sweep, time_ns, rig.mount.rotation())
         return self._gridded(self._gridder.from_cloud, points_m)
 
     def _gridded(
@@ -219,9 +238,15 @@ def _gridder(rig: Rig, settings: BuildSettings) -> LocalGridder:
 
 
 def local_grid(
-    frame: Frame, rig: Rig, settings: BuildSettings | None = None, tilt: Tilt | None = None
+    frame: Frame,
+    rig: Rig,
+    settings: BuildSettings | None = None,
+    tilt: Tilt | None = None,
+    trajectory: Trajectory | None = None,
 ) -> LocalGrid:
     """The vehicle-fixed local grid of one frame, a pair, a depth image or a cloud: read, decoded,
-    matched and gridded here. With the vehicle's `tilt` its columns are vertical."""
+    matched and gridded here. With the vehicle's `tilt` its columns are vertical; with its
+    `trajectory` the points of a sweep that have times are carried to its stamp."""
     gridder = _gridder(rig, settings or BuildSettings())
-    return frame.read(_Stages(frame, gridder, odometry=False, tilt=tilt)).grid
+    way = None if trajectory is None else Way.of(trajectory)
+    return frame.read(_Stages(frame, gridder, odometry=False, tilt=tilt, way=way)).grid

@@ -18,7 +18,14 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build.doubt import camera_notes, doubted_cameras, doubted_rows, sensor_notes
+from fieldgrid.build.doubt import (
+    camera_notes,
+    doubted_cameras,
+    doubted_rows,
+    has_sweeps,
+    sensor_notes,
+    sweep_notes,
+)
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
@@ -42,6 +49,7 @@ from fieldgrid.pose import GIVEN, tells_attitude
 from fieldgrid.recording import Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
+from fieldgrid.sweep import Way
 from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import check_cell_sizes
 
@@ -69,10 +77,13 @@ def add_recording(
     """
     settings = settings or BuildSettings()
     started = time.perf_counter()
-    attitude = None
-    if trajectory is None and tells_attitude(recording.motion()):
-        attitude = estimate_drive(recording, settings, universal.datum).report.attitude
-    session = NewSession(recording, settings, trajectory, attitude, name, every)
+    attitude, known = None, trajectory
+    if trajectory is None and (tells_attitude(recording.motion()) or has_sweeps(recording)):
+        estimate = estimate_drive(recording, settings, universal.datum)
+        known = estimate.trajectory
+        if tells_attitude(recording.motion()):
+            attitude = estimate.report.attitude
+    session = NewSession(recording, settings, trajectory, attitude, name, every, known=known)
     session.check(universal)
     with StageFile.temporary(universal.path) as file:
         tell = Telling(session, progress)
@@ -108,7 +119,9 @@ class NewSession:
     """A recording on its way into a map, as a session of its own.
 
     Its frames are staged by whoever likes (`work`), and then placed (`add`). Without a
-    `trajectory` it is estimated, of local grids that are levelled by the `attitude`.
+    `trajectory` it is estimated, of local grids that are levelled by the `attitude`. By `known`,
+    the trajectory as it is known before a frame is staged, the points of sweeps are carried to
+    their stamps.
     """
 
     def __init__(
@@ -121,6 +134,7 @@ class NewSession:
         every: int,
         *,
         skips_bad: bool = False,
+        known: Trajectory | None = None,
     ) -> None:
         self.recording, self.settings = recording, settings
         self.name = recording.name if name is None else name
@@ -129,6 +143,9 @@ class NewSession:
         self.odometry = self.odometry and not recording.pose_name
         self._trajectory, self._attitude, self.every = trajectory, attitude, every
         self._skips_bad = skips_bad
+        self._way = None
+        if known is not None and has_sweeps(recording):
+            self._way = Way.of(known)
         self._gridder = LocalGridder(
             recording.rig, settings.grid.spec(), settings.stereo, settings.density
         )
@@ -139,6 +156,7 @@ class NewSession:
                 *recording.losses,
                 *recording.notes,
                 *sensor_notes(recording, settings, self._gridder.max_range_m),
+                *sweep_notes(recording, every, is_carried=self._way is not None),
             ),
         )
 
@@ -150,6 +168,7 @@ class NewSession:
             self.total,
             self._gridder,
             self._attitude,
+            self._way,
             self.every,
             self.odometry,
             self._skips_bad,

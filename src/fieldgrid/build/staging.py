@@ -22,6 +22,7 @@ from fieldgrid.mapfile import StagedFrame, StagedFrames, StageEntry, StageFile, 
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Refusal, Step, features, steps_of
 from fieldgrid.recording import Frame
+from fieldgrid.sweep import Way
 
 Found = Step | Refusal | None
 """The camera's step to a frame, or why there is none; None for the first and without odometry."""
@@ -35,12 +36,14 @@ class Frames(Protocol):
 
 
 class DriveWork(NamedTuple):
-    """All that it takes to stage the frames of a drive: every `every`-th, `total` in all."""
+    """All that it takes to stage the frames of a drive: every `every`-th, `total` in all. `way` is
+    the vehicle's, by which sweeps are carried to their stamps, None where that is not to be."""
 
     frames: Frames
     total: int
     gridder: LocalGridder
     attitude: Attitude | None
+    way: Way | None
     every: int
     odometry: bool
     skips_bad: bool
@@ -125,7 +128,13 @@ def stage_frames(
 
     def look(frame: Frame) -> tuple[Perceived, StagedFrame] | BadFrame:
         try:
-            return stage_frame(frame, work.gridder, odometry=work.odometry, attitude=work.attitude)
+            return stage_frame(
+                frame,
+                work.gridder,
+                odometry=work.odometry,
+                attitude=work.attitude,
+                way=work.way,
+            )
         except RecordingError as problem:
             if not work.skips_bad:
                 raise
@@ -172,10 +181,15 @@ def _time_ns(work: DriveWork, frame: Frame) -> int:
 
 
 def stage_frame(
-    frame: Frame, gridder: LocalGridder, *, odometry: bool, attitude: Attitude | None = None
+    frame: Frame,
+    gridder: LocalGridder,
+    *,
+    odometry: bool,
+    attitude: Attitude | None = None,
+    way: Way | None = None,
 ) -> tuple[Perceived, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
-    seen = perceive_frame(frame, gridder, odometry=odometry, attitude=attitude)
+    seen = perceive_frame(frame, gridder, odometry=odometry, attitude=attitude, way=way)
     return seen, stage(
         seen.grid,
         frame.frame_id,

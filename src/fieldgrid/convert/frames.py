@@ -21,6 +21,7 @@ from fieldgrid.ros.messages import (
     header_of,
     image_message,
 )
+from fieldgrid.sweep import Sweep
 
 
 class Images(StrEnum):
@@ -76,9 +77,9 @@ class _FrameMessages:
         metres = np.ascontiguousarray(depth_m, dtype="<f4")
         yield "/depth/image_rect", image_message(metres, "32FC1", header)
 
-    def cloud(self, points_m: Float32) -> Iterator[tuple[str, Any]]:
+    def cloud(self, sweep: Sweep) -> Iterator[tuple[str, Any]]:
         """A cloud."""
-        yield "/lidar/points", cloud_message(points_m, header_of(self._time_ns, LIDAR))
+        yield "/lidar/points", cloud_message(sweep, header_of(self._time_ns, LIDAR))
 
 
 def _png(grey: Image) -> bytes:

@@ -15,6 +15,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.odometry import step
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
+from fieldgrid.sweep import Sweep
 
 _WALL_M = 30.0
 
@@ -29,6 +30,10 @@ class Pushed:
     def read(self) -> Any:
         """The values."""
         return self.values
+
+    def sweep(self) -> Sweep:
+        """The values as points, whose times nobody tells."""
+        return Sweep(self.values)
 
     def sha256(self) -> str:
         """The hash of the values, row by row."""

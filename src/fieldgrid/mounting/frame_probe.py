@@ -21,6 +21,7 @@ from fieldgrid.recording import Frame
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import SUBPIXELS, StereoMatcher, whole_image
+from fieldgrid.sweep import Sweep
 
 STEP_PX = 4
 """Every fourth pixel of every fourth row is enough for the ground."""
@@ -98,9 +99,10 @@ class FrameProbe:
         sigma_px = self._settings.disparity_sigma_px
         return _Seen(points_m, z * z * sigma_px / (camera.fx_px * camera.baseline_m))
 
-    def cloud(self, points_m: Float32) -> _Seen:
-        """What a cloud shows."""
-        return _Seen(points_m.astype(np.float64), np.full(len(points_m), LIDAR_SIGMA_M))
+    def cloud(self, sweep: Sweep) -> _Seen:
+        """What a cloud shows, as it was seen."""
+        points_m = sweep.points_m.astype(np.float64)
+        return _Seen(points_m, np.full(len(points_m), LIDAR_SIGMA_M))
 
 
 def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:

@@ -20,6 +20,7 @@ from fieldgrid.recording.npy import parse_npy
 from fieldgrid.recording.pcd import parse_pcd
 from fieldgrid.recording.ply import parse_ply
 from fieldgrid.recording.stored import Shot
+from fieldgrid.sweep import RawSweep, Sweep, seconds_after
 
 SUFFIXES = frozenset({".ply", ".pcd", ".las", ".laz", ".npy", ".bin"})
 """File name endings of clouds, in lower case."""
@@ -31,7 +32,7 @@ MAX_BYTES = 1 << 30
 """More than any sweep has."""
 
 _FARTHEST_M = 10_000.0
-_PARSERS = {".npy": parse_npy, ".pcd": parse_pcd, ".ply": parse_ply}
+_TIMED = {".pcd": parse_pcd, ".ply": parse_ply}
 
 
 def _time_ns(path: Path) -> int:
@@ -50,10 +51,14 @@ CLOUDS = Layout(("cloud",), ("clouds",), SUFFIXES, "cloud", "cloud", _time_ns)
 @dataclass(frozen=True, slots=True)
 class CloudFile:
     """A PLY, PCD, LAS or LAZ, a NumPy array [n, 3 or more], or a .bin of KITTI (x, y, z and
-    reflectance as float32). `axes` are where x, y and z point, like flu or rdf."""
+    reflectance as float32). `axes` are where x, y and z point, like flu or rdf. `stamp_ns` is the
+    time of the frame; points that are `corrected` for the motion within their sweep have no times
+    any more."""
 
     path: Path
     axes: str = AXES
+    stamp_ns: int = 0
+    corrected: bool = False
 
     @property
     def name(self) -> str:
@@ -63,7 +68,11 @@ class CloudFile:
     def read(self) -> Float32:
         """Points [n, 3], metres: x right, y down, z forward. What is not finite, or beyond any
         range, is left out."""
-        points = _points(self.path)
+        return self.sweep().points_m
+
+    def sweep(self) -> Sweep:
+        """The points, with their times where the file has any."""
+        points, times = _points(self.path)
         with np.errstate(over="ignore", invalid="ignore"):
             own = points.astype(np.float32)
             near = (np.abs(own) < _FARTHEST_M).all(axis=1)  # false for NaN, too
@@ -74,7 +83,10 @@ class CloudFile:
                 "their origin, so they are a map's and not a sensor's; give clouds in the sensor's "
                 "frame."
             )
-        return to_optical(own[near], self.axes)
+        after_s = None
+        if times is not None and not self.corrected:
+            after_s = seconds_after(times[near], self.stamp_ns)
+        return Sweep(to_optical(own[near], self.axes), after_s)
 
     def sha256(self) -> str:
         """The hash of the file."""
@@ -83,9 +95,10 @@ class CloudFile:
 
 @dataclass(frozen=True, slots=True)
 class CloudKind:
-    """Clouds with axes that point as `axes` say."""
+    """Clouds with axes that point as `axes` say; whether they are `corrected` already."""
 
     axes: str = AXES
+    corrected: bool = False
 
     @property
     def roles(self) -> tuple[str, ...]:
@@ -95,7 +108,8 @@ class CloudKind:
     def frame(self, folder: Path, shot: Shot) -> Frame:
         """The cloud, unread."""
         (name,) = shot.files
-        return CloudFrame(shot.frame_id, shot.time_ns, CloudFile(folder / name, self.axes))
+        source = CloudFile(folder / name, self.axes, shot.time_ns, self.corrected)
+        return CloudFrame(shot.frame_id, shot.time_ns, source)
 
 
 def to_optical(points: Float32, axes: str) -> Float32:
@@ -108,21 +122,23 @@ def to_optical(points: Float32, axes: str) -> Float32:
     return out
 
 
-def _points(path: Path) -> npt.NDArray[np.generic]:
-    """The first three columns of the points as stored."""
+def _points(path: Path) -> RawSweep:
+    """The first three columns of the points as stored, and their times."""
     suffix = path.suffix.lower()
     if suffix in (".las", ".laz"):
         return read_las(path, MAX_BYTES)
     data = read_bytes(path, MAX_BYTES)
     if not data:
         raise RecordingError(f"{path} is empty; record or copy it again.")
-    parse = _PARSERS.get(suffix, _parse_bin)
+    if suffix in _TIMED:
+        return _TIMED[suffix](data, str(path))
+    parse = parse_npy if suffix == ".npy" else _parse_bin
     points = parse(data, str(path))
     if points.ndim != 2 or points.shape[1] < 3:
         raise RecordingError(
             f"{path} has numbers of shape {points.shape}; a cloud is a row of x, y, z a point."
         )
-    return points[:, :3]
+    return RawSweep(points[:, :3])
 
 
 def _parse_bin(data: bytes, name: str) -> npt.NDArray[np.generic]:

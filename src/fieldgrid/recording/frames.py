@@ -11,6 +11,7 @@ from typing import NoReturn, Protocol, TypeVar
 
 from fieldgrid.array_types import Float32, Int64, UInt8
 from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.sweep import Sweep
 
 Image = UInt8
 """A grey image [row, column], row 0 at the top."""
@@ -50,8 +51,9 @@ class DepthSource(Source, Protocol):
 class CloudSource(Source, Protocol):
     """Where one point cloud comes from."""
 
-    def read(self) -> Float32:
-        """Points [n, 3], metres in the sensor's frame: x right, y down, z forward; all finite."""
+    def sweep(self) -> Sweep:
+        """The points, metres in the sensor's frame: x right, y down, z forward; all finite. With
+        their times where they have any and still are where they were seen."""
 
 
 class PairRectifier(Protocol):
@@ -74,8 +76,8 @@ class FrameReader(Protocol[T_co]):
     def depth(self, depth_m: Float32) -> T_co:
         """Of depths [row, column], metres, NaN where there is none."""
 
-    def cloud(self, points_m: Float32) -> T_co:
-        """Of points [n, 3] of the sensor's frame, metres."""
+    def cloud(self, sweep: Sweep) -> T_co:
+        """Of points of the sensor's frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +182,7 @@ class CloudFrame:
 
     def read(self, reader: FrameReader[T]) -> T:
         """What a reader makes of the frame."""
-        return reader.cloud(self.source.read())
+        return reader.cloud(self.source.sweep())
 
 
 Frame = StereoFrame | DepthFrame | CloudFrame

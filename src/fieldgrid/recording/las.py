@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.gnss.gps_time import unix_ns
 from fieldgrid.recording.files import check_regular
+from fieldgrid.sweep import LONGEST_S, RawSweep
 
 MAX_POINTS = 20_000_000
 """More points than any sweep has; a survey is none."""
@@ -36,17 +37,34 @@ class _Header(NamedTuple):
     standard_time: bool
 
 
-def read_las(path: Path, max_bytes: int) -> npt.NDArray[np.generic]:
-    """x, y, z of the points [n, 3], float64, of a file of at most `max_bytes`."""
+def read_las(path: Path, max_bytes: int) -> RawSweep:
+    """x, y, z of the points, float64, of a file of at most `max_bytes`; with their UTC in
+    nanoseconds where they have GPS time (adjusted standard)."""
     header = _checked(path, max_bytes)
+    timed = header.point_format not in _WITHOUT_TIME and header.standard_time
     with _opened(path) as reader:
-        parts = [
-            np.stack([chunk.x, chunk.y, chunk.z], axis=1) for chunk in reader.chunk_iterator(_CHUNK)
-        ]
+        parts, gps_s = [], [np.zeros(0)]
+        for chunk in reader.chunk_iterator(_CHUNK):
+            parts.append(np.stack([chunk.x, chunk.y, chunk.z], axis=1))
+            if timed:
+                gps_s.append(np.asarray(chunk.gps_time))
     points = np.concatenate(parts) if parts else np.zeros((0, 3))
     if len(points) != header.points:
         raise _damaged(path, f"{len(points)} of {header.points} points are there")
-    return points
+    return RawSweep(points, _utc_ns(np.concatenate(gps_s)) if timed and len(points) else None)
+
+
+def _utc_ns(gps_s: Float64) -> Int64 | None:
+    """UTC of GPS times (adjusted standard) of one sweep; None where they are none."""
+    first_s = float(gps_s[0])
+    if not np.isfinite(gps_s).all() or np.ptp(gps_s) > LONGEST_S:
+        return None
+    try:
+        week, of_week_s = divmod(first_s + _ADJUSTED_S, _WEEK_S)
+        first_ns = unix_ns(int(week), round(of_week_s * 1e9))
+    except (ValueError, OverflowError):
+        return None
+    return first_ns + np.rint((gps_s - first_s) * 1e9).astype(np.int64)
 
 
 def las_time_ns(path: Path, max_bytes: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.sweep import TIME_FIELDS, RawSweep
 
 _HEADER = re.compile(rb"(?:[^\n]*\n){0,40}?DATA[ \t]+(ascii|binary_compressed|binary)[ \t]*\r?\n")
 _MAX_HEADER = 1 << 14
@@ -18,10 +19,10 @@ _MAX_RATIO = 100
 """LZF makes 264 bytes out of 3 at best."""
 
 
-def parse_pcd(data: bytes, name: str) -> npt.NDArray[np.generic]:
-    """x, y, z of the points [n, 3]; `name` is what errors call the file."""
+def parse_pcd(data: bytes, name: str) -> RawSweep:
+    """x, y, z of the points, with their times; `name` is what errors call the file."""
     if _checked(data, name) == 0:
-        return np.zeros((0, 3), dtype=np.float32)
+        return RawSweep(np.zeros((0, 3), dtype=np.float32))
     try:
         from pypcd4.pypcd4 import PointCloud
     except ImportError as error:
@@ -31,9 +32,11 @@ def parse_pcd(data: bytes, name: str) -> npt.NDArray[np.generic]:
     try:
         cloud = PointCloud.from_fileobj(io.BytesIO(data))  # type: ignore[arg-type]
         points: npt.NDArray[np.generic] = cloud.numpy(("x", "y", "z"))
+        timed = [key for key in TIME_FIELDS if key in cloud.fields]
+        times = np.asarray(cloud.pc_data[timed[0]]) if timed else None
     except Exception as problem:  # a library on a file from strangers
         raise RecordingError(f"{name} is a damaged PCD: {problem}; copy it again.") from problem
-    return points
+    return RawSweep(points, times if times is not None and times.ndim == 1 else None)
 
 
 def _checked(data: bytes, name: str) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.errors import RecordingError
+from fieldgrid.sweep import TIME_FIELDS, RawSweep
 
 _HEADER = re.compile(rb"ply\s.*?\bend_header[ \t]*\r?\n", re.DOTALL)
 _MAX_HEADER = 1 << 16
@@ -29,8 +30,8 @@ class _Header(NamedTuple):
     properties: list[tuple[str, str]]
 
 
-def parse_ply(data: bytes, name: str) -> npt.NDArray[np.generic]:
-    """x, y, z of the vertices [n, 3] as stored; `name` is what errors call the file.
+def parse_ply(data: bytes, name: str) -> RawSweep:
+    """x, y, z of the vertices as stored, with their times; `name` is what errors call the file.
 
     The vertices must stand first, as they do in every cloud.
     """
@@ -44,14 +45,18 @@ def parse_ply(data: bytes, name: str) -> npt.NDArray[np.generic]:
     if not {"x", "y", "z"} <= places.keys() or len(places) != len(header.properties):
         raise RecordingError(f"{name} has no vertices with one x, y and z; export the cloud again.")
     body = memoryview(data)[found.end() :]
+    wanted = ["x", "y", "z", *(key for key in TIME_FIELDS if key in places)][:4]
     if header.kind == "ascii":
-        return _ascii(bytes(body), header, [places[axis] for axis in "xyz"], name)
+        values = _ascii(bytes(body), header, [places[key] for key in wanted], name)
+        return RawSweep(values[:, :3], values[:, 3] if len(wanted) > 3 else None)
     order = _ORDERS[header.kind]
     vertex = np.dtype([(f"{k}", f"{order}{kind}") for k, (_, kind) in enumerate(header.properties)])
     if header.vertices * vertex.itemsize > len(body):
         raise _too_short(name, header.vertices, len(body))
     vertices = np.frombuffer(body, dtype=vertex, count=header.vertices)
-    return np.stack([vertices[f"{places[axis]}"].astype(np.float64) for axis in "xyz"], axis=1)
+    columns = [vertices[f"{places[key]}"] for key in wanted]
+    points = np.stack([column.astype(np.float64) for column in columns[:3]], axis=1)
+    return RawSweep(points, columns[3] if len(columns) > 3 else None)
 
 
 def _parse(header: bytes) -> _Header | None:

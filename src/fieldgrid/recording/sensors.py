@@ -167,10 +167,9 @@ def _clouds(
 ) -> Seen:
     shots, notes = read_frames(path, settings.frames, layout)
     axes = settings.axes or AXES
+    kind = CloudKind(axes, bool(settings.corrected))
     if settings.points_per_sr is not None:
-        return Seen(
-            mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, CloudKind(axes), notes
-        )
+        return Seen(mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes)
     if layout.growing:
         raise CalibrationError(
             f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
@@ -178,7 +177,7 @@ def _clouds(
         )
     density, name = _measured_density(path, shots, axes)
     note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
-    return Seen(mounting.rig(Lidar(density), offset_ns), shots, CloudKind(axes), (*notes, note))
+    return Seen(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
 
 
 def _measured_density(path: Path, shots: tuple[Shot, ...], axes: str) -> tuple[float, str]:

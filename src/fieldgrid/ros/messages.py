@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Float32, Float64
+from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.rig import DepthCamera, StereoCamera
 from fieldgrid.ros.definitions import types
+from fieldgrid.sweep import Sweep
 
 MAP, EARTH, BASE = "map", "earth", "base_footprint"
 
@@ -213,13 +214,16 @@ def _info(
     )
 
 
-def cloud_message(points_m: Float32, header: Any) -> Any:
-    """A sensor_msgs/PointCloud2 of points [n, 3], metres."""
+def cloud_message(sweep: Sweep, header: Any) -> Any:
+    """A sensor_msgs/PointCloud2 of points, metres, with their times after the stamp, seconds,
+    where they have any."""
+    data, names = np.ascontiguousarray(sweep.points_m, dtype="<f4"), ["x", "y", "z"]
+    if sweep.after_s is not None:
+        data, names = np.column_stack([data, sweep.after_s]).astype("<f4"), [*names, "time"]
     fields = [
-        new("sensor_msgs/PointField", name=axis, offset=4 * k, datatype=7, count=1)
-        for k, axis in enumerate("xyz")
+        new("sensor_msgs/PointField", name=name, offset=4 * k, datatype=7, count=1)
+        for k, name in enumerate(names)
     ]
-    data = np.ascontiguousarray(points_m, dtype="<f4")
     return new(
         "sensor_msgs/PointCloud2",
         header=header,
@@ -227,8 +231,8 @@ def cloud_message(points_m: Float32, header: Any) -> Any:
         width=len(data),
         fields=fields,
         is_bigendian=False,
-        point_step=12,
-        row_step=12 * len(data),
+        point_step=4 * len(names),
+        row_step=4 * data.size,
         data=data.view(np.uint8).reshape(-1),
         is_dense=True,
     )

@@ -103,14 +103,16 @@ class DepthMaker:
 
 @dataclass(frozen=True, slots=True)
 class CloudMaker:
-    """Makes clouds whose axes `R`, by row, turns into right, down, forward."""
+    """Makes clouds whose axes `R`, by row, turns into right, down, forward; `corrected` are those
+    whose points were carried to one instant already."""
 
     roles: ClassVar[tuple[str, ...]] = ("cloud",)
     R: tuple[float, ...]
+    corrected: bool = False
 
     def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
         """The cloud, undecoded."""
-        return CloudFrame(f"{number:06d}", time_ns, MessageCloud(*taken[0], self.R))
+        return CloudFrame(f"{number:06d}", time_ns, MessageCloud(*taken[0], self.R, self.corrected))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from fieldgrid.recording.bag.content import Content, as_drive, find_motion, read
 from fieldgrid.recording.bag.frames import BagFrames, CloudMaker
 from fieldgrid.recording.bag.mounts import exactly, find_mounting, mounting_path
 from fieldgrid.recording.bag.readings import Readings
-from fieldgrid.recording.bag.sensed import find_lidar, sense
+from fieldgrid.recording.bag.sensed import are_corrected, find_lidar, sense
 from fieldgrid.recording.bag.topics import short
 from fieldgrid.recording.drive import (
     Drive,
@@ -59,7 +59,7 @@ def _recording(drive: Drive, content: Content, options: DriveOptions) -> Recordi
         mounted = find_mounting(content.path, options, content.transforms, sensed.frame, antenna)
     R = mounted.R_sensor @ sensed.frame.R
     sensor = mounted.sensor or sensed.sensor or find_lidar(content, sensed.plan, R)
-    maker = sensed.maker or CloudMaker(tuple(R.ravel().tolist()))
+    maker = sensed.maker or CloudMaker(tuple(R.ravel().tolist()), are_corrected(content))
     frames = BagFrames(content.bag, sensed.plan, maker)
     moving = with_motion(drive, *find_motion(content, mounted.mounting.imu_axes))
     offset_ns = options.offset_or(content.settings.image_time_offset_ns)

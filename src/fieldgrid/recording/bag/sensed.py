@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from fieldgrid.ros import decode
 
 _CALIBRATION = "calibration"
 _SAMPLES = 5
+_CORRECTED = re.compile(r"deskew|undistort|dedistort|corrected|compensated|registered")
 
 
 class Sensed(NamedTuple):
@@ -116,6 +118,14 @@ def _cloud(content: Content) -> Sensed:
     plan = plan_single(content.bag, content.roles["cloud"])
     name = str(_first(content, plan).header.frame_id)
     return Sensed(_single_frame(name, content, content.settings.axes), plan)
+
+
+def are_corrected(content: Content) -> bool:
+    """Whether the points of the clouds were carried to one instant by who recorded them: as the
+    settings say, else by the name of their topic."""
+    if content.settings.corrected is not None:
+        return content.settings.corrected
+    return _CORRECTED.search(content.roles.get("cloud", "").lower()) is not None
 
 
 def _single_frame(name: str, content: Content, axes: str | None = None) -> SensorFrame:
