@@ -13,8 +13,9 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import GnssError, RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.recording.bag.heard import Fixes, Sentences, Speeds, Texts, Turns
 from fieldgrid.recording.bag.mounts import imu_rotation, is_optical
-from fieldgrid.recording.bag.readings import Fixes, Readings, Sentences, Speeds, Texts, Turns
+from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.topics import (
     FIX,
     FIXES,
@@ -26,6 +27,7 @@ from fieldgrid.recording.bag.topics import (
     static_transforms,
 )
 from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.recording.bag.trees import forward_speeds
 from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.logs import read_fix_log
@@ -123,6 +125,8 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
             readings.times_ns(bag, used[role])
         except RecordingError as problem:
             readings.leave_out(used.pop(role), str(problem))
+    if "odometry" not in used and (moving := readings.moving(bag)) is not None:
+        used["odometry"] = moving[0]
     return Content(
         bag,
         path,
@@ -239,6 +243,13 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
         series, lost = in_order(*told_mps)
         wheels = WheelSpeed(*series) if len(series.time_ns) else None
         notes += _lost(topic, lost)
+    elif speeds is None and topic and (moving := readings.moving(bag)) is not None:
+        way = moving[1]
+        told_ns, told_speeds = forward_speeds(way)
+        wheels = WheelSpeed(told_ns, told_speeds) if len(told_ns) else None
+        notes.append(
+            f"{topic}: no topic has odometry, so the speed is that of {way.child} in {way.parent}."
+        )
     return Motion(gyro=gyro, wheels=wheels, inertial=inertial), tuple(notes)
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.errors import RecordingError
+from fieldgrid.recording.bag.heard import Heard
 from fieldgrid.recording.bag.order import clock
-from fieldgrid.recording.bag.readings import Heard
 from fieldgrid.recording.bag.topics import ODOMETRY, listing, short
 from fieldgrid.recording.pose_files import MOST_M, BodyPoses, rotations
 from fieldgrid.ros import Bag, Message, Take, open_bag

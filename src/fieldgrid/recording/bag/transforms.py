@@ -33,13 +33,13 @@ class Transforms:
 
     def add(self, message: Any) -> None:
         """The transforms of a tf2_msgs/TFMessage; those that are no transform are left out."""
-        for child, parent, place in _told(message):
+        for _, (child, parent, place) in told(message):
             if len(self._parents) < _MAX_FRAMES:
                 self._parents[child] = (parent, place)
 
     def add_unmoved(self, message: Any) -> None:
         """The same, for :meth:`unmoved`: a frame that moves, or changes its parent, is noted."""
-        for child, parent, place in _told(message):
+        for _, (child, parent, place) in told(message):
             known = self._parents.get(child)
             if known is None and len(self._parents) < _MAX_FRAMES:
                 self._parents[child] = (parent, place)
@@ -91,13 +91,13 @@ class Transforms:
         return found
 
 
-def _told(message: Any) -> Iterator[tuple[str, str, Place]]:
-    """Child, parent and place of the transforms of a message that are any."""
+def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, Place]]]:
+    """The transforms of a message that are any, each with its child, parent and place."""
     for one in message.transforms:
         child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
         place = _place(one.transform)
         if place is not None and child != parent:
-            yield child, parent, place
+            yield one, (child, parent, place)
 
 
 def _is_same(one: Place, other: Place) -> bool:
