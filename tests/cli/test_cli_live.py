@@ -112,7 +112,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
     folder, out = empty_copy(drive, tmp_path / "row"), tmp_path / "m.gpkg"
     arguments = ("live", "-o", out, "--images", folder, "--gnss", "-", "--json")
     with subprocess.Popen(
-        in_a_process(*arguments, "--feed", "tcp://127.0.0.1:0", "--view", "0"),
+        in_a_process(*arguments, "--feed", "tcp://127.0.0.1:0", "--view", "0", "--foxglove", "0"),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stdin is not None
@@ -134,6 +134,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
             r"follows the vehicle is (http://\S+/)#", process.stderr.readline().decode()
         )
         assert link is not None
+        assert b"Foxglove can connect to ws://127.0.0.1:" in process.stderr.readline()
         until("is watched for frames.")
         with socket.create_connection(("127.0.0.1", int(port[1])), 60) as client:
             process.stdin.write((drive / "gnss" / "gnss_rtk.nmea").read_bytes())

@@ -41,8 +41,8 @@ def window(
 ) -> LiveWindow:
     """A window about the pose: free ground, a wall in front, nothing seen in the west."""
     height, width = size
-    east_m, north_m = (0.0, 0.0) if pose is None else (pose.east_m, pose.north_m)
-    i, j = (round(value / CELL_M) for value in (east_m, north_m))
+    at_m = (0.0, 0.0) if pose is None or np.isnan(pose.east_m) else (pose.east_m, pose.north_m)
+    i, j = (round(value / CELL_M) for value in at_m)
     place = Window(i - width // 2, j - height // 2, width, height)
     density = np.zeros(size, dtype=np.uint8)
     wall = height // 2 + round(OBSTACLE_M / CELL_M)

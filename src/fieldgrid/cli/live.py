@@ -24,7 +24,7 @@ from fieldgrid.settings import Overrides
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
     from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
-    from fieldgrid.onlookers import LivePage
+    from fieldgrid.onlookers import FoxgloveServer, LivePage
 
 _SESSION = "Session and map file"
 _AT_THE_END = {"out", "finish", "finish_from", "as_json", "quiet", "verbose"}
@@ -210,7 +210,11 @@ def _drive(
         if sources.feed is not None:
             watch.feed = stack.enter_context(_feed(sources.feed, watch))
         if sources.view is not None:
-            watch.page = stack.enter_context(_page(sources.view, name or driven.name))
+            page = _page(sources.view, name or driven.name)
+            watch.onlookers.append(stack.enter_context(page))
+        if sources.foxglove is not None:
+            server = _foxglove(sources.foxglove, name or driven.name, watch)
+            watch.onlookers.append(stack.enter_context(server))
         live = Live(
             out,
             driven.rig,
@@ -249,12 +253,9 @@ def _drive(
 
 def _feed(text: str, watch: _Watch) -> Feed:
     """The feed at an address, which tells what it has to say through the session."""
-    from fieldgrid.live import Feed, What, parse_feed
+    from fieldgrid.live import Feed, parse_feed
 
-    feed = Feed(
-        *parse_feed(text),
-        lambda said: None if watch.live is None else watch.live.tell(What.CLIENT, said),
-    )
+    feed = Feed(*parse_feed(text), watch.tell)
     host, port = feed.address
     output.message(f"the costmap is sent to whoever connects to tcp://{host}:{port}")
     return feed
@@ -267,6 +268,16 @@ def _page(text: str, session: str) -> LivePage:
     page = LivePage(*parse_address(text, "--view"), session=session)
     output.message(f"the page that follows the vehicle is {page.link}")
     return page
+
+
+def _foxglove(text: str, session: str, watch: _Watch) -> FoxgloveServer:
+    """The server for Foxglove at an address."""
+    from fieldgrid.onlookers import FoxgloveServer, parse_address
+
+    server = FoxgloveServer(*parse_address(text, "--foxglove"), session=session, tell=watch.tell)
+    host, port = server.address
+    output.message(f"Foxglove can connect to ws://{host}:{port}")
+    return server
 
 
 @contextmanager
@@ -289,10 +300,17 @@ class _Watch:
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
         self.feed: Feed | None = None
-        self.page: LivePage | None = None
+        self.onlookers: list[LivePage | FoxgloveServer] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
         self._window: LiveWindow | None = None
+
+    def tell(self, text: str) -> None:
+        """Let the session tell of a client."""
+        from fieldgrid.live import What
+
+        if self.live is not None:
+            self.live.tell(What.CLIENT, text)
 
     def take(self, result: LiveResult) -> None:
         """Print a result, or let the status line say it."""
@@ -300,8 +318,8 @@ class _Watch:
 
         if self.feed is not None and isinstance(result, LiveWindow):
             self.feed.put(result)
-        if self.page is not None:
-            self.page.take(result)
+        for onlooker in self.onlookers:
+            onlooker.take(result)
         if self._as_json:
             output.print_json_line(result.as_dict())
             return

@@ -99,6 +99,15 @@ class SourceFlags(NamedTuple):
             rich_help_panel=_PANEL,
         ),
     ] = None
+    foxglove: Annotated[
+        str | None,
+        typer.Option(
+            "--foxglove",
+            metavar="[HOST:]PORT",
+            help="Let Foxglove connect, at ws://127.0.0.1:8765 with the port that it is used to.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
 
 
 class Driven(NamedTuple):

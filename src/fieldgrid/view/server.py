@@ -81,7 +81,7 @@ def listen(host: str, port: int) -> socket.socket:
         listening = socket.create_server((host, port), family=family, backlog=128)
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"Nothing can be served at {host}:{port} ({error}); give another --port or --host."
+            f"Nothing can be served at {host}:{port} ({error}); give another port or host."
         ) from error
     listening.setblocking(False)
     return listening
