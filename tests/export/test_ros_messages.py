@@ -15,7 +15,7 @@ def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> No
         quality=np.array([4, 5, 6, 1, 2, 9, 3, 8]),
         position_sigma_m=np.array([0.02, 0.02, 0.02, np.nan, 0.02, 0.02, 0.02, 0.02]),
     )
-    fixes = [fix for _, fix in ros_messages.fixes(driven, driven.accepted, "base_footprint")]
+    fixes = [fix for _, fix in ros_messages.fixes(driven, driven.accepted, "base_footprint", None)]
     rows = [0, 3, 5, 6]
     assert [stamp(fix.header) for fix in fixes] == driven.time_ns[rows].tolist()
     # RTK, plain, with a satellite's corrections, PPS.

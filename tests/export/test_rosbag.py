@@ -24,11 +24,15 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
 from fieldgrid import publish
-from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.errors import ConfigError, MapError, MapExistsError, MapWriteError
 from fieldgrid.export import Exported, Selection, export_map
 from fieldgrid.export.rosbag import topic_names
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, create_map, open_map
+from fieldgrid.pose import estimate_poses
+from fieldgrid.recording import open_drive
+from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
+from fieldgrid.trajectory import Status, Trajectory
 from tests.export.asymmetric import (
     CELL_M,
     DATUM,
@@ -44,6 +48,7 @@ from tests.export.asymmetric import (
 )
 from tests.mapfile.maps import drive, write_session
 from tests.mapfile.maps import write_map as write_plain_map
+from tests.simulated import K_TURN, simulate, time_ns
 
 Messages = dict[str, list[Any]]
 LATCHED = ("/tf_static", "/datum", "/georeference", "/map", "/grid_map", "/spring/path")
@@ -680,3 +685,118 @@ def test_without_foxglove_it_says_what_to_install(
     with pytest.raises(ConfigError, match=r"pip install 'fieldgrid\[foxglove\]'"):
         export_mcap(universal, tmp_path / "field.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+# --- the antenna
+
+
+ARM = LeverArm(0.31, -0.83, 1.94)
+DRIVEN_RIG = Rig(Lidar(1000.0), Mount(1.5, 5.0), ARM, rear_axle_forward_m=-1.2)
+
+
+def driven_map(path: Path, *sessions: str) -> Path:
+    """A map of sessions that were all driven alike, round a corner and back, with `DRIVEN_RIG`."""
+    driven = simulate(K_TURN, 20.0).every(0.2)
+    east, north = driven.point(0.0, 1.2).T  # the grid origin is ahead of the axle
+    n = len(east)
+    way = Trajectory(
+        datum=DATUM,
+        time_ns=time_ns(driven.time_s),
+        east_m=east,
+        north_m=north,
+        up_m=np.full(n, 2.5),
+        heading_deg=np.degrees(driven.heading_rad),
+        position_sigma_m=np.full(n, 0.02),
+        heading_sigma_deg=np.full(n, 0.3),
+        speed_mps=np.abs(driven.speed_mps),
+        gear=driven.gear(),
+        quality=np.full(n, 4),
+        status=(Status.OK,) * n,
+        reason=("",) * n,
+        heading_source="smooth",
+    )
+    grid, _ = drive(1)[0]
+    with create_map(path, DATUM, cell_m=0.1) as made:
+        for session in sessions:
+            config = {"rig": DRIVEN_RIG.as_dict()}
+            with made.add_session(session, trajectory=way, config=config) as new:
+                new.add(grid, way.at(int(way.time_ns[5])))
+    return path
+
+
+def places(message: Any) -> dict[str, tuple[str, npt.NDArray[np.float64]]]:
+    """Parent and translation of the children of a TFMessage."""
+    return {
+        one.child_frame_id: (one.header.frame_id, np.array([one.transform.translation.x,
+                             one.transform.translation.y, one.transform.translation.z]))
+        for one in message.transforms
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("sessions", [("june",), ("june", "july")])
+def test_a_fix_is_where_the_transforms_have_the_antenna(
+    sessions: tuple[str, ...], tmp_path: Path
+) -> None:
+    """By rosbags and PROJ alone: map to vehicle, vehicle to antenna, antenna on the globe."""
+    with open_map(driven_map(tmp_path / "f.gpkg", *sessions)) as driven:
+        export_rosbag2(driven, tmp_path / "b")
+    found = messages_of_bag(tmp_path / "b")
+    (static,) = found["/tf_static"]
+    for session in sessions:
+        above = "" if len(sessions) == 1 else f"{session}/"
+        parent, arm = places(static)[f"{above}gnss_antenna"]
+        assert parent == f"{above}base_footprint"
+        assert arm.tolist() == [ARM.forward_m, -ARM.right_m, ARM.up_m]
+        base = {
+            stamp_ns(one.header): one.transform
+            for message in found["/tf"]
+            for one in message.transforms
+            if one.child_frame_id == parent
+        }
+        fixes = found[f"/{session}/fix"]
+        assert len(fixes) == len(base) > 100
+        for fix in fixes:
+            assert fix.header.frame_id == f"{above}gnss_antenna"
+            at = base[stamp_ns(fix.header)]
+            yaw = 2.0 * math.atan2(at.rotation.z, at.rotation.w)
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            antenna = (
+                at.translation.x + arm[0] * cos - arm[1] * sin,
+                at.translation.y + arm[0] * sin + arm[1] * cos,
+                at.translation.z + arm[2],
+            )
+            on_globe = enu([fix.latitude], [fix.longitude], [fix.altitude])
+            assert np.concatenate(on_globe) == pytest.approx(antenna, abs=0.001)
+
+
+def test_an_exported_drive_is_read_back_as_it_was(tmp_path: Path) -> None:
+    """The fixes and the odometry of a bag, with the lever arm of its transforms, tell the poses."""
+    with open_map(driven_map(tmp_path / "f.gpkg", "june")) as driven:
+        track = driven.trajectory("june")
+        export_rosbag2(driven, tmp_path / "b")
+    (static,) = messages_of_bag(tmp_path / "b")["/tf_static"]
+    _, (forward, left, up) = places(static)["gnss_antenna"]
+    with open_drive(tmp_path / "b") as bag:
+        assert bag.motion().wheels is not None
+        rig = dataclasses.replace(DRIVEN_RIG, antenna=LeverArm(-left, forward, up))
+        told = estimate_poses(bag.fixes(), rig, bag.datum_hint, motion=bag.motion()).trajectory
+    assert told.datum == DATUM
+    kept = told.accepted & np.isin(told.time_ns, track.time_ns)
+    was = track.time_ns.searchsorted(told.time_ns[kept])
+    assert kept.sum() > 0.9 * len(track)
+    np.testing.assert_allclose(told.east_m[kept], track.east_m[was], atol=0.05)
+    np.testing.assert_allclose(told.north_m[kept], track.north_m[was], atol=0.05)
+    np.testing.assert_allclose(told.up_m[kept], track.up_m[was], atol=0.05)
+    off_deg = (told.heading_deg[kept] - track.heading_deg[was] + 180.0) % 360.0 - 180.0
+    assert np.abs(off_deg).max() < 2.0
+    moving = np.abs(track.speed_mps[was]) > 0.3
+    assert np.array_equal(told.gear[kept][moving], track.gear[was][moving])
+
+
+def test_a_rig_that_is_none_is_told(tmp_path: Path) -> None:
+    grid, pose = drive(1)[0]
+    with create_map(tmp_path / "f.gpkg", DATUM, cell_m=0.1) as made:
+        with made.add_session("june", trajectory=track(SPRING), config={"rig": {"a": 1}}) as new:
+            new.add(grid, pose)
+        with pytest.raises(MapError, match="'june' does not say where its antenna was"):
+            export_rosbag2(made, tmp_path / "b")

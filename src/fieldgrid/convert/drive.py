@@ -15,11 +15,11 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Inertial, Motion
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.ros import gnss, messages
-from fieldgrid.ros.messages import BASE, MAP
+from fieldgrid.ros.messages import ANTENNA, BASE, MAP
 from fieldgrid.trajectory import Trajectory
 
 LEFT, RIGHT, DEPTH, LIDAR = "left_optical", "right_optical", "depth_optical", "lidar_optical"
-ANTENNA, IMU, AXLE = "gnss_antenna", "imu", "rear_axle"
+IMU, AXLE = "imu", "rear_axle"
 FIX, IMU_DATA = "/gnss/fix", "/imu/data"
 
 _FLU_FROM_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

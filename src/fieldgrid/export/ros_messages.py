@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum, geodetic_to_ecef
 from fieldgrid.mapfile import MapView
 from fieldgrid.quality import Quality
+from fieldgrid.rig import LeverArm
 from fieldgrid.ros.gnss import nav_sat_fix
 from fieldgrid.ros.messages import (
     EARTH,
@@ -101,14 +102,41 @@ def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
     return path_message(time_ns, MAP, track.time_ns[rows].tolist(), places, yaw_rad)
 
 
-def fixes(track: Trajectory, wanted: Bool, base: str) -> Iterator[tuple[int, Any]]:
+class Antenna(NamedTuple):
+    """A frame whose positions fixes are, and where it is on a level vehicle."""
+
+    frame: str
+    at: LeverArm
+
+
+def antenna_on(base: str, antenna: Antenna, time_ns: int) -> Any:
+    """geometry_msgs/TransformStamped: where the antenna is in the vehicle's frame, forward, left,
+    up."""
+    at_m = np.array([antenna.at.forward_m, -antenna.at.right_m, antenna.at.up_m])
+    return transform(time_ns, base, antenna.frame, at_m, turn_left(0.0))
+
+
+def fixes(
+    track: Trajectory, wanted: Bool, base: str, antenna: Antenna | None
+) -> Iterator[tuple[int, Any]]:
     """The time in ns and the sensor_msgs/NavSatFix of each wanted row that a fix gave.
 
-    The positions are those of the vehicle's grid origin, the frame `base`, not of its antenna. The
-    height's variance is not estimated; twice the horizontal sigma is usual.
+    The positions are those of the antenna, where the pose has it, in its own frame; where nothing
+    tells the antenna, of the vehicle's grid origin, the frame `base`. The height's variance is not
+    estimated; twice the horizontal sigma is usual.
     """
-    rows = np.flatnonzero(wanted & (track.quality != Quality.ESTIMATED))
-    places = track.datum.to_geodetic(track.east_m[rows], track.north_m[rows], track.up_m[rows])
+    given = wanted & (track.quality != Quality.ESTIMATED)
+    arm = LeverArm(0.0, 0.0, 0.0) if antenna is None else antenna.at
+    if antenna is not None:
+        given &= np.isfinite(track.heading_deg)
+    rows = np.flatnonzero(given)
+    heading = np.radians(np.nan_to_num(track.heading_deg[rows]))
+    sin, cos = np.sin(heading), np.cos(heading)
+    places = track.datum.to_geodetic(
+        track.east_m[rows] + arm.right_m * cos + arm.forward_m * sin,
+        track.north_m[rows] - arm.right_m * sin + arm.forward_m * cos,
+        track.up_m[rows] + arm.up_m,
+    )
     for k, lat_deg, lon_deg, height_m in zip(rows, *places, strict=True):
         time_ns, sigma_m = int(track.time_ns[k]), float(track.position_sigma_m[k])
         fix = Fix(
@@ -119,7 +147,7 @@ def fixes(track: Trajectory, wanted: Bool, base: str) -> Iterator[tuple[int, Any
             Quality(track.quality[k]),
             sigma_m=sigma_m if math.isfinite(sigma_m) else None,
         )
-        yield time_ns, nav_sat_fix(fix, base)
+        yield time_ns, nav_sat_fix(fix, base if antenna is None else antenna.frame)
 
 
 def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any, Any]]:
@@ -164,7 +192,7 @@ def _variances(sigmas: Sequence[float]) -> Float64:
 
 
 def earth_to_map(datum: Datum, time_ns: int) -> Any:
-    """tf2_msgs/TFMessage: where the frame `map` is in the frame `earth`."""
+    """geometry_msgs/TransformStamped: where the frame `map` is in the frame `earth`."""
     x, y, z = geodetic_to_ecef(datum.lat_deg, datum.lon_deg, datum.height_m)
     # About the axis of the Earth until x points east, then about x until z points up.
     about_z = math.radians(datum.lon_deg + 90.0) / 2.0
@@ -177,7 +205,7 @@ def earth_to_map(datum: Datum, time_ns: int) -> Any:
         w=math.cos(about_z) * math.cos(about_x),
     )
     at_m = np.array([x, y, z], dtype=np.float64)
-    return transforms(transform(time_ns, EARTH, MAP, at_m, rotation))
+    return transform(time_ns, EARTH, MAP, at_m, rotation)
 
 
 def _floats(values: AnyArray, observed: Bool) -> Float32:

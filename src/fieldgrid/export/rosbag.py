@@ -17,7 +17,7 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Int64
 from fieldgrid.cost import CostCurve
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import CalibrationError, ConfigError, MapError
 from fieldgrid.export import foxglove_messages, ros_messages
 from fieldgrid.export.features import trajectories
 from fieldgrid.export.georeference import extent, georeference
@@ -28,9 +28,10 @@ from fieldgrid.export.tiles import MESSAGE_CELLS, Tile, Whole, cut, whole_of
 from fieldgrid.export.vector import FeatureOptions, geojson_text
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile
+from fieldgrid.rig import Rig
 from fieldgrid.ros import BagFolderWriter, McapWriter
 from fieldgrid.ros.gnss import datum_message
-from fieldgrid.ros.messages import BASE, text
+from fieldgrid.ros.messages import ANTENNA, BASE, text, transforms
 from fieldgrid.settings import Flag, setting
 from fieldgrid.trajectory import Trajectory
 
@@ -205,6 +206,30 @@ class _Content(NamedTuple):
         return (("too large for one message", tiles), *rows)
 
 
+class _Vehicle(NamedTuple):
+    """The frame of a vehicle on the ground, and its antenna where the session tells it."""
+
+    base: str
+    antenna: ros_messages.Antenna | None
+
+    @classmethod
+    def of(cls, content: _Content, session: str, names: dict[str, str]) -> Self:
+        """The frames of a session; of several, each is below the name of its own."""
+        above = "" if len(content.tracks) == 1 else f"{names[session]}/"
+        (info,) = (one for one in content.universal.sessions() if one.name == session)
+        antenna = None
+        if "rig" in info.config:
+            try:
+                at = Rig.from_dict(info.config["rig"]).antenna
+            except CalibrationError as error:
+                raise MapError(
+                    f"Session {session!r} does not say where its antenna was ({error}); build it "
+                    "again from its recording."
+                ) from error
+            antenna = ros_messages.Antenna(f"{above}{ANTENNA}", at)
+        return cls(f"{above}{BASE}", antenna)
+
+
 def _start_ns(universal: MapFile, tracks: dict[str, Trajectory]) -> int:
     """The time of the first accepted pose, or of the first frame where there is no trajectory."""
     poses = [
@@ -227,7 +252,16 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
     """All messages in the order of their times, one in memory at a time."""
     datum, tracks, area = content.universal.datum, content.tracks, content.area
     start_ns, (lattice, window) = content.start_ns, content.whole
-    yield _Stamped("/tf_static", ros_messages.earth_to_map(datum, start_ns), start_ns, True)
+    names = topic_names(tracks)
+    vehicles = {name: _Vehicle.of(content, name, names) for name in tracks}
+    # In one message: of a latched topic, those who come later get the last one.
+    placed = [ros_messages.earth_to_map(datum, start_ns)]
+    placed += [
+        ros_messages.antenna_on(vehicle.base, vehicle.antenna, start_ns)
+        for vehicle in vehicles.values()
+        if vehicle.antenna is not None
+    ]
+    yield _Stamped("/tf_static", transforms(*placed), start_ns, True)
     yield _Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(lattice, window, datum), ensure_ascii=False)
     yield _Stamped("/georeference", text(about), start_ns, True)
@@ -243,20 +277,19 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
         yield _Stamped(f"{topic}/index", text(index), start_ns, True)
         for name, tile in named:
             yield _Stamped(name, message(content, tile.selection), start_ns, True)
-    names = topic_names(tracks)
     for name, track in tracks.items():
         for number, rows in enumerate(_runs(track, area), 1):
             topic = f"/{names[name]}/path{'' if number == 1 else f'_{number}'}"
             yield _Stamped(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
     for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
         wanted = track.accepted & _inside(track, area)
-        base = BASE if len(tracks) == 1 else f"{names[name]}/{BASE}"
+        base, antenna = vehicles[name]
         rows = np.flatnonzero(wanted & np.isfinite(track.heading_deg))
         # Both are in the order of time, and so are they together.
         yield from heapq.merge(
             (
                 _Stamped(f"/{names[name]}/fix", fix, time_ns, False)
-                for time_ns, fix in ros_messages.fixes(track, wanted, base)
+                for time_ns, fix in ros_messages.fixes(track, wanted, base, antenna)
             ),
             (
                 one

@@ -17,7 +17,7 @@ from fieldgrid.rig import DepthCamera, StereoCamera
 from fieldgrid.ros.definitions import types
 from fieldgrid.sweep import Sweep
 
-MAP, EARTH, BASE = "map", "earth", "base_footprint"
+MAP, EARTH, BASE, ANTENNA = "map", "earth", "base_footprint", "gnss_antenna"
 
 _SECOND = 1_000_000_000
 NOT_SAID = 1e6
