@@ -16,12 +16,13 @@ import matplotlib.colors
 import numpy as np
 import numpy.typing as npt
 import pytest
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.patches import Polygon
+from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -173,14 +174,26 @@ def test_marks_are_drawn_with_their_names_and_a_legend() -> None:
         Mark(MarkKind.FREE, ((40.0, 1.0), (45.0, 1.0), (45.0, 9.0)), "of another field"),
     )
     axes = figures.universal_grid(dataclasses.replace(view(), marks=marks)).axes[0]
-    (outline,) = (patch for patch in axes.patches if isinstance(patch, Polygon))
-    assert outline.get_xy()[:3].tolist() == [list(corner) for corner in corners]
+    (outline,) = (patch for patch in axes.patches if isinstance(patch, PathPatch))
+    assert outline.get_path().vertices[:3].tolist() == [list(corner) for corner in corners]
     assert outline.get_edgecolor()[:3] == matplotlib.colors.to_rgb(palette.MARKS["keepout"])
     assert {text.get_text() for text in axes.texts} >= {"pond", "gate"}
     legend = axes.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["keep out", "place"]
     assert axes.get_xlim() == pytest.approx((4.0, 12.0))
+
+
+def test_a_hole_of_a_mark_is_not_hatched() -> None:
+    square = ((5.0, 0.0), (8.0, 0.0), (8.0, 3.0), (5.0, 3.0))
+    hole = ((6.0, 1.0), (7.0, 1.0), (7.0, 2.0), (6.0, 2.0))
+    for ring in (hole, hole[::-1]):
+        marks = (Mark(MarkKind.KEEPOUT, square, holes=(ring,)),)
+        axes = figures.universal_grid(dataclasses.replace(view(), marks=marks)).axes[0]
+        (outline,) = (patch for patch in axes.patches if isinstance(patch, PathPatch))
+        rings = [shapely.LinearRing(ring) for ring in outline.get_path().to_polygons()]
+        # Where they run alike, what both enclose is hatched, too.
+        assert [ring.is_ccw for ring in rings] == [True, False]
 
 
 def test_the_image_lies_at_its_bounds() -> None:

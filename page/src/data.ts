@@ -43,6 +43,7 @@ export interface Mark extends NewMark {
   id: number;
   created: string;
   removed: string | null;
+  holes: [east: number, north: number][][];
 }
 
 export interface MapAbout {

@@ -19,8 +19,9 @@ const HATCH_PX = 8;
 const CLICK_MS = 500;
 const hatches = new Map<string, CanvasPattern | string>();
 
-export function outline(mark: NewMark): Point | Polygon {
-  return mark.corners.length === 1 ? new Point(mark.corners[0]) : new Polygon([[...mark.corners, mark.corners[0]]]);
+export function outline(mark: NewMark & Partial<Mark>): Point | Polygon {
+  if (mark.corners.length === 1) return new Point(mark.corners[0]);
+  return new Polygon([mark.corners, ...(mark.holes ?? [])].map((ring) => [...ring, ring[0]]));
 }
 
 /** A mark in words. */

@@ -14,6 +14,7 @@ from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import DECISION_LAYERS, Mark, MarkKind, open_map
 from fieldgrid.mapfile.decision import FREE, KEEPOUT, OBSTACLE, marked_cells
+from fieldgrid.mapfile.geometry import Ring
 from tests.mapfile.maps import CELL_M, SPEC, drive, pose_at, write_map
 from tests.mapfile.test_marks import add, square
 
@@ -27,8 +28,24 @@ def test_outlines_touch_the_cells_that_their_insides_touch(
     shape = shapely.Polygon(corners)
     if not shape.is_valid or shape.area < 1e-6:
         return
+    check_cells(tuple(corners), ())
+
+
+@given(st.lists(COORDINATES, min_size=3, max_size=7, unique=True))
+def test_holes_are_left_out_but_for_the_cells_that_they_cut(
+    corners: list[tuple[float, float]],
+) -> None:
+    hole = shapely.Polygon(corners)
+    if not hole.is_valid or hole.area < 1e-6:
+        return
+    check_cells(square(-3.5, -3.5, 7.0), (tuple(corners),))
+
+
+def check_cells(corners: Ring, holes: tuple[Ring, ...]) -> None:
+    """Compare the cells of a polygon with what shapely says of each of them."""
+    shape = shapely.Polygon(corners, holes)
     lattice, window = Lattice(0.5), Window(-5, -4, 9, 10)
-    marks = [Mark(kind, tuple(corners)) for kind in (MarkKind.KEEPOUT, MarkKind.FREE)]
+    marks = [Mark(kind, corners, holes=holes) for kind in (MarkKind.KEEPOUT, MarkKind.FREE)]
     flags = marked_cells(marks, lattice, window)
     for j, i in np.ndindex(*window.shape):
         west, south = 0.5 * (window.i0 + i), 0.5 * (window.j0 + j)

@@ -13,11 +13,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
 from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
@@ -52,7 +52,7 @@ def versions() -> dict[str, str]:
         "fieldgrid": software_version(),
         "NumPy": np.__version__,
         "OpenCV": cv2.__version__,
-        "Numba": numba.__version__,
+        "Numba": version("numba"),
     }
 
 

@@ -179,7 +179,8 @@ def _row(mark: Mark) -> tuple[str, ...]:
 
 def _as_dict(mark: Mark) -> dict[str, Any]:
     return {
-        **{key: value for key, value in mark._asdict().items() if key != "corners"},
+        **{k: value for k, value in mark._asdict().items() if k not in ("corners", "holes")},
         "corners_m": [list(corner) for corner in mark.corners],
+        "holes_m": [[list(corner) for corner in hole] for hole in mark.holes],
         "area_m2": mark.geometry.area,
     }

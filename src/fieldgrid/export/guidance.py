@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.polyline import project
-from fieldgrid.rows import Lane, Planting
 from fieldgrid.settings import Flag, setting
 from fieldgrid.vectors import FeatureLayer
+
+if TYPE_CHECKING:
+    from fieldgrid.rows import Lane, Planting
 
 MIN_CURVE_M = 2.0
 """A guidance curve that is shorter guides nobody."""

@@ -14,7 +14,6 @@ from itertools import count as count_from
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from fieldgrid import palette
@@ -135,6 +134,8 @@ def _pictures(whole: Window, times: int) -> int:
 
 def _picture(view: MapView, layer: str) -> bytes:
     """A PNG in colour, which all viewers take, of grey values and alpha."""
+    import cv2
+
     grey = view.layer(layer)
     alpha = view.observed * np.uint8(255)
     pixels = np.dstack([grey, grey, grey, alpha])[::-1]

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Float64, Int64, UInt8
 from fieldgrid.errors import ConfigError
@@ -110,6 +108,9 @@ def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice | None, _Cel
 
 def _components(cells: _Cells) -> Iterator[_Cells]:
     """The cells by what touches, in the order of their first cells."""
+    from scipy.sparse import coo_array  # 35 MB, for those who have outlines drawn
+    from scipy.sparse.csgraph import connected_components
+
     count = len(cells.i)
     if count == 0:
         return

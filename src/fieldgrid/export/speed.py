@@ -9,7 +9,6 @@ import csv
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -75,6 +74,8 @@ class Cells(NamedTuple):
 
 def speed_mask(cells: Cells, options: SpeedOptions) -> npt.NDArray[np.int8]:
     """Values of the mask, int8 [rows north, columns east]: 0 without a limit."""
+    import cv2
+
     assert options.slow_percent is not None
     barred = np.isin(cells.occupancy, (OCCUPIED, UNKNOWN_OCCUPANCY)) | cells.keepout
     if options.slow_turns is not None:

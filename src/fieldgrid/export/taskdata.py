@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,11 @@ from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
 from fieldgrid.publish import replacing, replacing_folder
-from fieldgrid.rows import Planting, find_rows
 from fieldgrid.trajectory import Status
 from fieldgrid.vectors import FeatureLayer
+
+if TYPE_CHECKING:
+    from fieldgrid.rows import Planting
 
 _DECIMALS = 9
 """0.1 mm; the standard allows no more."""
@@ -88,6 +90,8 @@ def export_taskdata(
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
     if planting is None and options.guidance == "lanes":
+        from fieldgrid.rows import find_rows  # brings 50 MB of libraries
+
         planting = find_rows(
             universal, crop=options.crop, bounds=selection.bounds,
             obstacle_above=options.obstacle_above, at=selection.at,

@@ -31,6 +31,10 @@ _BAND = 2048
 """Side of the squares of cells that an outline is laid over at a time."""
 
 
+_Edge = Sequence[Float64]
+"""Start and end of a side of an outline, each x, y in cells."""
+
+
 class Decision(NamedTuple):
     """What a cost or an occupancy is made of, arrays of the view's shape: the highest density of
     the map's own cells in each cell, the share of them that was seen or is marked (0..1, NaN for
@@ -93,24 +97,28 @@ def marked_cells(marks: Iterable[Mark], lattice: Lattice, window: Window) -> UIn
             flags[window.slices_of(part)] |= flag
             continue
         for band in squares(part, _BAND):
-            corners = np.array(mark.corners) * lattice.cells_per_m - (band.i0, band.j0)
-            inside, edge = _inside(corners, band.shape), _crossed(corners, band.shape)
+            edges = [
+                edge
+                for ring in mark.rings
+                for edge in _edges(np.array(ring) * lattice.cells_per_m - (band.i0, band.j0))
+            ]
+            inside, edge = _inside(edges, band.shape), _crossed(edges, band.shape)
             covered = inside & ~edge if mark.kind is MarkKind.FREE else inside | edge
             flags[window.slices_of(band)][covered] |= flag
     return flags
 
 
-def _edges(corners: Float64) -> Iterable[Sequence[Float64]]:
+def _edges(corners: Float64) -> Iterable[_Edge]:
     return zip(corners, np.roll(corners, -1, axis=0), strict=True)
 
 
-def _inside(corners: Float64, shape: tuple[int, int]) -> Bool:
-    """Whether the middles of cells lie inside: a line to the east crosses the outline, in cells, an
-    odd number of times."""
+def _inside(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
+    """Whether the middles of cells lie inside: a line to the east crosses the outlines, in cells,
+    an odd number of times."""
     height, width = shape
     y = np.arange(height) + 0.5
     crossings = np.zeros((height, width + 1), dtype=np.uint8)
-    for (x0, y0), (x1, y1) in _edges(corners):
+    for (x0, y0), (x1, y1) in edges:
         row = np.flatnonzero((y0 <= y) != (y1 <= y))
         if row.size:
             x = x0 + (y[row] - y0) * ((x1 - x0) / (y1 - y0))
@@ -119,11 +127,11 @@ def _inside(corners: Float64, shape: tuple[int, int]) -> Bool:
     return inside
 
 
-def _crossed(corners: Float64, shape: tuple[int, int]) -> Bool:
-    """Which cells the outline enters."""
+def _crossed(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
+    """Which cells the outlines enter."""
     height, width = shape
     steps = np.zeros((height, width + 1), dtype=np.int32)
-    for start, end in _edges(corners):
+    for start, end in edges:
         (x0, y0), (x1, y1) = (start, end) if start[1] <= end[1] else (end, start)
         first, last = math.floor(y0 + _ROUNDING), math.ceil(y1 - _ROUNDING)
         row = np.arange(max(first, 0), min(last, height))

@@ -11,7 +11,8 @@ from fieldgrid.mapfile.schema import SRS_ID
 # 'GP', version 0, flags, srs_id; then WKB: little-endian, type, numbers.
 _HEADER = struct.Struct("<2sBBi")
 _POINT = struct.Struct("<BI dd")
-_POLYGON = struct.Struct("<BI II")
+_POLYGON = struct.Struct("<BI I")
+_COUNT = struct.Struct("<I")
 _ENVELOPE = struct.Struct("<dddd")
 _LITTLE_ENDIAN, _WKB_POINT, _WKB_POLYGON = 1, 1, 3
 _NO_ENVELOPE, _XY_ENVELOPE = 0b0000_0001, 0b0000_0011
@@ -25,31 +26,48 @@ def encode_point(east_m: float, north_m: float) -> bytes | None:
     return header + _POINT.pack(_LITTLE_ENDIAN, _WKB_POINT, east_m, north_m)
 
 
-def encode_polygon(corners: Sequence[tuple[float, float]]) -> bytes | None:
-    """The blob of a polygon with these (east, north) corners, which are closed here."""
+Ring = tuple[tuple[float, float], ...]
+"""Corners (east, north) in metres, without the first one again."""
+
+
+def encode_polygon(
+    corners: Sequence[tuple[float, float]], holes: Sequence[Ring] = ()
+) -> bytes | None:
+    """The blob of a polygon with these (east, north) corners, and holes in it; all rings are closed
+    here. None where a corner has no position."""
     east, north = zip(*corners, strict=True)
     if not all(math.isfinite(value) for value in (*east, *north)):
         return None
-    ring = [*corners, corners[0]]
+    rings = [*corners, corners[0]], *([*hole, hole[0]] for hole in holes)
     return b"".join(
         (
             _HEADER.pack(b"GP", 0, _XY_ENVELOPE, SRS_ID),
             _ENVELOPE.pack(min(east), max(east), min(north), max(north)),
-            _POLYGON.pack(_LITTLE_ENDIAN, _WKB_POLYGON, 1, len(ring)),
-            *(struct.pack("<dd", *corner) for corner in ring),
+            _POLYGON.pack(_LITTLE_ENDIAN, _WKB_POLYGON, len(rings)),
+            *(
+                _COUNT.pack(len(ring)) + b"".join(struct.pack("<dd", *corner) for corner in ring)
+                for ring in rings
+            ),
         )
     )
 
 
-def decode_corners(blob: bytes) -> tuple[tuple[float, float], ...]:
-    """The corners of a blob that `encode_point` or `encode_polygon` made: one, or those of the
-    outline without the first one again. ValueError for any other."""
-    point = len(blob) == _HEADER.size + _POINT.size
-    start = _HEADER.size + (_POINT.size - 16 if point else _ENVELOPE.size + _POLYGON.size)
-    if len(blob) < start or (len(blob) - start) % 16:
-        raise ValueError("its geometry has an odd length")
-    corners = tuple(struct.iter_unpack("<dd", blob[start:]))
-    made = encode_point(*corners[0]) if point else encode_polygon(corners[:-1])
+def decode_rings(blob: bytes) -> tuple[Ring, ...]:
+    """The rings of a blob that `encode_point` or `encode_polygon` made: one corner of a point, or
+    the outline of a polygon and its holes. ValueError for any other."""
+    if len(blob) == _HEADER.size + _POINT.size:
+        rings = [tuple(struct.iter_unpack("<dd", blob[-16:]))]
+        made = encode_point(*rings[0][0])
+    else:
+        rings, at = [], _HEADER.size + _ENVELOPE.size + _POLYGON.size
+        while at + _COUNT.size < len(blob):
+            (count,) = _COUNT.unpack_from(blob, at)
+            end = at + _COUNT.size + 16 * count
+            if count < 2 or end > len(blob):
+                raise ValueError("its geometry is cut off")
+            rings.append(tuple(struct.iter_unpack("<dd", blob[at + _COUNT.size : end - 16])))
+            at = end
+        made = encode_polygon(rings[0], rings[1:]) if rings else None
     if made != blob:
         raise ValueError("its geometry is neither a point nor a plain polygon")
-    return corners if point else corners[:-1]
+    return tuple(rings)

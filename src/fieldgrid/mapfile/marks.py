@@ -20,7 +20,7 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.geometry import decode_corners, encode_point, encode_polygon
+from fieldgrid.mapfile.geometry import Ring, decode_rings, encode_point, encode_polygon
 from fieldgrid.vectors import Feature
 
 MAX_CORNERS, MAX_TEXT, MAX_MARKS = 2000, 500, 10_000
@@ -62,20 +62,27 @@ class MarkKind(StrEnum):
 
 class Mark(NamedTuple):
     """What somebody said of a place. `corners` are metres east and north of the datum: one is a
-    point, three or more are the outline of a polygon, without the first one again.
+    point, three or more are the outline of a polygon, without the first one again. `holes` are
+    parts of a polygon that it does not cover, each by its corners likewise.
 
     `id` is its number in the map, 0 before it has one; `created` and `removed` are times in UTC as
     in ISO 8601, `created` empty for one of now, `removed` None while it is in force.
     """
 
     kind: MarkKind
-    corners: tuple[tuple[float, float], ...]
+    corners: Ring
     name: str = ""
     note: str = ""
     author: str = ""
     created: str = ""
     removed: str | None = None
     id: int = 0
+    holes: tuple[Ring, ...] = ()
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """The outline, and those of the holes."""
+        return self.corners, *self.holes
 
     @property
     def active(self) -> bool:
@@ -98,7 +105,11 @@ class Mark(NamedTuple):
         """A shapely point or polygon, metres east and north."""
         import shapely
 
-        return (shapely.Point if self.is_point else shapely.Polygon)(self.corners)
+        return (
+            shapely.Point(self.corners)
+            if self.is_point
+            else shapely.Polygon(self.corners, self.holes)
+        )
 
     def lies_in(self, bounds: Bounds) -> bool:
         """Whether any part of it lies in a rectangle; of a polygon not just its outline."""
@@ -119,8 +130,25 @@ def checked(mark: Mark) -> Mark:
             )
     if mark.kind is MarkKind.PLACE and not mark.name:
         raise ConfigError("A mark of kind place has no name; give it one.")
+    corners, *holes = (_checked_ring(ring) for ring in mark.rings)
+    count = len(corners) + sum(map(len, holes))
+    if not (count == 1 or (len(corners) >= 3 and count <= MAX_CORNERS)):
+        raise ConfigError(
+            f"A mark of {count} corners is neither a point nor a polygon; give 1 corner, or "
+            f"3 to {MAX_CORNERS}, those of holes among them."
+        )
+    whole = mark._replace(corners=corners, holes=tuple(holes))
+    if min(map(len, holes), default=3) < 3 or not whole.geometry.is_valid:
+        raise ConfigError(
+            f"The outline of the mark about {corners[0][0]:.2f},{corners[0][1]:.2f}, or of a hole "
+            "in it, crosses itself or another, or encloses nothing; draw it anew."
+        )
+    return whole
+
+
+def _checked_ring(ring: Ring) -> Ring:
     corners: list[tuple[float, float]] = []
-    for east, north in mark.corners:
+    for east, north in ring:
         if not (math.isfinite(east) and math.isfinite(north)):
             raise ConfigError(f"A mark's corner at {east}, {north} is nowhere; give metres.")
         if max(abs(east), abs(north)) > MAX_DISTANCE_M:
@@ -132,18 +160,7 @@ def checked(mark: Mark) -> Mark:
             corners.append((float(east), float(north)))
     if len(corners) > 1 and corners[0] == corners[-1]:
         corners.pop()
-    if not (len(corners) == 1 or 3 <= len(corners) <= MAX_CORNERS):
-        raise ConfigError(
-            f"A mark of {len(corners)} corners is neither a point nor a polygon; give 1 corner, or "
-            f"3 to {MAX_CORNERS}."
-        )
-    whole = mark._replace(corners=tuple(corners))
-    if not whole.geometry.is_valid:
-        raise ConfigError(
-            f"The outline of the mark about {corners[0][0]:.2f},{corners[0][1]:.2f} crosses itself "
-            "or encloses nothing; draw it anew."
-        )
-    return whole
+    return tuple(corners)
 
 
 def read_marks(connection: sqlite3.Connection, *, removed: bool = False) -> tuple[Mark, ...]:
@@ -167,7 +184,10 @@ def _mark(row: tuple[Any, ...]) -> Mark:
     number, kind, geom, *texts = row
     try:
         name, note, author, created, removed = texts
-        mark = Mark(MarkKind(kind), decode_corners(geom), name, note, author, created, removed)
+        corners, *holes = decode_rings(geom)
+        mark = Mark(
+            MarkKind(kind), corners, name, note, author, created, removed, holes=tuple(holes)
+        )
         for moment in (created, removed):
             if moment is not None:
                 datetime.fromisoformat(moment)
@@ -225,7 +245,11 @@ def insert_marks(connection: sqlite3.Connection, marks: Sequence[Mark]) -> tuple
     numbers = []
     for mark in marks:
         whole = checked(mark)
-        geom = encode_point(*whole.corners[0]) if whole.is_point else encode_polygon(whole.corners)
+        geom = (
+            encode_point(*whole.corners[0])
+            if whole.is_point
+            else encode_polygon(whole.corners, whole.holes)
+        )
         (number,) = connection.execute(
             "INSERT INTO fieldgrid_mark (kind, geom, name, note, author, created) VALUES (?, ?, ?, "
             f"?, ?, coalesce(?, {schema.NOW_SQL})) RETURNING id",
@@ -295,18 +319,17 @@ def marks_of_geojson(document: Any, datum: Datum, usual: Mapping[str, str]) -> l
             parts = places if shape.startswith("Multi") else [places]
             for part in parts:
                 if shape.removeprefix("Multi") == "Polygon":
-                    if len(part) != 1:
-                        raise ConfigError(
-                            "A polygon of the GeoJSON has a hole, which a mark cannot have; draw "
-                            "it without, and mark the hole by itself."
-                        )
-                    ring = part[0]
+                    rings = part
                 elif shape.removeprefix("Multi") == "Point":
-                    ring = [part]
+                    rings = [[part]]
                 else:
                     raise ConfigError(f"The GeoJSON has a {shape}; a mark is a Point or a Polygon.")
-                corners = tuple(_east_north(datum, float(c[0]), float(c[1])) for c in ring)
-                found.append(checked(Mark(MarkKind(kind), corners, name, note, author)))
+                corners, *holes = (
+                    tuple(_east_north(datum, float(c[0]), float(c[1])) for c in ring)
+                    for ring in rings
+                )
+                mark = Mark(MarkKind(kind), corners, name, note, author, holes=tuple(holes))
+                found.append(checked(mark))
     except ConfigError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:

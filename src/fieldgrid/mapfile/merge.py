@@ -14,6 +14,7 @@ import numpy as np
 
 from fieldgrid.errors import ConfigError, DatumError
 from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile.geometry import Ring
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import SessionInfo
@@ -106,19 +107,25 @@ def marks_together(maps: Iterable[MapFile], datum: Datum) -> list[Mark]:
             up_m = next((frame.driven.up_m for frame in universal.frames()), 0.0)
         for mark in marks:
             if moved is not None:
-                east, north = np.transpose(mark.corners)
-                places = moved.places(east, north, np.full(len(east), np.nan_to_num(up_m)))[:2]
-                mark = mark._replace(corners=tuple(map(tuple, np.transpose(places).tolist())))
-            others = alike[mark._replace(id=0, corners=())]
-            if not any(_same_corners(mark, other) for other in others):
+                outline, *holes = (_moved(ring, moved, np.nan_to_num(up_m)) for ring in mark.rings)
+                mark = mark._replace(corners=outline, holes=tuple(holes))
+            others = alike[mark._replace(id=0, corners=(), holes=())]
+            if not any(_same_place(mark, other) for other in others):
                 others.append(mark)
                 found.append(mark._replace(id=0))
     return found
 
 
-def _same_corners(one: Mark, other: Mark) -> bool:
-    return len(one.corners) == len(other.corners) and bool(
-        np.hypot(*np.transpose(np.subtract(one.corners, other.corners))).max() <= SAME_PLACE_M
+def _moved(ring: Ring, moved: Redatum, up_m: float) -> Ring:
+    east, north = np.transpose(ring)
+    places = moved.places(east, north, np.full(len(east), up_m))[:2]
+    return tuple(map(tuple, np.transpose(places).tolist()))
+
+
+def _same_place(one: Mark, other: Mark) -> bool:
+    return [*map(len, one.rings)] == [*map(len, other.rings)] and all(
+        np.hypot(*np.transpose(np.subtract(mine, its))).max() <= SAME_PLACE_M
+        for mine, its in zip(one.rings, other.rings, strict=True)
     )
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fieldgrid.changes import ChangedObject, find_changes
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile
+
+if TYPE_CHECKING:
+    from fieldgrid.changes import ChangedObject
 
 MOST_CELLS = 20_000_000
 """Cells that are looked through for one answer: some seconds."""
@@ -22,6 +24,8 @@ def changed_objects(
     `geometry` is as that of features: kind 3 and rings of (E, N), metres. Raises ConfigError for
     a part of more than 20 million cells, and as `find_changes` does.
     """
+    from fieldgrid.changes import find_changes  # brings 40 MB of libraries
+
     west_m, south_m, east_m, north_m = universal.bounds if bounds is None else bounds
     if (east_m - west_m) * (north_m - south_m) > MOST_CELLS * universal.cell_m**2:
         raise ConfigError("That is too much of the map to look for changed objects; zoom in.")

@@ -21,7 +21,7 @@ from fieldgrid.lattice import Bounds, TileIndex, tile_window
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, MapFile, MapView
 
-_SAMPLE_CELLS = 1 << 20
+_SAMPLE_CELLS = 1 << 18
 """About how many cells the range of a layer is found from."""
 
 

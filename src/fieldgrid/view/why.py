@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.build.rig_config import rig_from_config
-from fieldgrid.errors import FieldgridError
+from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
@@ -92,8 +91,8 @@ def _rig(info: SessionInfo) -> Rig | None:
     if not isinstance(rig, Mapping):
         return None
     try:
-        return rig_from_config(rig, info.name)
-    except FieldgridError:
+        return Rig.from_dict(rig)
+    except CalibrationError:
         return None  # of another program: its images are shown without a mark
 
 
