@@ -91,31 +91,49 @@ def test_many_cells_of_every_size_and_of_a_season(tmp_path: Path) -> None:
                     np.testing.assert_array_equal(view.layer(name), large[..., 0])
 
 
-def test_nothing_of_it_is_stored(tmp_path: Path) -> None:
-    path = small(tmp_path / "map.gpkg", (250, 20))
+def test_it_is_stored_above_the_base_only(tmp_path: Path) -> None:
+    days = [later(drive(6, step_m=30.137 + 0.1 * k), k) for k in range(3)]
+    path = write_map(tmp_path / "map.gpkg", days)
     database = sqlite3.connect(path)
+    zooms = [
+        {zoom for (zoom,) in database.execute(
+            "SELECT zoom FROM fieldgrid_tile WHERE channels = ?", (name,)
+        )}
+        for name in ("density", "lasting")
+    ]  # fmt: skip
+    assert zooms[1] == zooms[0] - {max(zooms[0])}
+    assert len(zooms[1]) == 2
     ((groups,),) = database.execute(
         "SELECT value FROM fieldgrid_meta WHERE key = 'channel_groups'"
     ).fetchall()
     database.close()
     assert "sessions" in json.loads(groups)
-    assert "lasting" not in json.loads(groups)
     with open_map(path, writable=True) as universal:
         assert universal.verify().sound
         universal.repair()
         assert universal.verify().sound
-        # Without the tiles of the sessions, it comes from the frames.
-        before = universal.read(layers=["passing"]).layer("passing")
-    database = sqlite3.connect(path)
-    left = [name for name in json.loads(groups) if name != "sessions"]
-    database.execute(
-        "UPDATE fieldgrid_meta SET value = ? WHERE key = 'channel_groups'", (json.dumps(left),)
-    )
-    database.commit()
-    database.close()
-    with open_map(path) as universal:
-        after = universal.read(layers=["passing"]).layer("passing")
-    np.testing.assert_array_equal(before, after)
+    names = (*CLASSES, "lasting")
+
+    def views() -> list[npt.NDArray[np.uint8]]:
+        with open_map(path) as universal:
+            sizes = [universal.read(cell_m=cell, layers=names) for cell in (0.1, 0.2, 0.4, 1.2)]
+        return [view.layer(name) for view in sizes for name in names]
+
+    before = views()
+    assert all(layer.any() for layer in before)
+    # Maps of before have nothing of it: it comes from the map's own cells. Without the tiles of
+    # the sessions, it comes from the frames.
+    for lacking in ({"lasting"}, {"lasting", "sessions"}):
+        database = sqlite3.connect(path)
+        left = [name for name in json.loads(groups) if name not in lacking]
+        database.execute(
+            "UPDATE fieldgrid_meta SET value = ? WHERE key = 'channel_groups'", (json.dumps(left),)
+        )
+        database.execute("DELETE FROM fieldgrid_tile WHERE channels = 'lasting'")
+        database.commit()
+        database.close()
+        for layer, again in zip(before, views(), strict=True):
+            np.testing.assert_array_equal(layer, again)
 
 
 def test_planners_get_what_lasts(tmp_path: Path) -> None:

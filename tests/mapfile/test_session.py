@@ -99,8 +99,8 @@ def tiles_of(path: Path) -> list[tuple[object, ...]]:
     database = sqlite3.connect(path)
     rows = [
         *database.execute(
-            "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile WHERE channels <> 'sessions' "
-            "ORDER BY 1, 2, 3, 4"
+            "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile "
+            "WHERE channels NOT IN ('sessions', 'lasting') ORDER BY 1, 2, 3, 4"
         ),
         *database.execute(
             "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3"

@@ -104,7 +104,7 @@ class ChannelGroup:
     give 0 for a cell of weight 0.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
-    groups before it, and are stored nowhere.
+    groups that it `follows_from`, and are stored above the base only.
     """
 
     name: str
@@ -114,10 +114,11 @@ class ChannelGroup:
     overview: tuple[OverviewChannel, ...] = ()
     expected: Callable[[UInt64, UInt64], UInt64] | None = None
     frame: tuple[str, ...] = ()
+    follows_from: tuple[str, ...] = ()
 
     @property
     def derived(self) -> bool:
-        """Whether the group has no channels of its own, so that nothing of it is stored."""
+        """Whether the group has no channels of its own, so that base tiles hold nothing of it."""
         return not self.channels
 
 

@@ -1,7 +1,7 @@
 """What lasts and what passes: obstacles by the drives that saw them standing.
 
-The classes are those of the map's own cells. They follow from the channels of the sessions and are
-stored nowhere; a larger cell has what is highest in it.
+The classes are those of the map's own cells. They follow from the channels of the sessions, and are
+stored for larger cells only; these have what is highest in them.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ def _flags(where: Bool) -> UInt64:
 GROUP = ChannelGroup(
     "lasting",
     (),
+    follows_from=("density", "sessions"),
     overview=(
         OverviewChannel("static", Combine.MAX, _static),
         OverviewChannel("seasonal", Combine.MAX, _seasonal),

@@ -47,6 +47,13 @@ def register_group(group: ChannelGroup) -> None:
             f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
             "or a function of a session's cells; neither, if it has no channels."
         )
+    missing = [name for name in group.follows_from if name not in _GROUPS]
+    if missing or bool(group.follows_from) != group.derived:
+        raise ConfigError(
+            f"The channel group {group.name!r} must say, if and only if it has no channels, from "
+            f"which groups it follows, and these must be there{': ' * bool(missing)}"
+            f"{', '.join(missing)}."
+        )
     _GROUPS[group.name] = group
 
 
@@ -79,8 +86,8 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def stored_groups() -> tuple[str, ...]:
-    """The channel groups that the tiles of a new map hold: all but derived ones."""
-    return tuple(name for name, group in _GROUPS.items() if not group.derived)
+    """The channel groups that the tiles of a new map hold; derived ones those above the base."""
+    return tuple(_GROUPS)
 
 
 def groups_of(layers: Iterable[str]) -> tuple[str, ...]:

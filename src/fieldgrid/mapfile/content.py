@@ -88,8 +88,8 @@ class MapContent:
         make up one of `multiple`."""
         if request.sessions is not None or not _stored(self.header, request, groups):
             return self.session_source(request, groups), multiple
-        level, derived = 0, any(group.derived for group in groups)
-        while not derived and level < self.evidence.levels() and multiple % 2 == 0:
+        level, lacks = 0, any(group.name not in self.header.groups for group in groups)
+        while not lacks and level < self.evidence.levels() and multiple % 2 == 0:
             level, multiple = level + 1, multiple // 2
         return StoredLevel(self._tables(groups), level, groups), multiple
 
@@ -152,8 +152,8 @@ class MapContent:
         return sum(int(cells["seen"].sum()) for cells in seen)
 
     def _tables(self, groups: tuple[ChannelGroup, ...]) -> TileTables:
-        """The tiles of the groups that are stored."""
-        stored = [group for group in groups if not group.derived]
+        """The tiles of the groups that are stored: old maps lack those that are derived."""
+        stored = [group for group in groups if group.name in self.header.groups]
         return TileTables(self.evidence.connection, TileMatrixSet(self.header.lattice), stored)
 
 

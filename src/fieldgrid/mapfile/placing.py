@@ -191,7 +191,7 @@ class SessionTiles(Closing):
 
 def stored_of_session(groups: Sequence[ChannelGroup]) -> list[ChannelGroup]:
     """The groups that session tiles hold: others follow from those of the session."""
-    return [group for group in groups if group.of_session is None]
+    return [group for group in groups if group.fold is not None]
 
 
 def encode_groups(
@@ -201,7 +201,9 @@ def encode_groups(
     inside = box or box_of(cells["weight"])
     expectation = Expectation(cells, base=base)
     return {
-        group.name: encode_tile(group, cells, inside, expectation, base=base) for group in groups
+        group.name: encode_tile(group, cells, inside, expectation, base=base)
+        for group in groups
+        if not (base and group.derived)
     }
 
 
@@ -222,6 +224,8 @@ def decode_groups(
     arrays: dict[str, UInt64] = {}
     expectation = Expectation(arrays, base=base)
     for group in groups:
+        if base and group.derived:
+            continue
         blob, name = blobs.get(group.name), f"{group.name} of {what}"
         arrays.update(decode_tile(group, blob, expectation, name, base=base))
     return Cells(arrays)

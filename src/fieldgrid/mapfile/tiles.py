@@ -120,7 +120,11 @@ class TileTables:
         four are read.
         """
         if below is None:
-            wanted = tuple(dict.fromkeys((self.groups[0], *groups)))
+            # Derived groups follow from others of the base.
+            first = zoom + 1 == self.matrices.base_zoom
+            sources = {name for group in groups for name in group.follows_from if first}
+            others = (group for group in self.groups if group.name in sources)
+            wanted = tuple(dict.fromkeys((self.groups[0], *others, *groups)))
             below = {child: self.cells(zoom + 1, child, wanted) for child in children(tile)}
         names = [name for group in groups for name, _ in stored_channels(group, base=False)]
         arrays = {
