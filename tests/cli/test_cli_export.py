@@ -86,7 +86,7 @@ def test_a_layer_as_of_a_session_in_another_system(
     ("flags", "message"),
     [
         ("OUT/x.foo", r"x\.foo ends in none of \.tif, .*; choose one of them, or give --format"),
-        ("OUT/x.tif --format maps", "'maps' is no format; known are geotiff, png, kmz"),
+        ("OUT/x.tif --format maps", "'maps' is no format; known are geotiff, png, mbtiles"),
         ("OUT/x.tif --layer depth", "'depth' is no layer of a map; known are density, count"),
         ("OUT/x.tif --format png", "x.tif is the name of a file of format geotiff, not png"),
         ("OUT/x.zip --format isoxml", "x.zip is the name of a file, and the format isoxml is a"),

@@ -58,10 +58,15 @@ class CurveOptions(Settings):
         return CostCurve(self.free_up_to, self.obstacle_above, self.cost_shape, self.least_seen)
 
 
-class ShapeOptions(Settings):
-    """How obstacles become polygons."""
+class ObstacleOptions(Settings):
+    """Which cells are obstacles."""
 
     obstacle_above: int = _obstacle_above()
+
+
+class ShapeOptions(ObstacleOptions):
+    """How obstacles become polygons."""
+
     min_area_m2: float = setting(
         0.0, "leave out smaller obstacles", flag=Flag("--min-area", "M2"), ge=0.0, lt=1e9
     )

@@ -17,10 +17,13 @@ from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import Readable
 
 
-def write_overviews(universal: Readable, selection: Selection, raster: Raster) -> list[Path]:
-    """Rasters of half the size, of a quarter, and so on, until one block holds all."""
+def write_overviews(
+    universal: Readable, selection: Selection, raster: Raster, smallest_px: int = BLOCK_PX
+) -> list[Path]:
+    """Rasters of half the size, of a quarter, and so on, until one of so few pixels a side, by
+    default a block, holds all."""
     planes, cells = [raster.plane], [raster.cells]
-    while max(planes[-1].width, planes[-1].height) > BLOCK_PX:
+    while max(planes[-1].width, planes[-1].height) > smallest_px:
         planes.append(_half(planes[-1]))
         cells.append(_half(cells[-1]))
     levels = [raster.scratch.file(f"level{k}") for k in range(1, len(planes))]

@@ -20,6 +20,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.warped import warped
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapView, OverviewBlock, Readable
@@ -31,9 +32,6 @@ CACHE_MB = 96
 """What GDAL may keep of the pixels in memory."""
 
 MAX_SIDE_PX = 1 << 30
-
-_NEARER_PX = 0.01
-"""How far from its exact place, in cells, a reprojected pixel may look for its value."""
 
 
 class Layout(NamedTuple):
@@ -368,26 +366,14 @@ def crs_name(crs: Any) -> str:
 def warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> None:
     """The pixels of another plane: each has the cell that its centre falls in, or nothing."""
     import rasterio
-    from rasterio.enums import Resampling
-    from rasterio.vrt import WarpedVRT
 
     with (
         rasterio.open(source) as found,
-        # Of an alpha band the warper would make weights; here it is a band like another.
-        WarpedVRT(
-            found,
-            crs=plane.crs,
-            transform=plane.transform,
-            width=plane.width,
-            height=plane.height,
-            resampling=Resampling.nearest,
-            tolerance=_NEARER_PX,
-            src_alpha=0,
-        ) as warped,
+        warped(found, plane) as projected,
         creating(file, plane, layout, tags) as dataset,
     ):
         for part in windows(plane.width, plane.height, 2 * BLOCK_PX):
-            pixels = warped.read(window=part)
+            pixels = projected.read(window=part)
             dataset.write(pixels, window=part)
 
 

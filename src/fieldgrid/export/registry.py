@@ -37,6 +37,7 @@ from fieldgrid.settings import Declared, Settings, declared, first_problem
 _BUILT_IN = (
     "geotiff",
     "png",
+    "mbtiles",
     "kmz",
     "vector",
     "taskdata",
@@ -44,6 +45,7 @@ _BUILT_IN = (
     "rosbag",
     "tables",
     "arrays",
+    "points",
     "qgz",
 )
 """The modules beside this one that register formats, in the order of their listing."""

@@ -1,0 +1,237 @@
+"""Obstacles as points: LAS and LAZ by laspy, and PLY.
+
+A point stands in the middle of each obstacle cell, on the ground there: at the height of the ground
+where the drives tell it, else at that of the vehicle when it saw the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64, UInt8, UInt32
+from fieldgrid.errors import ConfigError
+from fieldgrid.export.georeference import extent
+from fieldgrid.export.options import ObstacleOptions
+from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.selection import Selection
+from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.publish import mentions, replacing
+
+_HEIGHTS = ("ground", "height", "count")
+_SCALE_M = 0.001
+_SOFTWARE = "fieldgrid obstacles"
+_COUNT_DIGITS = 20
+_EARTH_2R_M = 12.75e6
+"""Twice the Earth's radius: how far the plane that touches the datum is above the ellipsoid."""
+
+
+class _Points(NamedTuple):
+    """Obstacle cells, n: their centres and heights in metres from the datum in its plane; whether
+    the ground there was seen, or is taken from the vehicle's height; what was seen of them."""
+
+    east_m: Float64
+    north_m: Float64
+    up_m: Float64
+    ground_known: Bool
+    density: UInt8
+    frames: UInt32
+
+
+def export_las(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    options: ObstacleOptions,
+    *,
+    overwrite: bool,
+) -> Exported:
+    """Write the obstacles as LAS 1.4, of a path that ends in .laz packed as LAZ.
+
+    x and y are in the map's plane, whose system stands in the file; z is metres above the WGS84
+    ellipsoid. The intensity is the density, and so is the dimension `density`; `frames` saw the
+    cell, and `ground_known` is 1 where z is the ground and 0 where it is the vehicle's height.
+    Raises ConfigError when laspy is not installed; other errors as in `export_ply`.
+    """
+    try:
+        import laspy
+        from laspy.vlrs.known import WktCoordinateSystemVlr
+    except ImportError as error:
+        raise ConfigError(
+            f"Writing {path.name} needs laspy, which is not installed; "
+            "run: pip install 'fieldgrid[clouds]'"
+        ) from error
+    datum = universal.datum
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.generating_software = _SOFTWARE
+    header.scales = np.full(3, _SCALE_M)
+    header.offsets = np.array([0.0, 0.0, np.floor(datum.height_m)])
+    header.vlrs.append(WktCoordinateSystemVlr(datum.crs_wkt("WKT1_GDAL")))
+    header.global_encoding.wkt = True
+    for name, kind, says in (
+        ("density", "u1", "0 to 255"),
+        ("frames", "u4", "that saw the cell"),
+        ("ground_known", "u1", "1: z is the ground's"),
+    ):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind, says))
+    told = _Told()
+    with (
+        replacing(
+            path,
+            overwrite=overwrite,
+            ours=lambda file: mentions(file, _SOFTWARE.encode()),
+            what="a LAS of obstacles",
+        ) as file,
+        file.open("wb") as stream,
+        laspy.open(
+            stream,
+            mode="w",
+            header=header,
+            do_compress=path.suffix.lower() == ".laz",
+            laz_backend=laspy.LazBackend.Lazrs,
+            closefd=False,
+        ) as writer,
+    ):
+        for points in told.counted(_points(universal, selection, options.obstacle_above)):
+            record = laspy.ScaleAwarePointRecord.zeros(len(points.east_m), header=header)
+            record.x, record.y = points.east_m, points.north_m
+            bulge_m = (points.east_m**2 + points.north_m**2) / _EARTH_2R_M
+            record.z = datum.height_m + points.up_m + bulge_m
+            record.intensity = record.density = points.density
+            record.frames, record.ground_known = points.frames, points.ground_known
+            record.return_number[:] = record.number_of_returns[:] = 1
+            writer.write_points(record)
+    return told.exported(universal, path, selection)
+
+
+def export_ply(
+    universal: MapFile,
+    path: Path,
+    selection: Selection,
+    options: ObstacleOptions,
+    *,
+    overwrite: bool,
+) -> Exported:
+    """Write the obstacles as binary PLY: x east, y north, z up, metres from the datum in its plane.
+
+    With each vertex go `density`, the `frames` that saw the cell, and `ground_known`: 1 where z is
+    the ground, 0 where it is the vehicle's height. Comments name the datum. Raises MapExistsError
+    when `path` exists and may not be overwritten, MapWriteError when it cannot be written.
+    """
+    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
+    kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1")]
+    told = _Told()
+    with (
+        replacing(
+            path,
+            overwrite=overwrite,
+            ours=lambda file: mentions(file, _SOFTWARE.encode()),
+            what="a PLY of obstacles",
+        ) as file,
+        file.open("wb") as stream,
+    ):
+        stream.write(_ply_header(universal, 0))
+        for points in told.counted(_points(universal, selection, options.obstacle_above)):
+            vertices = np.zeros(len(points.east_m), dtype=kinds)
+            columns = (
+                *(points.east_m, points.north_m, points.up_m),
+                *(points.density, points.frames, points.ground_known),
+            )
+            for (name, _), column in zip(kinds, columns, strict=True):
+                vertices[name] = column
+            stream.write(vertices.tobytes())
+        stream.seek(0)
+        stream.write(_ply_header(universal, told.points))
+    return told.exported(universal, path, selection)
+
+
+class _Told:
+    """Counts points on their way to a file."""
+
+    def __init__(self) -> None:
+        self.points = self.known = 0
+
+    def counted(self, parts: Iterator[_Points]) -> Iterator[_Points]:
+        """The same points."""
+        for points in parts:
+            self.points += len(points.east_m)
+            self.known += int(points.ground_known.sum())
+            yield points
+
+    def exported(self, universal: MapFile, path: Path, selection: Selection) -> Exported:
+        """What was written."""
+        with selection.blocks(universal) as blocks:
+            place = extent(blocks.lattice, blocks.window, universal.datum)
+        about = {**place, "points": self.points, "on_seen_ground": self.known}
+        rows = (
+            ("points", str(self.points)),
+            ("on ground that was seen", str(self.known)),
+            ("datum", universal.datum.described()),
+        )
+        return Exported((path,), rows, about)
+
+
+def _points(universal: MapFile, selection: Selection, above: int) -> Iterator[_Points]:
+    """The obstacle cells, piece by piece."""
+    wanted = (*universal.deciding(selection.cell_m), *_HEIGHTS)
+    with selection.blocks(universal, wanted) as blocks:
+        for view in blocks.views:
+            found = _of_view(view, above)
+            if len(found.east_m):
+                yield found
+
+
+def _of_view(view: MapView, above: int) -> _Points:
+    worst, seen, _ = view.decision()
+    j, i = np.nonzero((worst > above) & (seen > 0.0))
+    east_m, north_m = view.lattice.centres(view.window)
+    ground_m, vehicle_m = (view.layer(name)[j, i].astype(np.float64) for name in _HEIGHTS[:2])
+    known = np.isfinite(ground_m)
+    up_m = np.nan_to_num(np.where(known, ground_m, vehicle_m))
+    count = view.layer("count")[j, i].astype(np.uint32)
+    return _Points(east_m[i], north_m[j], up_m, known, worst[j, i].astype(np.uint8), count)
+
+
+def _ply_header(universal: MapFile, count: int) -> bytes:
+    """The header, of one length whatever the count."""
+    datum, digits = universal.datum, str(count)
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {_SOFTWARE}: x east, y north, z up, metres in the plane that touches the datum",
+        f"comment datum {datum.lat_deg!r} {datum.lon_deg!r} degrees, {datum.height_m!r} m, WGS84",
+        f"comment {'-' * (_COUNT_DIGITS - len(digits))}",
+        f"element vertex {digits}",
+        *(f"property double {axis}" for axis in "xyz"),
+        "property uchar density",
+        "property uint frames",
+        "property uchar ground_known",
+        "end_header",
+    ]
+    return "".join(f"{line}\n" for line in lines).encode("ascii")
+
+
+register(
+    Format(
+        "las",
+        (".las", ".laz"),
+        "a point for each obstacle cell, on the ground",
+        export_las,
+        ObstacleOptions,
+        Holds.SHAPES,
+        readers="CloudCompare, QGIS, PDAL",
+        extras=("clouds",),
+    ),
+    Format(
+        "ply",
+        (".ply",),
+        "the same as PLY, metres from the datum",
+        export_ply,
+        ObstacleOptions,
+        Holds.SHAPES,
+        readers="CloudCompare, MeshLab, Open3D",
+    ),
+)
