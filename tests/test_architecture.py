@@ -36,7 +36,7 @@ LAYERS = (
         "vectors",
     ),
     ("settings",),
-    ("cloud", "depth", "lens", "sweep", "travel"),
+    ("cloud", "depth", "edges", "lens", "sweep", "travel"),
     (
         "gnss",
         "course",

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fieldgrid.edges import WIDEST_GAP, find_edges
 from fieldgrid.grids import NO_STEP_KNOWN, OBSTACLE_ABOVE, STEP_CHANNEL, LocalGrid
-from fieldgrid.ground import BINS, WIDEST_GAP, ground_steps
 from fieldgrid.layers.relief import LEAST_STEP_CM, STEP_VOTES
 from fieldgrid.localgrid import LocalGridder, step_range_m
 from fieldgrid.rotations import Tilt
@@ -148,9 +148,7 @@ def test_no_step_is_told_of_what_stands_or_lies_too_far() -> None:
 
 
 def steps(low: _Float64) -> _Float64:
-    counts = np.zeros((*low.shape, BINS), np.int32)
-    counts[..., 0] = 20
-    return ground_steps(low, np.where(np.isnan(low), 0.0, low), counts)
+    return find_edges(low).steps
 
 
 def test_the_equation_of_a_step() -> None:

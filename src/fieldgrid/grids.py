@@ -32,6 +32,11 @@ STEP_CHANNEL, NO_STEP_KNOWN = "step_cm", 255
 """The channel of a frame that says how high the highest step in the ground at its cells is, uint8
 [n_y, n_x], centimetres, up to 254; and what stands where that is not known."""
 
+DROP_CHANNEL, BEYOND_DROP, NO_DROP_TOLD = "drop_cm", 254, 255
+"""The channel of a frame that says how far the ground falls away from the vehicle at its cells, uint8
+[n_y, n_x], centimetres up to 253, 0 where it does not; what stands where the ground lies behind such
+an edge and below it; and where the frame cannot tell either."""
+
 
 @dataclass(frozen=True, slots=True)
 class GridSpec:

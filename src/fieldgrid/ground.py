@@ -16,6 +16,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int32
 from fieldgrid.cloud import Cloud
 from fieldgrid.depth import CodedDepth, rays
+from fieldgrid.edges import Edges, find_edges
 from fieldgrid.kernel import kernel
 from fieldgrid.plane_fit import narrowing, robust_plane
 from fieldgrid.rig import Mount, Rig
@@ -30,6 +31,10 @@ where it is far, every point is taken."""
 
 BIN_M, BINS = 0.025, 80
 """Heights are collected in 80 bins of 2.5 cm, from 1 m below to 1 m above the reference."""
+
+DEEP_M, DEEP_SHARE = 5.0, 0.5
+"""A patch has fallen away where more than this share of its points are lower than the bins, down to
+so far below the reference."""
 
 MIN_SAMPLES = 6
 LOW_SHARE = 0.25
@@ -48,10 +53,6 @@ canopies and cars do not."""
 DROP_M, WIDEST_DITCH = 0.15, 4
 """Ground that falls more than this from one patch to the next may rise again as much behind a ditch
 of at most so many patches: a slope of 15° falls 0.13 m."""
-
-WIDEST_GAP, GAP_RISE_M = 8, 0.1
-"""A step is looked for between patches that are at most so many apart, as a drop of 1 m hides 4 m
-of ground. It is at least as steep as the line of sight past its edge, which is 1:5 at 10 m."""
 
 STANDING_M, STANDING_SHARE, NEAR = 0.10, 0.05, 2
 """A patch with more than this share of its points so far above all ground of the patches up to the
@@ -87,8 +88,8 @@ def estimate_ground(
     half_width_m: float,
     length_m: float,
     tilt: Tilt | None = None,
-) -> tuple[GroundPlane, Float64, Float64]:
-    """The plane of a frame, the ground's height above it on patches [ny, nx], metres, and the steps
+) -> tuple[GroundPlane, Float64, Edges]:
+    """The plane of a frame, the ground's height above it on patches [ny, nx], metres, and the edges
     in it.
 
     Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
@@ -107,14 +108,15 @@ def estimate_ground(
         return counts
 
     plane = _of_mount(rig.mount, tilt)
-    low = low_heights(heights_above(plane.A_grid_sensor, plane.height_m))
+    low = low_heights(heights_above(plane.A_grid_sensor, plane.height_m)[..., :BINS])
     c, patches = _plane_of_patches(low, half_width_m)
     if patches >= MIN_PATCHES:
         plane = _along_columns(plane, c) if tilt is not None else _levelled(rig.mount, c)
     counts = heights_above(plane.A_grid_sensor, plane.height_m)
+    deep, counts = counts[..., BINS], counts[..., :BINS]
     low = low_heights(counts)
     ground = follow_ground(low)
-    return plane, ground, ground_steps(low, ground, counts)
+    return plane, ground, ground_edges(low, ground, counts, deep)
 
 
 def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
@@ -180,9 +182,11 @@ def _levelled(mount: Mount, c: Float64) -> GroundPlane:
 
 @kernel
 def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
-    """Histogram of heights per patch, int32 [ny, nx, BINS], of every fourth pixel."""
-    counts = np.zeros((ny, nx, BINS), dtype=np.int32)
+    """Histogram of heights per patch, int32 [ny, nx, BINS + 1], of every fourth pixel; the last bin
+    has those below all others, down to `DEEP_M`."""
+    counts = np.zeros((ny, nx, BINS + 1), dtype=np.int32)
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
+    deepest = np.float32(BINS / 2 - DEEP_M / BIN_M)
     x0, middle = offset_m[0] + np.float32(half_width_m), np.float32(BINS / 2)
     for row in range(0, disparity.shape[0], SAMPLE_STEP_PX):
         v = np.float32(row + row_start)
@@ -194,16 +198,17 @@ def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_w
                 x = (depth * (rx + uf * du[0]) + x0) * per_patch
                 y = (depth * (ry + uf * du[1]) + offset_m[1]) * per_patch
                 z = (depth * (rz + uf * du[2]) + offset_m[2]) * per_bin + middle
-                if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
-                    counts[int(y), int(x), int(z)] += 1
+                if x >= 0.0 and y >= 0.0 and z > deepest and x < nx and y < ny and z < BINS:
+                    counts[int(y), int(x), int(z) if z >= 0.0 else BINS] += 1
     return counts
 
 
 @kernel
 def collect_point_heights(points, R_level_sensor, height_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
     """The same of points float32 [n, 3] of the sensor's frame, all of them."""
-    counts = np.zeros((ny, nx, BINS), dtype=np.int32)
+    counts = np.zeros((ny, nx, BINS + 1), dtype=np.int32)
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
+    deepest = np.float32(BINS / 2 - DEEP_M / BIN_M)
     x0, middle, up = np.float32(half_width_m), np.float32(BINS / 2), np.float32(height_m)
     R = R_level_sensor
     for k in range(points.shape[0]):
@@ -211,8 +216,8 @@ def collect_point_heights(points, R_level_sensor, height_m, half_width_m, nx, ny
         x = (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + x0) * per_patch
         y = (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz) * per_patch
         z = (R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + up) * per_bin + middle
-        if x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < BINS:
-            counts[int(y), int(x), int(z)] += 1
+        if x >= 0.0 and y >= 0.0 and z > deepest and x < nx and y < ny and z < BINS:
+            counts[int(y), int(x), int(z) if z >= 0.0 else BINS] += 1
     return counts
 
 
@@ -286,58 +291,20 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
     return smooth
 
 
-def ground_steps(low: Float64, ground: Float64, counts: Int32) -> Float64:
-    """The highest step that each patch [ny, nx] is a side of, metres; NaN where that is not known.
+def ground_edges(low: Float64, ground: Float64, counts: Int32, deep: Int32) -> Edges:
+    """The edges of the ground on patches [ny, nx]: see :func:`fieldgrid.edges.find_edges`.
 
-    The step between two neighbours in a row or a column, of heights b and c, is what the slopes on
-    either side do not explain: |(c - b) - (s + t) / 2|, where s and t are the rises from patch to
-    patch before b and behind c, over two patches if they are known; but no more than |c - b|, for
-    there may be a step before b. So neither a slope nor its foot (15°: 7 cm) is a step. A drop that
-    hides the ground behind it is one as far as the gap reaches.
     `low` heights well above the followed `ground`, and patches on which something stands by their
-    `counts` of heights, are no ground. Those below it are: the floor of a ditch.
+    `counts` of heights, are no ground. Those below it are: the floor of a ditch. Where most points
+    are `deep` [ny, nx] below all that is counted, the ground is at least that low.
     """
     found = low - ground < STEP_UP_M
     level = np.pad(np.where(found, np.maximum(low, ground), ground), NEAR, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(level, (2 * NEAR + 1, 2 * NEAR + 1))
     top = near.max(axis=(2, 3))[..., None] + STANDING_M
     above = (np.arange(BINS) - BINS / 2) * BIN_M > top
-    standing = (counts * above).sum(axis=2) > STANDING_SHARE * counts.sum(axis=2)
+    total = counts.sum(axis=2)
+    standing = (counts * above).sum(axis=2) > STANDING_SHARE * total
     height = np.where(found & ~standing, low, np.nan)
-    along, across = np.full(low.shape, np.nan), np.full(low.shape[::-1], np.nan)
-    raise_to_steps(height, along)
-    raise_to_steps(np.ascontiguousarray(height.T), across)  # one memory order: compiled once
-    return np.asarray(np.fmax(along, across.T))
-
-
-@kernel
-def raise_to_steps(height, steps):  # type: ignore[no-untyped-def]
-    """Raise `steps` to those between neighbours in the rows of `height`, both [n, m], NaN where
-    unknown; the slopes on both sides are needed, or one of them on either side of a gap."""
-    n, m = height.shape
-    for j in range(n):
-        last = -1
-        for i in range(m):
-            if np.isnan(height[j, i]):
-                continue
-            apart, sides, slopes = i - last, 0, 0.0
-            if last >= 0 and apart <= WIDEST_GAP:
-                for start, way in ((last, -1), (i, 1)):
-                    end = start
-                    for _ in range(2):
-                        if 0 <= end + way < m and not np.isnan(height[j, end + way]):
-                            end += way
-                    if end != start:
-                        slopes += (height[j, end] - height[j, start]) / (end - start)
-                        sides += 1
-                if sides == 2 or (sides == 1 and apart > 1):
-                    rise = height[j, i] - height[j, last]
-                    step = min(abs(rise - apart * slopes / sides), abs(rise))
-                    # Of a drop that hides ground the edge is the higher side.
-                    first, stop = last, i + 1
-                    if apart > 1:
-                        first, stop = (last, i) if rise < 0.0 else (last + 1, i + 1)
-                    for k in range(first, stop):
-                        if (apart == 1 or step > GAP_RISE_M * apart) and not steps[j, k] >= step:
-                            steps[j, k] = step
-            last = i
+    height[(deep >= MIN_SAMPLES) & (deep > DEEP_SHARE * (total + deep))] = -BIN_M * BINS / 2
+    return find_edges(height)

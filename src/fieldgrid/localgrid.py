@@ -24,9 +24,13 @@ from fieldgrid.depth import (
     points_per_rad,
     rays,
 )
+from fieldgrid.edges import Edges
 from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import (
+    BEYOND_DROP,
+    DROP_CHANNEL,
     GROUND_CHANNEL,
+    NO_DROP_TOLD,
     NO_GROUND_CM,
     NO_STEP_KNOWN,
     STEP_CHANNEL,
@@ -58,7 +62,8 @@ class FrameGround(NamedTuple):
     """What was found of the ground in one frame: for tables, for doubt, and for the terrain.
 
     `heights_cm` [n_y, n_x] is the channel `GROUND_CHANNEL`, None where the vehicle's tilt is not
-    known; `steps_cm` is `STEP_CHANNEL`, None where no ground was found.
+    known; `steps_cm` is `STEP_CHANNEL` and `drops_cm` `DROP_CHANNEL`, None where no ground was
+    found.
     """
 
     camera_height_m: float
@@ -67,10 +72,15 @@ class FrameGround(NamedTuple):
     refined: bool
     heights_cm: Int16 | None = None
     steps_cm: UInt8 | None = None
+    drops_cm: UInt8 | None = None
 
     def channels(self) -> dict[str, AnyArray]:
         """What a frame keeps of it beside its grid."""
-        kept = {GROUND_CHANNEL: self.heights_cm, STEP_CHANNEL: self.steps_cm}
+        kept = {
+            GROUND_CHANNEL: self.heights_cm,
+            STEP_CHANNEL: self.steps_cm,
+            DROP_CHANNEL: self.drops_cm,
+        }
         return {name: array for name, array in kept.items() if array is not None}
 
 
@@ -193,7 +203,7 @@ class LocalGridder:
         self, seen: CodedDepth | Cloud, tilt: Tilt | None
     ) -> tuple[LocalGrid, FrameGround]:
         spec = self.spec
-        plane, patches, steps = estimate_ground(
+        plane, patches, edges = estimate_ground(
             seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt
         )
         if not plane.refined:
@@ -203,7 +213,9 @@ class LocalGridder:
         ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
-        ground = _summary(plane)._replace(steps_cm=self._steps_cm(steps))
+        ground = _summary(plane)._replace(
+            steps_cm=self._steps_cm(edges.steps), drops_cm=self._drops_cm(edges)
+        )
         if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
             heights_cm = self._heights_cm(plane, ground_m, counts[0] >= self._needed[0])
             ground = ground._replace(heights_cm=heights_cm)
@@ -230,13 +242,26 @@ class LocalGridder:
         """The steps at cells, from those at patches [ny, nx], metres."""
         found = np.nan_to_num(np.rint(100.0 * steps_m), nan=NO_STEP_KNOWN)
         highest = np.where(np.isnan(steps_m), NO_STEP_KNOWN, NO_STEP_KNOWN - 1)
-        cm = np.minimum(found, highest).astype(np.uint8)
+        steps_cm = self._at_cells(np.minimum(found, highest).astype(np.uint8))
+        steps_cm[_ranges_m(self.spec) > self._step_range_m] = NO_STEP_KNOWN
+        return steps_cm
+
+    def _drops_cm(self, edges: Edges) -> UInt8:
+        """The drops at cells, and what lies beyond them, from edges at patches [ny, nx]."""
+        j, i = np.indices(edges.drops.shape) + 0.5
+        range_m = np.hypot(PATCH_M * i - self.spec.width_m / 2.0, PATCH_M * j)
+        drops_cm = np.minimum(np.rint(100.0 * edges.drops), BEYOND_DROP - 1).astype(np.uint8)
+        drops_cm[range_m > self._step_range_m] = NO_DROP_TOLD
+        drops_cm[edges.beyond & ((drops_cm == 0) | (drops_cm == NO_DROP_TOLD))] = BEYOND_DROP
+        return self._at_cells(drops_cm)
+
+    def _at_cells(self, patches: UInt8) -> UInt8:
+        """The values of patches [ny, nx] at the cells in them, [n_y, n_x]."""
         j, i = (
             ((np.arange(n) + 0.5) * self.spec.cell_m / PATCH_M).astype(int) for n in self.spec.shape
         )
-        steps_cm: UInt8 = cm[j][:, i]
-        steps_cm[_ranges_m(self.spec) > self._step_range_m] = NO_STEP_KNOWN
-        return steps_cm
+        cells: UInt8 = patches[j][:, i]
+        return cells
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""

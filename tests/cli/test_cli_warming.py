@@ -49,7 +49,8 @@ def test_none_is_started_where_it_would_not_help(
 
 def test_what_is_compiled_is_what_frames_need() -> None:
     from fieldgrid.binning import bin_pixels
-    from fieldgrid.ground import collect_heights, follow_ground, raise_to_steps
+    from fieldgrid.edges import raise_to_steps
+    from fieldgrid.ground import collect_heights, follow_ground
     from fieldgrid.odometry.rigid import _refine, _search
 
     warming.compile_frames()

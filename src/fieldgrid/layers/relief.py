@@ -2,7 +2,7 @@
 
 Both are differences of heights within one frame, so that what frames have in common, and what the
 heights of their poses are off, plays no part. Roughness is the residual of the plane through nine
-heights half a metre apart; steps come with the frames (:func:`fieldgrid.ground.ground_steps`).
+heights half a metre apart; steps come with the frames (:func:`fieldgrid.edges.find_edges`).
 """
 
 from __future__ import annotations
