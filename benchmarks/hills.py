@@ -26,6 +26,7 @@ from fieldgrid.attitude import Attitude, Track, estimate_attitude
 from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.evaluation import evaluate, read_truth
+from fieldgrid.grids import BEYOND_DROP, DROP_CHANNEL, NO_DROP_TOLD
 from fieldgrid.layers import GROUPS
 from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile import MapFile, open_map
@@ -47,8 +48,16 @@ from tests.hilly import (
     slope,
 )
 from tests.simulated import time_ns
+from tests.test_ground_steps import FIELD, SEEN, X, Y, strips, view
 
 SLOPE = Path(__file__).resolve().parents[1] / "../shared/data/vineyard_slope"
+KITTI = SLOPE.parent / "kitti_2011_09_30_drive_0020"
+DRIVES = (
+    (EXAMPLE, "gnss_rtk.nmea"),
+    (SLOPE.parent / "vineyard_two_lanes", "gnss_rtk.nmea"),
+    (SLOPE, "gnss_rtk.nmea"),
+    (KITTI, None),
+)
 ANTENNA_M = (-0.12, -0.45, 0.35)
 RECEIVERS = {"RTK": (0.012, 0.01), "SF1": (0.03, 0.3)}
 GROUNDS: dict[str, Ground] = {
@@ -93,10 +102,12 @@ def pooled(found: Attitude, roll_deg: np.ndarray, pitch_deg: np.ndarray) -> Spre
 def main() -> None:
     """Print every figure beside what is asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=("simulated", "drives", "folds"))
+    parser.add_argument("--only", choices=("simulated", "drives", "folds", "drops"))
     only = parser.parse_args().only
     if only in (None, "folds"):
         print("\n".join(folds()))
+    if only in (None, "drops"):
+        print("\n".join(drops()))
     if only in (None, "simulated"):
         print("\n".join(simulated()))
     if only in (None, "drives"):
@@ -126,6 +137,52 @@ def folds() -> Iterator[str]:
         if name != "density" and group.fold is not None:
             alone, both = paired_ms(lambda: fold("density"), partial(fold, "density", name), 9)
             yield f"  {name:<12}{(both - alone) / alone:5.2f}"
+
+
+def drops() -> Iterator[str]:
+    """Drops where there are some, in scenes, and where there are none, in drives."""
+    yield "drops: cells at the edge that a frame marks, and cells behind it that are no free ground"
+    for name in ("down", "bank", "ditch", "terrace"):
+        edges_m, heights_m = FIELD[name]
+        for axis, first in (("y", np.arange(5.1, 7.7, 0.17)), ("x", np.arange(0.2, 1.4, 0.17))):
+            at, behind = [], []
+            for seed, at_m in enumerate(first.tolist()):
+                scene = strips(axis, [at_m + edge for edge in edges_m], heights_m)
+                grid, ground = view(scene, seed)
+                cm = ground.channels()[DROP_CHANNEL]
+                away = (Y if axis == "y" else X) - at_m + np.zeros(cm.shape)
+                near = SEEN & (cm != NO_DROP_TOLD) & (np.abs(away) < 0.1)
+                at.append(((cm > 0) & (cm < BEYOND_DROP))[near].mean())
+                low = SEEN & (away > 0.6) & (away < (0.9 if name == "ditch" else 2.5))
+                behind.append((~grid.observed | (cm > 0))[low].mean())
+            yield f"  {name:<8} along {axis}: {np.mean(at):.2f}, {np.mean(behind):.2f}"
+    yield "drops: where there are none"
+    for folder, gnss in DRIVES:
+        if folder.is_dir():
+            yield f"  {folder.name}: {_false_drops(folder, gnss)}"
+
+
+def _false_drops(folder: Path, gnss: str | None) -> str:
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place) / "map.gpkg"
+        build_map([folder], out, BuildSettings(), DriveOptions(gnss))
+        with open_map(out) as universal:
+            seen = falls = beyond = frames = 0
+            for frame in universal.frames(with_grid=True):
+                cells = frame.cells()
+                if (cm := cells.channels.get(DROP_CHANNEL)) is not None:
+                    told = cells.grid.observed & (cm != NO_DROP_TOLD)
+                    mark = told & (cm > 0) & (cm < BEYOND_DROP)
+                    frames += bool(mark.any())
+                    seen, falls = seen + int(told.sum()), falls + int(mark.sum())
+                    beyond += int((told & (cm == BEYOND_DROP)).sum())
+            view = universal.read(layers=universal.deciding(None))
+        edge, lost = view.drop_m > 0.0, view.observed & (view.sure_share == 0.0)
+        return (
+            f"of frames {100 * falls / seen:.3f} % at drops and {100 * beyond / seen:.3f} % "
+            f"beyond, in {frames} frames; of {view.observed.sum()} cells of the map {edge.sum()} "
+            f"and {lost.sum()}"
+        )
 
 
 def simulated() -> Iterator[str]:

@@ -215,32 +215,32 @@ def test_a_box_is_not_taken_for_ground() -> None:
 def test_a_step_is_ground_up_to_a_limit() -> None:
     low = np.zeros((6, 9))
     low[:, 6:] = 0.15  # a kerb
-    assert follow_ground(low)[:, 7:] == pytest.approx(0.15, abs=0.03)
+    assert follow_ground(low, 0.0)[:, 7:] == pytest.approx(0.15, abs=0.03)
     low[:, 6:] = 0.6  # a wall
-    assert np.abs(follow_ground(low)).max() < 0.01
+    assert np.abs(follow_ground(low, 0.0)).max() < 0.01
     low[:, 6:] = -0.25  # a bank down
-    assert follow_ground(low)[:, 7:] == pytest.approx(-0.25, abs=0.04)
+    assert follow_ground(low, 0.0)[:, 7:] == pytest.approx(-0.25, abs=0.04)
 
 
 def test_ground_goes_on_behind_a_ditch() -> None:
     low = np.zeros((20, 9))
     low[6:9] = -0.3
-    assert np.abs(follow_ground(low)[10:]).max() < 0.03
+    assert np.abs(follow_ground(low, 0.0)[10:]).max() < 0.03
     across = np.zeros((20, 21))
     across[:, 14:16] = -0.3
     assert np.abs(follow_ground(across)[:, 17:]).max() < 0.03
     # What is higher than the level before the drop is not: a canopy on the far side.
     low[9:] = 0.2
-    assert follow_ground(low)[11:].max() < 0.0
+    assert follow_ground(low, 0.0)[11:].max() < 0.0
     # Nor is what begins farther behind it than ditches are wide.
     low[6:12], low[12:] = -0.3, 0.0
-    assert follow_ground(low)[12].max() < -0.2
+    assert follow_ground(low, 0.0)[12].max() < -0.2
 
 
 def test_an_unseen_patch_takes_the_height_of_its_neighbours() -> None:
     low = np.full((8, 9), 0.1)
     low[3:5, 2:6] = np.nan
-    assert follow_ground(low)[1:, :] == pytest.approx(0.1, abs=0.02)
+    assert follow_ground(low, 0.0)[1:, :] == pytest.approx(0.1, abs=0.02)
 
 
 def test_heights_do_not_depend_on_left_and_right() -> None:
@@ -248,7 +248,7 @@ def test_heights_do_not_depend_on_left_and_right() -> None:
     low[:, 7:] += 0.12
     mirrored = follow_ground(low[:, ::-1].copy())[:, ::-1]
     # The middle goes first and its right before its left: alike, not the same.
-    assert mirrored == pytest.approx(follow_ground(low), abs=0.02)
+    assert mirrored == pytest.approx(follow_ground(low, 0.0), abs=0.02)
 
 
 # --- nothing to see

@@ -15,7 +15,7 @@ import pytest
 from fieldgrid.edges import WIDEST_GAP, find_edges
 from fieldgrid.grids import NO_STEP_KNOWN, OBSTACLE_ABOVE, STEP_CHANNEL, LocalGrid
 from fieldgrid.layers.relief import LEAST_STEP_CM, STEP_VOTES
-from fieldgrid.localgrid import LocalGridder, step_range_m
+from fieldgrid.localgrid import FrameGround, LocalGridder, step_range_m
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import Disparity
@@ -62,14 +62,20 @@ def noise(seed: int) -> _Float64:
     return np.asarray(4.0 * blurred / blurred.std())
 
 
-def look(scene: Scene, seed: int) -> tuple[LocalGrid, npt.NDArray[np.uint8]]:
-    """The local grid of a frame, and its steps as they are kept, in cells that it saw."""
+def view(scene: Scene, seed: int) -> tuple[LocalGrid, FrameGround]:
+    """The local grid of a frame with noise, and its ground."""
     region = GRIDDER.region
     exact = render(GRIDDER.rig, scene, region.num_disparities, row_start=region.row_start)
     noisy = np.rint(exact + noise(seed)[: len(exact)])
     values = np.where(exact > 0, np.maximum(noisy, 1), exact).astype(np.int16)
     grid, ground = GRIDDER.from_disparity(Disparity(values, region.row_start), Tilt(0.0, 0.0))
     assert ground.refined
+    return grid, ground
+
+
+def look(scene: Scene, seed: int) -> tuple[LocalGrid, npt.NDArray[np.uint8]]:
+    """The local grid of a frame, and its steps as they are kept, in cells that it saw."""
+    grid, ground = view(scene, seed)
     cm = np.where(grid.observed, ground.channels()[STEP_CHANNEL], NO_STEP_KNOWN)
     return grid, cm.astype(np.uint8)
 
@@ -148,7 +154,8 @@ def test_no_step_is_told_of_what_stands_or_lies_too_far() -> None:
 
 
 def steps(low: _Float64) -> _Float64:
-    return find_edges(low).steps
+    everywhere = np.ones(low.shape, np.bool_)
+    return find_edges(low, everywhere, everywhere).steps
 
 
 def test_the_equation_of_a_step() -> None:

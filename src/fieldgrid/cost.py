@@ -22,6 +22,9 @@ OCCUPIED, UNKNOWN_OCCUPANCY = 100, -1
 DENSITIES = ("density", "lasting", "max")
 """The layers that hold densities, from which a cost can be made."""
 
+LEAST_DROP_M = 0.1
+"""Ground that falls away by so much is an obstacle; a drop of 15 cm reads as 11 to 13."""
+
 LEAST_SEEN = 0.5
 """The share of the map's own cells that must have been seen for a larger cell to be known."""
 
@@ -40,13 +43,15 @@ class CostCurve:
 
     A cell that is larger than the map's own is decided by those in it, never by their mean: it is
     an obstacle where one of them is, and unknown, if it is no obstacle, where less than the share
-    `least_seen` of them was observed.
+    `least_seen` of them was observed. Where the ground falls away by `least_drop_m` it is an
+    obstacle, too: `MapView.decision` is given that.
     """
 
     free_up_to: int = FREE_UP_TO
     obstacle_above: int = OBSTACLE_ABOVE
     shape: float = 1.0
     least_seen: float = LEAST_SEEN
+    least_drop_m: float = LEAST_DROP_M
 
     def __post_init__(self) -> None:
         if not 0 <= self.free_up_to <= self.obstacle_above <= 254:
@@ -63,6 +68,12 @@ class CostCurve:
             raise ConfigError(
                 f"A least share seen of {self.least_seen} is not above 0 and up to 1; "
                 f"{LEAST_SEEN:g} asks for half of the cells."
+            )
+
+        if not self.least_drop_m > 0.0:
+            raise ConfigError(
+                f"A least drop of {self.least_drop_m} m is not above 0; {LEAST_DROP_M:g} counts "
+                "every drop as an obstacle, inf none."
             )
 
     def table(self) -> npt.NDArray[np.int8]:

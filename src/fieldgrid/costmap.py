@@ -125,8 +125,8 @@ class Costmap:
         inflation_m: float = 0.0,
         decay_per_m: float = 3.0,
     ) -> Self:
-        """The costs of a view that was read already; where its cells are larger than the map's
-        own, with `DECISION_LAYERS`."""
+        """The costs of a view that was read already, with the layers that `MapFile.deciding` names:
+        those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         return cls._of(view, curve or CostCurve(), settings, "density")
 
@@ -134,7 +134,7 @@ class Costmap:
     def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation, layer: str) -> Self:
         _check_size(view)
         costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
-        costs[1:-1, 1:-1] = curve.cost(*view.decision(layer))
+        costs[1:-1, 1:-1] = curve.cost(*view.decision(layer, curve.least_drop_m))
         to_obstacle = _distance_cells(costs != LETHAL)
         to_unknown = _distance_cells(costs != UNKNOWN_COST)
         _inflate(costs, to_obstacle, inflation, view.lattice)

@@ -33,9 +33,9 @@ STEP_CHANNEL, NO_STEP_KNOWN = "step_cm", 255
 [n_y, n_x], centimetres, up to 254; and what stands where that is not known."""
 
 DROP_CHANNEL, BEYOND_DROP, NO_DROP_TOLD = "drop_cm", 254, 255
-"""The channel of a frame that says how far the ground falls away from the vehicle at its cells, uint8
-[n_y, n_x], centimetres up to 253, 0 where it does not; what stands where the ground lies behind such
-an edge and below it; and where the frame cannot tell either."""
+"""The channel of a frame that says how far the ground falls away from the vehicle at its cells,
+uint8 [n_y, n_x], centimetres up to 253, 0 where it does not; what stands where the ground lies
+behind such an edge and below it; and where the frame cannot tell either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +105,15 @@ class LocalGrid:
     spec: GridSpec
     density: UInt8
     observed: Bool
+
+    def guarded(self, drops_cm: UInt8 | None) -> LocalGrid:
+        """The grid for who plans by it: with an obstacle where the ground falls away, and without
+        what lies beyond, by the channel `DROP_CHANNEL` [n_y, n_x]."""
+        if drops_cm is None:
+            return self
+        falls = (drops_cm > 0) & (drops_cm < BEYOND_DROP)
+        density = np.where(falls & self.observed, np.uint8(255), self.density)
+        return LocalGrid(self.spec, density, self.observed & (drops_cm != BEYOND_DROP))
 
     def __post_init__(self) -> None:
         for name, array in (("density", self.density), ("observed", self.observed)):

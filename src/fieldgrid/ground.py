@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int32
 from fieldgrid.cloud import Cloud
 from fieldgrid.depth import CodedDepth, rays
-from fieldgrid.edges import Edges, find_edges
+from fieldgrid.edges import STEEPEST, Edges, find_edges
 from fieldgrid.kernel import kernel
 from fieldgrid.plane_fit import narrowing, robust_plane
 from fieldgrid.rig import Mount, Rig
@@ -49,6 +49,9 @@ MOUNT_SIGMA = (0.08, math.radians(2.5), math.radians(2.5))
 STEP_UP_M, STEP_DOWN_M = 0.20, 0.35
 """Ground may rise or fall this much from one patch to the next: kerbs and banks pass, rocks,
 canopies and cars do not."""
+
+BANK_M = 0.1
+"""The vehicle is taken to stand on a bank where the nearest ground is within this of its level."""
 
 DROP_M, WIDEST_DITCH = 0.15, 4
 """Ground that falls more than this from one patch to the next may rise again as much behind a ditch
@@ -88,12 +91,14 @@ def estimate_ground(
     half_width_m: float,
     length_m: float,
     tilt: Tilt | None = None,
+    drop_range_m: float = math.inf,
 ) -> tuple[GroundPlane, Float64, Edges]:
     """The plane of a frame, the ground's height above it on patches [ny, nx], metres, and the edges
     in it.
 
     Patch (0, 0) starts at x = -half_width_m, y = 0. What was `seen` is an image of depths, or
     points in the sensor's frame. `tilt` is the vehicle's against gravity, where it is known.
+    Drops are looked for up to `drop_range_m`.
     """
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
@@ -115,8 +120,24 @@ def estimate_ground(
     counts = heights_above(plane.A_grid_sensor, plane.height_m)
     deep, counts = counts[..., BINS], counts[..., :BINS]
     low = low_heights(counts)
-    ground = follow_ground(low)
-    return plane, ground, ground_edges(low, ground, counts, deep)
+    ground = follow_ground(low, _under_vehicle(low, plane.height_m - rig.mount.height_m))
+    j, i = np.indices(low.shape) + 0.5
+    range_m = np.hypot(PATCH_M * i - half_width_m, PATCH_M * j)
+    height = ground_heights(low, ground, counts, deep)
+    steep = plane.height_m > STEEPEST * range_m
+    return plane, ground, find_edges(height, range_m <= drop_range_m, steep)
+
+
+def _under_vehicle(low: Float64, start_m: float) -> float:
+    """Where the ground begins, above the plane: at 0, or at `start_m`, where the vehicle stands, if
+    that is more than a step higher and the nearest ground is there: on a bank, whose plane is that
+    of the land below."""
+    known = ~np.isnan(low)
+    if start_m <= STEP_UP_M or not known.any():
+        return 0.0
+    first = int(known.any(axis=1).argmax())
+    nearest = low[first : first + 2]
+    return start_m if np.nanmedian(np.abs(nearest - start_m)) < BANK_M else 0.0
 
 
 def _plane_of_patches(low: Float64, half_width_m: float) -> tuple[Float64, int]:
@@ -239,8 +260,9 @@ def low_heights(counts: Int32) -> Float64:
 
 
 @kernel
-def follow_ground(low):  # type: ignore[no-untyped-def]
-    """Local height of the ground on patches [ny, nx], metres above the plane.
+def follow_ground(low, start):  # type: ignore[no-untyped-def]
+    """Local height of the ground on patches [ny, nx], metres above the plane, on which it begins at
+    `start`.
 
     From the vehicle outward, row by row and from the middle to the sides, each patch's low
     height is taken as ground if it is within a step of what its inner neighbours predict, or,
@@ -256,7 +278,7 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
             i = nx // 2 + ((k + 1) // 2) * (1 - 2 * (k % 2))
             if i < 0 or i >= nx:
                 i = nx - 1 - i
-            total, predicted = 0.02, 0.0
+            total, predicted = 0.02, 0.02 * start
             for dj, di in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1)):
                 jj, ii = j + dj, i + di
                 if jj >= 0 and ii >= 0 and ii < nx:
@@ -291,8 +313,8 @@ def follow_ground(low):  # type: ignore[no-untyped-def]
     return smooth
 
 
-def ground_edges(low: Float64, ground: Float64, counts: Int32, deep: Int32) -> Edges:
-    """The edges of the ground on patches [ny, nx]: see :func:`fieldgrid.edges.find_edges`.
+def ground_heights(low: Float64, ground: Float64, counts: Int32, deep: Int32) -> Float64:
+    """The heights of patches [ny, nx] on which the ground is known and nothing stands, else NaN.
 
     `low` heights well above the followed `ground`, and patches on which something stands by their
     `counts` of heights, are no ground. Those below it are: the floor of a ditch. Where most points
@@ -307,4 +329,4 @@ def ground_edges(low: Float64, ground: Float64, counts: Int32, deep: Int32) -> E
     standing = (counts * above).sum(axis=2) > STANDING_SHARE * total
     height = np.where(found & ~standing, low, np.nan)
     height[(deep >= MIN_SAMPLES) & (deep > DEEP_SHARE * (total + deep))] = -BIN_M * BINS / 2
-    return find_edges(height)
+    return height

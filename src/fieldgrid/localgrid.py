@@ -204,7 +204,7 @@ class LocalGridder:
     ) -> tuple[LocalGrid, FrameGround]:
         spec = self.spec
         plane, patches, edges = estimate_ground(
-            seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt
+            seen, self.rig, spec.width_m / 2.0, spec.length_m, tilt, self._step_range_m
         )
         if not plane.refined:
             # Heights above a ground that was not found are not known, so nothing is claimed.

@@ -123,6 +123,9 @@ UNSURE = ("#ffffff", "#b2182b")
 STEEP = ("#ffffcc", "#fd8d3c", "#800026")
 """Slopes, from level to steep."""
 
+DROPS = ("#f7f4ff", "#8073ac", "#2d004b")
+"""How far ground falls away: violet, as no obstacle and no slope is."""
+
 GOODNESS = ("#7f0000", "#f2c14e", "#fdf8e7")
 """How well a vehicle can drive: dark, as obstacles are, where it cannot."""
 

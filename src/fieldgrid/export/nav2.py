@@ -175,7 +175,7 @@ class _Part:
         self._path, self._layer, self._options = path, selection.layer, options
         counted = ("count",) if options.slow_percent and options.slow_seen_by else ()
         view = selection.view(universal, (*universal.deciding(selection.cell_m), *counted))
-        decision = view.decision(selection.layer)
+        decision = view.decision(selection.layer, options.curve().least_drop_m)
         self._lattice, self._window, self._datum = view.lattice, view.window, view.datum
         self._occupancy = options.curve().occupancy(*decision)
         self._keepout = np.zeros(view.window.shape, np.int8)
@@ -214,6 +214,7 @@ class _Part:
                 "obstacle_above": curve.obstacle_above,
                 "shape": curve.shape,
                 "least_seen": curve.least_seen,
+                "least_drop_m": curve.least_drop_m,
             },
         }
         slow = {} if self._slow is None else self._speed_writers(path, self._slow)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid.cost import LEAST_SEEN, CostCurve
+from fieldgrid.cost import LEAST_DROP_M, LEAST_SEEN, CostCurve
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.settings import Flag, Settings, setting
 
@@ -53,9 +53,22 @@ class CurveOptions(Settings):
         flag=Flag("--least-seen", "SHARE"),
     )
 
+    least_drop_m: float = setting(
+        LEAST_DROP_M,
+        "ground that falls away by so much is an obstacle; inf for none",
+        flag=Flag("--least-drop", "M"),
+        gt=0.0,
+    )
+
     def curve(self) -> CostCurve:
         """The curve. ConfigError when there is none."""
-        return CostCurve(self.free_up_to, self.obstacle_above, self.cost_shape, self.least_seen)
+        return CostCurve(
+            self.free_up_to,
+            self.obstacle_above,
+            self.cost_shape,
+            self.least_seen,
+            self.least_drop_m,
+        )
 
 
 class ObstacleOptions(Settings):

@@ -306,7 +306,7 @@ def _messages(content: _Content) -> Iterator[_Stamped]:
 def _occupancy(content: _Content, selection: Selection) -> Any:
     """The occupancy grid of a part."""
     view = selection.view(content.universal, content.universal.deciding(selection.cell_m))
-    occupancy = content.curve.occupancy(*view.decision(selection.layer))
+    occupancy = content.curve.occupancy(*view.decision(selection.layer, content.curve.least_drop_m))
     return ros_messages.occupancy_grid(view, occupancy, content.start_ns)
 
 

@@ -20,6 +20,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.layers import check_layers, stored_groups
 from fieldgrid.mapfile import (
     DECISION_LAYERS,
+    DROP_LAYERS,
     Blocks,
     MapFile,
     MapView,
@@ -146,7 +147,11 @@ class Farm(Closing):
 
     def deciding(self, cell_m: float | None) -> tuple[str, ...]:
         """As `MapFile.deciding`."""
-        return () if self._header.lattice_of(cell_m) == self._header.lattice else DECISION_LAYERS
+        headers = (part.block.header for part in self._parts)
+        tells = any(header is not None and "drop" in header.groups for header in headers)
+        drops = DROP_LAYERS if tells else ()
+        is_own = self._header.lattice_of(cell_m) == self._header.lattice
+        return drops if is_own else (*DECISION_LAYERS, *drops)
 
     def read(
         self,

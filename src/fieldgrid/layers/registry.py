@@ -9,6 +9,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.layers import (
     count,
     density,
+    drop,
     ground,
     height,
     highest,
@@ -112,6 +113,7 @@ for _group in (
     ground.GROUP,
     relief.GROUP,
     occupancy.GROUP,
+    drop.GROUP,
 ):
     register_group(_group)
 
@@ -132,9 +134,11 @@ for _layer in (
     ground.SLOPE,
     relief.ROUGHNESS,
     relief.STEP,
+    drop.DROP,
     traversability.TRAVERSABILITY,
     occupancy.OCCUPANCY,
     density.PEAK,
     density.SEEN_SHARE,
+    drop.SURE_SHARE,
 ):
     register_layer(_layer)

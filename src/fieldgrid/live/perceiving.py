@@ -27,7 +27,8 @@ WORKERS = 2
 
 
 class Seen(NamedTuple):
-    """A frame that was perceived. `step` is the camera's to it from the last one that `is_kept`."""
+    """A frame that was perceived, its grid guarded against drops. `step` is the camera's to it from
+    the last one that `is_kept`."""
 
     frame_id: str
     time_ns: int
@@ -201,9 +202,10 @@ class Perceiver:
             kept.add_frame(number, frame.frame_id, found, times)
         self._disk_full = not is_kept
         one_step = found if isinstance(found, Step) else None
+        guarded = seen.grid.guarded(seen.ground.drops_cm)
         self._pass_on(
             Seen(
-                *(frame.frame_id, time_ns, seen.grid, seen.ground.refined),
+                *(frame.frame_id, time_ns, guarded, seen.ground.refined),
                 *(one_step, is_kept, waiting.pushed_s),
             )
         )

@@ -43,10 +43,11 @@ from fieldgrid.mapfile.staging import (
 from fieldgrid.mapfile.store import create_map, open_map, read_datum
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.verification import HealthReport
-from fieldgrid.mapfile.view import DECISION_LAYERS, MapView
+from fieldgrid.mapfile.view import DECISION_LAYERS, DROP_LAYERS, MapView
 
 __all__ = [
     "DECISION_LAYERS",
+    "DROP_LAYERS",
     "LAYERS",
     "MEANING",
     "Blocks",

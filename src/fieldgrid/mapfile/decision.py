@@ -1,10 +1,11 @@
 """What cells count as, for whoever plans: free, obstacle or unseen, and where nobody may go.
 
-This is the one place where marks change that. It is decided on the map's own cells, from what the
-drives saw: a cell that an obstacle mark touches is an obstacle, one that lies in a free mark with
-all of itself is free, unless an obstacle mark touches it, too; one that a keep-out touches is kept
-out of, whatever it is. A point marks the cell in which it lies. Larger cells follow from these by
-the rule of all larger cells.
+This is the one place where drops and marks change that, on the map's own cells. Where the ground
+falls away a cell is an obstacle, and what was seen only beyond such an edge is unseen. Marks say
+more than that: a cell that an obstacle mark touches is an obstacle, one that lies in a free mark
+with all of itself is free, unless an obstacle mark touches it, too; one that a keep-out touches is
+kept out of, whatever it is. A point marks the cell in which it lies. Larger cells follow from these
+by the rule of all larger cells.
 """
 
 from __future__ import annotations
@@ -47,12 +48,14 @@ class Decision(NamedTuple):
 
 class Partly(NamedTuple):
     """Cells of a view of which only a part is marked as free [n]: their rows and columns, the worst
-    that the rest of them holds by layer, and the share that was seen, what is marked included."""
+    that the rest of them holds by layer, the share that was seen, what is marked included, and how
+    far the ground falls away in the rest."""
 
     rows: Int64
     columns: Int64
     worst: Mapping[str, UInt8]
     seen: Float32
+    drop_m: Float32
 
 
 class MarkedCells(NamedTuple):
@@ -61,16 +64,27 @@ class MarkedCells(NamedTuple):
     flags: UInt8
     partly: tuple[Partly, ...] = ()
 
-    def decide(self, layer: str, worst: UInt8, seen: Float32) -> Decision:
+    def decide(
+        self, layer: str, worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float
+    ) -> Decision:
         """What the drives saw, with what people said put in its place."""
-        worst, seen = worst.copy(), seen.copy()
+        worst, seen, drop_m = worst.copy(), seen.copy(), drop_m.copy()
         for part in self.partly:
             worst[part.rows, part.columns] = part.worst[layer]
             seen[part.rows, part.columns] = part.seen
+            drop_m[part.rows, part.columns] = part.drop_m
         for flag, density in ((FREE, 0), (OBSTACLE, 255)):
             said = (self.flags & flag) > 0
-            worst[said], seen[said] = density, 1.0
-        return Decision(worst, seen, (self.flags & KEEPOUT) > 0)
+            worst[said], seen[said], drop_m[said] = density, 1.0, 0.0
+        return with_drops(worst, seen, drop_m, least_drop_m)._replace(
+            keepout=(self.flags & KEEPOUT) > 0
+        )
+
+
+def with_drops(worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float) -> Decision:
+    """What the drives saw, with an obstacle wherever the ground falls by `least_drop_m` or more."""
+    edge = drop_m >= least_drop_m
+    return Decision(np.where(edge, np.uint8(255), worst), np.where(edge, np.float32(1.0), seen))
 
 
 def deciding(marks: Iterable[Mark]) -> list[Mark]:

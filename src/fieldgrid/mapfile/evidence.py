@@ -87,6 +87,13 @@ class Evidence:
         ).fetchone()
         return None if row is None else bool(row[0])
 
+    def has_channel(self, name: str) -> bool:
+        """Whether any frame keeps a channel."""
+        found = self.connection.execute(
+            "SELECT EXISTS (SELECT 1 FROM fieldgrid_grid WHERE channel = ?)", (name,)
+        ).fetchone()
+        return bool(found[0])
+
     def frame_rows(self, sessions: Collection[str] | None) -> list[tuple[Any, ...]]:
         """Rows of `FRAME_SQL` in time order; without `sessions` those of the active ones."""
         where, values = self._chosen(sessions)

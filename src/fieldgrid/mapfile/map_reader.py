@@ -12,6 +12,7 @@ from typing import Any
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
+from fieldgrid.grids import DROP_CHANNEL
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import check_layers
 from fieldgrid.mapfile.arrays import Array
@@ -31,7 +32,7 @@ from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.mapfile.root import read_root
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.verification import HealthReport, verify
-from fieldgrid.mapfile.view import DECISION_LAYERS, MapView
+from fieldgrid.mapfile.view import DECISION_LAYERS, DROP_LAYERS, MapView
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
 
@@ -213,10 +214,17 @@ class MapReader:
             return read_view(self._content, request)
 
     def deciding(self, cell_m: float | None) -> tuple[str, ...]:
-        """The layers by which cells of this size are free or obstacles: none where they are the
-        map's own, whose density says it."""
+        """The layers by which cells of this size are free or obstacles, beside the density: what
+        tells of drops, where any drive does, and `DECISION_LAYERS` where they are larger than the
+        map's own."""
         is_own = self._header.lattice_of(cell_m) == self._header.lattice
-        return () if is_own else DECISION_LAYERS
+        drops = DROP_LAYERS if self._tells_of_drops() else ()
+        return drops if is_own else (*DECISION_LAYERS, *drops)
+
+    def _tells_of_drops(self) -> bool:
+        """Whether the tiles of the map, or any of its frames, may."""
+        with reading(self._connection, self.path):
+            return "drop" in self._header.groups or self._evidence.has_channel(DROP_CHANNEL)
 
     @contextmanager
     def read_blocks(

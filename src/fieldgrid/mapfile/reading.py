@@ -31,7 +31,7 @@ from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
     CellSource,
 )
-from fieldgrid.mapfile.view import MapView, empty_view
+from fieldgrid.mapfile.view import DROP_LAYERS, MapView, empty_view
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, Transfer, mean_density
 
@@ -109,17 +109,21 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     part = Window(chunk.i0 + i0, chunk.j0 + j0, int(i.max()) - i0 + 1, int(j.max()) - j0 + 1)
     header = content.header
     by = enlarged((), header.lattice, request.lattice)
-    names = tuple(name for name in DENSITIES if name in request.layers)
+    names = tuple(name for name in (*DENSITIES, *DROP_LAYERS) if name in request.layers)
     own = request._replace(lattice=header.lattice, window=by.under(part), layers=names)
     base = _read(content, own)
     free = (marked_cells(content.marks(), own.lattice, own.window) & FREE) > 0
     inside = j - j0, i - i0
     place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
     worst = {}
-    for name in dict.fromkeys(("density", *names)):
+    for name in dict.fromkeys(("density", *(name for name in names if name in DENSITIES))):
         values = np.where(base.observed & ~free, base.layer(name), np.uint8(0))
         worst[name] = by.highest(values, part)[inside]
-    return Partly(*place, worst, by.share(base.observed | free, part)[inside])
+    seen = by.share((base.sure_share > 0.0) | free, part)[inside]
+    # In whole centimetres, as drops are stored.
+    drop_cm = np.rint(100.0 * np.where(free, 0.0, np.minimum(base.drop_m, 2.55)))
+    drop_m = by.highest(drop_cm.astype(np.uint8), part)[inside].astype(np.float32) / 100.0
+    return Partly(*place, worst, seen, drop_m)
 
 
 def _read(content: Content, request: Request) -> MapView:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fieldgrid import notebook
 from fieldgrid.array_types import AnyArray, Bool, Float32, UInt8
+from fieldgrid.cost import LEAST_DROP_M
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window, squares
@@ -21,6 +22,7 @@ from fieldgrid.mapfile.decision import (
     cells_under,
     deciding,
     marked_cells,
+    with_drops,
 )
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import FrameRecord
@@ -31,6 +33,9 @@ MAX_CELLS = 400_000_000
 
 DECISION_LAYERS = ("peak", "seen_share")
 """What decides whether a cell that is larger than the map's own is free, by those in it."""
+
+DROP_LAYERS = ("drop", "sure_share")
+"""What makes an obstacle of the edge of a drop, and unseen ground of what lies beyond it."""
 
 BLOCK_CELLS = 2048
 """Side of the block that is folded at a time, so that its sums take 64 MB at most."""
@@ -101,13 +106,36 @@ class MapView:
         """What a layer says at its worst in each cell: of the density `peak`."""
         return self.peak if layer == "density" else self.layer(layer)
 
-    def decision(self, layer: str = "density") -> Decision:
-        """What the cells count as for a planner, with the marks; `layer` is one of densities. Where
-        cells are larger than the map's own it needs `DECISION_LAYERS`."""
-        worst, seen, marked = self.worst(layer), self.seen_share, self.marked
+    @property
+    def sure_share(self) -> Float32:
+        """`seen_share` without what was seen only beyond the edge of a drop, where that was asked
+        for."""
+        if "sure_share" not in self.layers:
+            return self.seen_share
+        sure: Float32 = self.layer("sure_share")
+        return np.nan_to_num(sure, nan=0.0) if self.is_base else sure
+
+    @property
+    def drop_m(self) -> Float32:
+        """How far the ground falls away in each cell; 0 where nobody asked for it, or knows."""
+        if "drop" not in self.layers:
+            return np.zeros(self.window.shape, dtype=np.float32)
+        return np.nan_to_num(self.layer("drop"), nan=0.0)
+
+    def decision(self, layer: str = "density", least_drop_m: float = LEAST_DROP_M) -> Decision:
+        """What the cells count as for a planner, with drops and marks; `layer` is one of densities.
+
+        It needs the layers that `MapFile.deciding` names: where cells are larger than the map's own
+        `DECISION_LAYERS`, and for drops theirs. Ground that falls by `least_drop_m` is an obstacle.
+        """
+        worst, seen, marked = self.worst(layer), self.sure_share, self.marked
         if self.is_base and self.is_marked:
             marked = MarkedCells(marked_cells(self.marks, self.lattice, self.window))
-        return Decision(worst, seen) if marked is None else marked.decide(layer, worst, seen)
+        if marked is not None:
+            return marked.decide(layer, worst, seen, self.drop_m, least_drop_m)
+        if "drop" not in self.layers:
+            return Decision(worst, seen)
+        return with_drops(worst, seen, self.drop_m, least_drop_m)
 
     @property
     def is_marked(self) -> bool:

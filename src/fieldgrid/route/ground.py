@@ -64,7 +64,7 @@ class Ground:
         inner = cells[margin : margin + height, margin : margin + width]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
-        worst, share, keepout = view.decision()
+        worst, share, keepout = view.decision(least_drop_m=curve.least_drop_m)
         for first in range(0, height, _BLOCK_ROWS):
             rows = slice(first, first + _BLOCK_ROWS)
             inner[rows] = classes[curve.cost(worst[rows], share[rows])]

@@ -16,7 +16,7 @@ from fieldgrid.cost import CostCurve
 from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
+from fieldgrid.mapfile import MapFile, MapView, open_map
 from fieldgrid.route.ground import KEEPOUT_MARK, Ground
 from fieldgrid.route.path import Path
 from fieldgrid.route.search import MAX_STATES, Pose, Searcher
@@ -144,7 +144,7 @@ def planning_view(
     """What :func:`plan_route` reads of a map."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    return universal.read(bounds, size, layers=() if size == own else DECISION_LAYERS, at=at)
+    return universal.read(bounds, size, layers=universal.deciding(size), at=at)
 
 
 def route_in_view(
@@ -157,8 +157,8 @@ def route_in_view(
     curve: CostCurve | None = None,
     max_poses: int = MAX_STATES,
 ) -> Route:
-    """The same of a view that was read already; where its cells are larger than the map's own,
-    with `DECISION_LAYERS`. `max_poses` bounds the search."""
+    """The same of a view that was read already, with the layers that `MapFile.deciding` names.
+    `max_poses` bounds the search."""
     vehicle = vehicle or Vehicle()
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)

@@ -1,0 +1,169 @@
+"""Drops: where the ground falls away, and what was only seen beyond the edge of one.
+
+A frame's channel `drop_cm` says both of its cells (:mod:`fieldgrid.edges`). Frames of a drive vote.
+There is a drop where more than a third of those that could tell saw one: log-odds that are clamped
+for each drive, so that many drives over one side do not outvote what is seen from the other, and
+three that saw the place without it tell that a ditch was filled. A rise tells nothing: it is the
+same edge from below. A drive saw a cell only beyond an edge where three quarters of the frames that
+could tell say so; no planner takes that for seen ground, until another drive looks at it from its
+own level. The density is as ever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid import palette
+from fieldgrid.array_types import AnyArray, UInt64
+from fieldgrid.grids import (
+    BEYOND_DROP,
+    DROP_CHANNEL,
+    NO_DROP_TOLD,
+    STEP_CHANNEL,
+)
+from fieldgrid.kernel import kernel
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+)
+from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.layers.relief import LEAST_STEP_CM
+from fieldgrid.transfer import CELL_WEIGHT
+
+CLEAR, FALLS = -1, 2
+"""What a part of a local cell adds to the log-odds of a drop."""
+
+LEAST, MOST = -8 * CELL_WEIGHT, 16 * CELL_WEIGHT
+"""Between which a drive's log-odds are clamped: eight whole local cells that say the same."""
+
+BEYOND_SHARE = (3, 4)
+"""Where at least this share of the parts that could tell lies beyond an edge, all of them do."""
+
+
+class _Drops:
+    """Six sums over the parts of local cells that land in a cell: all; log-odds of a drop; those
+    with a drop, and its centimetres; those that lie beyond an edge, and those that do not."""
+
+    def __init__(self, cells: int, _: Lattice) -> None:
+        self._sums = np.zeros((cells, 6), dtype=np.int32)
+
+    def add(self, frame: FrameInPlace) -> None:
+        spec, landing, channels = frame.cells.grid.spec, frame.landing, frame.cells.channels
+        nothing = np.full(spec.shape, NO_DROP_TOLD, np.uint8)
+        drops_cm, steps_cm = channels.get(DROP_CHANNEL), channels.get(STEP_CHANNEL)
+        add_drops(
+            np.ascontiguousarray(nothing if drops_cm is None else drops_cm, dtype=np.uint8),
+            np.ascontiguousarray(nothing if steps_cm is None else steps_cm, dtype=np.uint8),
+            landing.cell,
+            landing.shift,
+            landing.unit,
+            self._sums,
+        )
+
+    def channels(self) -> UInt64:
+        parts, odds, drops, total_cm, behind, before = self._sums.T.astype(np.int64)
+        share, whole = BEYOND_SHARE
+        beyond = (behind > 0) & (whole * behind >= share * (behind + before))
+        odds = np.clip(odds, LEAST, MOST)
+        return np.stack([odds, drops, total_cm, np.where(beyond, parts, 0)]).view(np.uint64)
+
+
+@kernel
+def add_drops(drops_cm, steps_cm, cell, shift, unit, sums):  # type: ignore[no-untyped-def]
+    """Add what a frame says of its cells [n_y, n_x] to `sums` [cells, 6], where its parts land."""
+    for r in range(cell.shape[0]):
+        for c in range(cell.shape[1]):
+            if cell[r, c] < 0:
+                continue
+            k = np.uint32(cell[r, c])
+            drop, step = drops_cm[r >> shift, c >> shift], steps_cm[r >> shift, c >> shift]
+            sums[k, 0] += unit
+            if drop == 0:
+                sums[k, 5] += unit
+                if step < LEAST_STEP_CM:
+                    sums[k, 1] += CLEAR * unit
+            elif drop == BEYOND_DROP:
+                sums[k, 4] += unit
+            elif drop != NO_DROP_TOLD:
+                sums[k, 1] += FALLS * unit
+                sums[k, 2] += unit
+                sums[k, 3] += unit * np.int32(drop)
+
+
+def _expected(weight: UInt64, _: UInt64) -> UInt64:
+    """Mostly there is no drop wherever anything is seen, and it is seen often."""
+    nothing = np.zeros_like(weight)
+    clear = np.maximum(CLEAR * weight.astype(np.int64), LEAST).view(np.uint64)
+    return np.stack([clear, nothing, nothing, nothing])
+
+
+def _of_base(cells: Cells) -> UInt64:
+    """Centimetres of the drop in base cells, one more; 0 where nothing is known."""
+    odds, parts = cells["drop_odds"].view(np.int64), cells["drop_parts"]
+    one = np.uint64(1)
+    mean_cm = (cells["drop_cm_sum"] + parts // np.uint64(2)) // np.maximum(parts, one)
+    known = (odds != 0) | (parts > 0)
+    return np.where(known, np.where(odds > 0, mean_cm, 0) + one, 0).astype(np.uint64)
+
+
+def _sure(cells: Cells) -> UInt64:
+    """1 where something was seen other than beyond an edge."""
+    return (cells["weight"] > cells["beyond_parts"]).astype(np.uint64)
+
+
+def _drop(cells: Cells) -> AnyArray:
+    deepest = cells["drop_deepest"].astype(np.float64)
+    return np.where(deepest > 0, (deepest - 1.0) / 100.0, np.nan)
+
+
+def _sure_share(cells: Cells) -> AnyArray:
+    return np.minimum(cells["sure"] / np.float32(cells.base_cells), 1.0)
+
+
+GROUP = ChannelGroup(
+    "drop",
+    (
+        Channel("drop_odds", signed=True),
+        Channel("drop_parts"),
+        Channel("drop_cm_sum"),
+        Channel("beyond_parts"),
+    ),
+    fold=_Drops,
+    overview=(
+        OverviewChannel("drop_deepest", Combine.MAX, _of_base),
+        OverviewChannel("sure", Combine.SUM, _sure),
+    ),
+    expected=_expected,
+    frame=(STEP_CHANNEL, DROP_CHANNEL),
+)
+
+_NAN = float("nan")
+
+DROP = Layer(
+    "drop",
+    "float32",
+    "m",
+    "how far the ground falls away at an edge, seen from above; 0 where it does not; of a larger "
+    "cell, the deepest of its base cells",
+    ("density", "drop"),
+    _drop,
+    _NAN,
+    Colours(palette.DROPS, 0.0, 1.0),
+)
+
+SURE_SHARE = Layer(
+    "sure_share",
+    "float32",
+    "1",
+    "share of the base cells in the cell that were observed, not only beyond the edge of a drop",
+    ("density", "drop"),
+    _sure_share,
+    _NAN,
+    Colours.of(palette.VALUES, 0.0, 1.0),
+)
