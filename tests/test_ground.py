@@ -228,7 +228,7 @@ def test_ground_goes_on_behind_a_ditch() -> None:
     assert np.abs(follow_ground(low, 0.0)[10:]).max() < 0.03
     across = np.zeros((20, 21))
     across[:, 14:16] = -0.3
-    assert np.abs(follow_ground(across)[:, 17:]).max() < 0.03
+    assert np.abs(follow_ground(across, 0.0)[:, 17:]).max() < 0.03
     # What is higher than the level before the drop is not: a canopy on the far side.
     low[9:] = 0.2
     assert follow_ground(low, 0.0)[11:].max() < 0.0
@@ -246,7 +246,7 @@ def test_an_unseen_patch_takes_the_height_of_its_neighbours() -> None:
 def test_heights_do_not_depend_on_left_and_right() -> None:
     low = np.random.default_rng(0).uniform(-0.05, 0.05, (8, 9))
     low[:, 7:] += 0.12
-    mirrored = follow_ground(low[:, ::-1].copy())[:, ::-1]
+    mirrored = follow_ground(low[:, ::-1].copy(), 0.0)[:, ::-1]
     # The middle goes first and its right before its left: alike, not the same.
     assert mirrored == pytest.approx(follow_ground(low, 0.0), abs=0.02)
 

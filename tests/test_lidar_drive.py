@@ -158,8 +158,11 @@ def test_the_order_of_points_does_not_matter(drive: Drive) -> None:
     _, points, grid, ground = grids_of(drive, AHEAD)[0]
     turned = points[np.random.default_rng(0).permutation(len(points))]
     again, ground_again = LocalGridder(rig_of(turned), AHEAD).from_cloud(turned)
-    assert ground_again._replace(steps_cm=None) == ground._replace(steps_cm=None)
+    assert ground_again._replace(steps_cm=None, drops_cm=None) == ground._replace(
+        steps_cm=None, drops_cm=None
+    )
     np.testing.assert_array_equal(ground_again.steps_cm, ground.steps_cm)
+    np.testing.assert_array_equal(ground_again.drops_cm, ground.drops_cm)
     assert np.array_equal(again.density, grid.density)
     assert np.array_equal(again.observed, grid.observed)
 

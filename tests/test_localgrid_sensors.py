@@ -202,8 +202,11 @@ def test_the_order_of_points_does_not_matter(seed: int) -> None:
     other, ground_again = gridder.from_cloud(turned)
     assert np.array_equal(one.density, other.density)
     assert np.array_equal(one.observed, other.observed)
-    assert ground._replace(steps_cm=None) == ground_again._replace(steps_cm=None)
+    assert ground._replace(steps_cm=None, drops_cm=None) == ground_again._replace(
+        steps_cm=None, drops_cm=None
+    )
     np.testing.assert_array_equal(ground.steps_cm, ground_again.steps_cm)
+    np.testing.assert_array_equal(ground.drops_cm, ground_again.drops_cm)
 
 
 # --- ranges

@@ -148,10 +148,10 @@ def raise_to_steps(height, steep, first_outward, steps, drops, rims):  # type: i
 @kernel
 def lie_beyond(height, rims, beyond):  # type: ignore[no-untyped-def]
     """Set `beyond` where the way from the vehicle to a patch of `height`, all [ny, nx], has passed
-    one of the `rims`, and ground was lower than that since; where no rim is, they are -inf.
+    one of the `rims`, and ground was lower than that since; elsewhere than there they are -inf.
 
-    Ways are the line of sight, the row and the column: near the vehicle, where an edge along its way
-    meets the lines of sight, nothing is seen.
+    Ways are the line of sight, the row and the column: near the vehicle, where an edge along its
+    way meets the lines of sight, nothing is seen.
     """
     ny, nx = height.shape
     passed = np.full((ny, nx), -np.inf)

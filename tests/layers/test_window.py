@@ -45,7 +45,7 @@ def test_a_cell_says_how_often_how_much_and_how_high() -> None:
         "height_frames": 2,
         "log_odds": 17 - 2 * 8,
         # No frame says anything of the ground itself.
-        **{c.name: 0 for group in ("ground", "relief") for c in GROUPS[group].channels},
+        **{c.name: 0 for group in ("ground", "relief", "drop") for c in GROUPS[group].channels},
     }
 
 
