@@ -193,7 +193,7 @@ def test_the_georeference_places_the_picture(universal: MapFile, tmp_path: Path)
     lat, lon, _ = geodetic(-4.0, 6.5)
     assert about["corners_deg"]["north_west"] == pytest.approx([float(lat), float(lon)], abs=2e-10)
     curve = {"free_up_to": 50, "obstacle_above": 120, "shape": 2.0, "least_seen": 0.5}
-    assert about["cost_curve"] == curve
+    assert about["cost_curve"] == curve | {"least_drop_m": 0.1}
     assert about["crs_wkt"].startswith("PROJCRS[")
 
 

@@ -7,6 +7,7 @@ they do at a threshold itself: no grey that is written lies on one. `docs/export
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -214,7 +215,8 @@ class _Part:
                 "obstacle_above": curve.obstacle_above,
                 "shape": curve.shape,
                 "least_seen": curve.least_seen,
-                "least_drop_m": curve.least_drop_m,
+                # JSON has no infinity.
+                "least_drop_m": curve.least_drop_m if math.isfinite(curve.least_drop_m) else None,
             },
         }
         slow = {} if self._slow is None else self._speed_writers(path, self._slow)

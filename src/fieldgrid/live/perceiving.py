@@ -72,7 +72,7 @@ class Perceiver:
         last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
         self._newest_ns = last_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
-        self._again_ns = last_ns if odometry else None
+        self._again_ns = self._kept_ns = last_ns if odometry else None
         self.frames = len(frames)
         self.dropped = kept.drive.dropped
         self.late = 0
@@ -171,8 +171,8 @@ class Perceiver:
     def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> None:
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
-        entries = kept.stage.entries
-        if self._odometry and self._last is None and entries and entries[-1].time_ns == time_ns:
+        # Behind it the stage file may have frames of which the journal does not know.
+        if self._last is None and time_ns == self._kept_ns:
             self._last = seen.features
             return
         latency_s = time.monotonic() - waiting.pushed_s

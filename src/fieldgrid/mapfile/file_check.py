@@ -102,8 +102,15 @@ def damaged_pages(connection: sqlite3.Connection) -> Iterator[str]:
 def orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
     """Rows of a table, or of all, that belong to nothing."""
     check = f"foreign_key_check({table})" if table else "foreign_key_check"
+    found: dict[tuple[str, str], list[int]] = {}
     for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
-        yield f"Row {row_id} of {name} has no counterpart in {parent}."
+        found.setdefault((name, parent), []).append(row_id)
+    # In one sentence a table: there may be as many of them as there are problems told.
+    for (name, parent), rows in found.items():
+        if len(rows) == 1:
+            yield f"Row {rows[0]} of {name} has no counterpart in {parent}."
+        else:
+            yield f"{len(rows)} rows of {name} have no counterpart in {parent}, {rows[0]} first."
 
 
 def renew_file(connection: sqlite3.Connection) -> None:
