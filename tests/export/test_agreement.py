@@ -215,7 +215,7 @@ def test_mcap_and_ros(exports: Exports, name: str) -> None:
 
 def in_the_frame(message: Any, control: Control) -> tuple[_Float64, _Float64]:
     """The points in the frame `map`, by the transform from `earth` that a bag has."""
-    (stamped,) = message.transforms
+    (stamped,) = [one for one in message.transforms if one.child_frame_id == "map"]
     turn, move = stamped.transform.rotation, stamped.transform.translation
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     earth = np.column_stack(

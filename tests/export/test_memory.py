@@ -23,11 +23,11 @@ hold all of it with fewer than 8 bytes of each."""
 PROGRAM = """
 import sys
 from pathlib import Path
-from fieldgrid.export import export_map, nav2, raster, rosbag, tiles
+from fieldgrid.export import bag_content, export_map, nav2, raster, tiles
 from fieldgrid.mapfile import blocks, open_map
 blocks._ROWS, blocks._COLUMNS = 256, 1024
 tiles.MESSAGE_CELLS, nav2.TILE_CELLS = 500_000, 512
-rosbag.GRID_MAP_CELLS, rosbag.TILE_CELLS = 500_000, 512
+bag_content.GRID_MAP_CELLS, bag_content.TILE_CELLS = 500_000, 512
 raster.CACHE_MB = 16
 with open_map(sys.argv[1]) as universal:
     for ending in sys.argv[3:]:

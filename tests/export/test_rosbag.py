@@ -26,12 +26,13 @@ from rosbags.interfaces import QosDurability
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapError, MapExistsError, MapWriteError
 from fieldgrid.export import Exported, Selection, export_map
-from fieldgrid.export.rosbag import topic_names
+from fieldgrid.export.bag_content import topic_names
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, create_map, open_map
 from fieldgrid.pose import estimate_poses
 from fieldgrid.recording import open_drive
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
+from fieldgrid.ros import decode, open_bag
 from fieldgrid.trajectory import Status, Trajectory
 from tests.export.asymmetric import (
     CELL_M,
@@ -101,6 +102,13 @@ def bag(universal: MapFile, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def ros1(universal: MapFile, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ros1") / "field.bag"
+    assert export_map(universal, path).paths == (path,)
+    return path
+
+
 def messages_of_mcap(path: Path) -> Messages:
     found: Messages = defaultdict(list)
     with path.open("rb") as file:
@@ -119,7 +127,28 @@ def messages_of_bag(path: Path) -> Messages:
     return found
 
 
-READERS: dict[str, Callable[[Path], Messages]] = {"mcap": messages_of_mcap, "bag": messages_of_bag}
+def messages_of_ros1(path: Path) -> Messages:
+    """The same of a bag of ROS 1, where the header of a grid map is in its info."""
+    found = messages_of_bag(path)
+    for grid in found["/grid_map"]:
+        grid.header = grid.info.header
+    return found
+
+
+def messages_by_our_reader(path: Path, *topics: str) -> Messages:
+    """By the reader of recordings, which shares nothing with the writer of rosbags."""
+    found: Messages = defaultdict(list)
+    with open_bag(path) as bag:
+        for message in bag.messages(topics):
+            found[message.topic].append(decode(message))
+    return found
+
+
+READERS: dict[str, Callable[[Path], Messages]] = {
+    "mcap": messages_of_mcap,
+    "bag": messages_of_bag,
+    "ros1": messages_of_ros1,
+}
 
 
 @pytest.fixture(scope="module", params=list(READERS))
@@ -349,6 +378,25 @@ def test_odometry_and_tf_are_where_the_vehicle_was(messages: Messages, session: 
         speed = odom.twist.twist.linear.x
         assert abs(speed) == pytest.approx(driven.speed_mps[k])
         assert (speed < 0.0) == (driven.gear[k] < 0)
+
+
+def test_a_bag_of_ros_1_is_one(ros1: Path) -> None:
+    """Checksums and latches as ROS 1 has them, and messages that our own reader finds."""
+    with AnyReader([ros1]) as reader:
+        latched = {one.topic for one in reader.connections if one.ext.latching}  # type: ignore[union-attr]
+        digests = {one.topic: one.digest for one in reader.connections}
+    assert latched == {*LATCHED, "/summer/path"}
+    # As `rosmsg md5` has them.
+    assert digests["/map"] == "3381f2d731d4076ec5c71b0759edbe4e"
+    assert digests["/tf"] == digests["/tf_static"] == "94810edda583a504dfda3829e70d7eec"
+    assert digests["/spring/fix"] == digests["/datum"] == "2d3a8cd499b9b4a0249fb98fd05cfa48"
+    assert digests["/spring/path"] == "6227e2b7e9cce15051f669a5e197bbf7"
+    assert digests["/spring/odometry"] == "cd5e73d190d741a2f92e81eda573aca7"
+    assert digests["/grid_map"] == "95681e052b1f73bf87b7eb984382b401"
+    found = messages_by_our_reader(ros1, "/map", "/spring/fix", "/summer/path")
+    check_map(found["/map"][0])
+    check_fixes(found["/spring/fix"], SPRING)
+    check_path(found["/summer/path"][0], SUMMER)
 
 
 def test_readers_of_ros_bags_open_an_mcap(universal: MapFile, tmp_path: Path) -> None:

@@ -42,6 +42,11 @@ float64 length_y
 geometry_msgs/Pose pose
 """
 
+# In ROS 1 the header of a grid map is in its info.
+_ROS1_GRID_MAP = _GRID_MAP.removeprefix("std_msgs/Header header\n")
+_ROS1_GRID_MAP_INFO = "std_msgs/Header header\n" + _GRID_MAP_INFO
+_TF = "geometry_msgs/TransformStamped[] transforms\n"
+
 _FIRST_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 """What ROS 1 called a type at first."""
 
@@ -86,6 +91,19 @@ def types() -> Typestore:
         (_NMEA, "nmea_msgs/msg/Sentence"),
         (_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
         (_GRID_MAP, "grid_map_msgs/msg/GridMap"),
+    ):
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+@cache
+def ros1_types() -> Typestore:
+    """The types of ROS Noetic, and those beside them that are written."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for text, name in (
+        (_TF, "tf2_msgs/msg/TFMessage"),
+        (_ROS1_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
+        (_ROS1_GRID_MAP, "grid_map_msgs/msg/GridMap"),
     ):
         store.register(get_types_from_msg(text, name))
     return store

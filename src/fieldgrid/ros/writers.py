@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 from mcap.writer import CompressionType, Writer
+from rosbags.convert.converter import migrate_message
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -19,12 +20,13 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
+from rosbags.rosbag1 import Writer as RosbagsRos1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import dump_qos_v8
 
 from fieldgrid.publish import Draft, DraftFolder, mentions, writing
-from fieldgrid.ros.definitions import types
+from fieldgrid.ros.definitions import ros1_types, types
 from fieldgrid.ros.folder import is_ros2_folder
 
 _MESSAGE_ENCODINGS = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1", "jsonschema": "json"}
@@ -40,6 +42,7 @@ _LATCHED = Qos(
     _FOREVER,
     False,
 )
+_CALLER = "/fieldgrid"
 _PLUGINS = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 
 
@@ -47,6 +50,11 @@ def _is_ours(file: Path) -> bool:
     """Whether the header of an MCAP names us as its writer: others are recordings."""
     with file.open("rb") as opened:
         return b"fieldgrid" in opened.read(64)
+
+
+def _is_our_bag(file: Path) -> bool:
+    """Whether the connections of a ROS 1 bag name us as who spoke on them."""
+    return mentions(file, b"callerid=" + _CALLER.encode())
 
 
 def _is_our_folder(folder: Path) -> bool:
@@ -220,6 +228,68 @@ class BagFolderWriter:
                     self._inner.rmdir()
                 else:
                     self._writer.abort()
+            if kind is None:
+                self._draft.publish()
+        finally:
+            self._draft.discard()
+
+
+class Ros1BagWriter:
+    """A `.bag` of ROS 1 in the making; a context manager.
+
+    Messages are those of ROS 2, of which ROS 1 gets what it has of them. The file appears under
+    `path` when the block ends well; nothing of it is left when it does not. Raises MapExistsError
+    for a path that is taken and MapWriteError where the disk refuses.
+    """
+
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
+        self._path = path
+        self._draft = Draft(path, overwrite=overwrite, ours=_is_our_bag, what="a ROS 1 bag")
+        self._connections: dict[tuple[str, str], Connection] = {}
+        self._known: dict[str, object] = {}
+        try:
+            with _refused(path):
+                self._draft.file.unlink()  # rosbags makes its files itself
+                self._writer = RosbagsRos1Writer(self._draft.file)
+                self._writer.set_compression(RosbagsRos1Writer.CompressionFormat.LZ4)
+                self._writer.open()
+        except BaseException:
+            self._draft.discard()
+            raise
+
+    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Write a message that is an instance of one of the classes of `types()`.
+
+        What is `latched` is played to those too who subscribe later, as a map is.
+        """
+        name, store = message.__msgtype__, ros1_types()
+        made: Any = migrate_message(types(), store, name, name, self._known, message)
+        if name == "grid_map_msgs/msg/GridMap":
+            header = message.header
+            made.info.header = migrate_message(
+                types(), store, header.__msgtype__, header.__msgtype__, self._known, header
+            )
+        with _refused(self._path):
+            connection = self._connections.get((topic, name))
+            if connection is None:
+                connection = self._writer.add_connection(
+                    topic, name, typestore=store, callerid=_CALLER, latching=int(latched)
+                )
+                self._connections[topic, name] = connection
+            self._writer.write(connection, time_ns, store.serialize_ros1(made, name))
+
+    def __enter__(self) -> Ros1BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            with _refused(self._path):
+                self._writer.close()
             if kind is None:
                 self._draft.publish()
         finally:
