@@ -27,6 +27,7 @@ from fieldgrid.export import export_map
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapView, open_map
 from fieldgrid.trajectory import Trajectory
+from tests.conftest import TWO_LANES
 from tests.export.nav2_loader import load
 from tests.export.test_rosbag import (
     Messages,
@@ -208,9 +209,20 @@ def test_mcap_and_ros(exports: Exports, name: str) -> None:
     measured = accepted & (exports.track.quality != 6)  # 6 is an estimate between fixes
     lon, lat, height = np.array([(f.longitude, f.latitude, f.altitude) for f in fixes]).T
     east, north, up = topocentric(exports.datum).transform(lon, lat, height)
-    np.testing.assert_allclose(east, exports.track.east_m[measured], atol=CENTIMETRE)
-    np.testing.assert_allclose(north, exports.track.north_m[measured], atol=CENTIMETRE)
-    np.testing.assert_allclose(up, exports.track.up_m[measured], atol=CENTIMETRE)
+    forward_m, left_m, up_m = antenna_flu_m()
+    heading = np.radians(exports.track.heading_deg[measured])
+    sin, cos = np.sin(heading), np.cos(heading)
+    track_e, track_n = exports.track.east_m[measured], exports.track.north_m[measured]
+    np.testing.assert_allclose(east, track_e + forward_m * sin - left_m * cos, atol=CENTIMETRE)
+    np.testing.assert_allclose(north, track_n + forward_m * cos + left_m * sin, atol=CENTIMETRE)
+    np.testing.assert_allclose(up, exports.track.up_m[measured] + up_m, atol=CENTIMETRE)
+
+
+def antenna_flu_m() -> tuple[float, float, float]:
+    """The antenna as seen from the ground below the camera, as the example states it."""
+    stated = json.loads((TWO_LANES / "calibration" / "mounting.json").read_text())
+    forward_m, left_m, up_m = stated["gnss_antenna_from_camera_mid_flu_m"]
+    return forward_m, left_m, up_m + stated["camera_height_above_ground_m"]
 
 
 def in_the_frame(message: Any, control: Control) -> tuple[_Float64, _Float64]:
