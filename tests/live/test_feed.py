@@ -4,45 +4,16 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fieldgrid.costmap import Costmap
 from fieldgrid.errors import ConfigError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.live import Doubt, Feed, LiveWindow, feed, parse_feed
-from fieldgrid.mapfile import MapView
-from fieldgrid.trajectory import Pose, Status
-from tests.conftest import ROOT
+from fieldgrid.live import Feed, feed, parse_feed
 from tests.live.sources import TIMEOUT_S
-from tools.check_docs import parse_blocks
-
-HEIGHT, WIDTH = 3, 5
-
-
-def window(frames: int = 7, *, size: tuple[int, int] = (HEIGHT, WIDTH)) -> LiveWindow:
-    height, width = size
-    random = np.random.default_rng(frames)
-    density = random.integers(0, 256, size, dtype=np.uint8)
-    observed = random.random(size) > 0.3
-    place = Window(-40, 60, width, height)
-    view = MapView(
-        Lattice(0.05), place, density, observed, Datum(41.65, -4.72, 787.4), is_base=True
-    )
-    age_s = np.where(observed, random.uniform(0.0, 900.0, size), np.nan).astype(np.float32)
-    sigma_m = np.where(observed, random.uniform(0.0, 0.4, size), np.nan).astype(np.float32)
-    pose = Pose(5, -1.5, 3.25, 0.0, 271.5, 0.02, 0.4, 1.25, Status.OK, "")
-    return LiveWindow(
-        *(1_308_133_815_469_000_000, Costmap.from_view(view), view, age_s, sigma_m, pose),
-        *("no frame for 4.0 s", frames, "000007", 0.1, Doubt.NO_FRAMES, 1),
-        *(FixColumns.of([]), np.zeros(0, dtype=np.bool_)),
-    )
+from tests.live.windows import documented_readers, window
 
 
 def connect(address: tuple[str, int]) -> socket.socket:
@@ -51,20 +22,11 @@ def connect(address: tuple[str, int]) -> socket.socket:
     return connection
 
 
-def documented_reader() -> Callable[[socket.socket], Any]:
-    """`read_window` of docs/live.md, as it stands there."""
-    text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    (code,) = (
-        "\n".join(block.lines)
-        for block in parse_blocks(text)
-        if block.language == "python" and "def read_window" in "\n".join(block.lines)
-    )
-    names: dict[str, Any] = {}
-    exec(compile(code, "docs/live.md", "exec"), names)
-    return names["read_window"]  # type: ignore[no-any-return]
+documented = documented_readers()
 
 
-receive = documented_reader()
+def receive(connection: socket.socket) -> Any:
+    return documented["read_window"](connection.recv)
 
 
 def test_a_window_has_all_that_is_in_it() -> None:
@@ -158,15 +120,27 @@ def test_clients_come_and_go() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", ["7007", "udp://127.0.0.1:1", "tcp://:1", "tcp://a", "tcp://a:1/x", "tcp://[:1", ""]
+    "wrong",
+    [
+        "7007",
+        "udp://127.0.0.1:0",
+        "udp://127.0.0.1",
+        "ws://a:1",
+        "tcp://:1",
+        "tcp://a",
+        "tcp://a:1/x",
+        "tcp://[:1",
+        "",
+    ],
 )
 def test_what_is_no_feed(wrong: str) -> None:
-    with pytest.raises(ConfigError, match=r"is no feed; give tcp://127.0.0.1:PORT\."):
+    with pytest.raises(ConfigError, match=r"is no feed; give tcp://127.0.0.1:PORT, or udp:"):
         parse_feed(wrong)
 
 
 def test_places_of_a_feed() -> None:
-    assert parse_feed("tcp://127.0.0.1:0") == ("127.0.0.1", 0)
-    assert parse_feed("tcp://[::1]:7007") == ("::1", 7007)
+    assert parse_feed("tcp://127.0.0.1:0") == ("tcp", "127.0.0.1", 0)
+    assert parse_feed("tcp://[::1]:7007") == ("tcp", "::1", 7007)
+    assert parse_feed("udp://field.lan:7007/") == ("udp", "field.lan", 7007)
     with pytest.raises(ConfigError, match=r"cannot be at tcp://nowhere\.invalid:1"):
         Feed("nowhere.invalid", 1)

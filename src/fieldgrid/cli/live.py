@@ -23,7 +23,7 @@ from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
-    from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
+    from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
     from fieldgrid.onlookers import FoxgloveServer, LivePage
 
 _SESSION = "Session and map file"
@@ -208,7 +208,8 @@ def _drive(
         line = stack.enter_context(progress.living())
         watch = _Watch(line, as_json=as_json)
         if sources.feed is not None:
-            watch.feed = stack.enter_context(_feed(sources.feed, watch))
+            watch.feed = _feed(sources.feed, watch)
+            stack.enter_context(watch.feed)
         if sources.view is not None:
             page = _page(sources.view, name or driven.name)
             watch.onlookers.append(stack.enter_context(page))
@@ -251,13 +252,14 @@ def _drive(
             raise typer.Exit(130) from None
 
 
-def _feed(text: str, watch: _Watch) -> Feed:
+def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
     """The feed at an address, which tells what it has to say through the session."""
-    from fieldgrid.live import Feed, parse_feed
+    from fieldgrid.live import Feed, open_feed
 
-    feed = Feed(*parse_feed(text), watch.tell)
+    feed = open_feed(text, watch.tell)
     host, port = feed.address
-    output.message(f"the costmap is sent to whoever connects to tcp://{host}:{port}")
+    to = "whoever connects to tcp" if isinstance(feed, Feed) else "udp"
+    output.message(f"the costmap is sent to {to}://{host}:{port}")
     return feed
 
 
@@ -299,7 +301,7 @@ class _Watch:
 
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
-        self.feed: Feed | None = None
+        self.feed: Feed | DatagramFeed | None = None
         self.onlookers: list[LivePage | FoxgloveServer] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf

@@ -83,9 +83,9 @@ class SourceFlags(NamedTuple):
         str | None,
         typer.Option(
             "--feed",
-            metavar="tcp://HOST:PORT",
-            help="Send the costmap around the vehicle to whoever connects; HOST is 127.0.0.1 for "
-            "this machine alone.",
+            metavar="tcp|udp://HOST:PORT",
+            help="Send the costmap around the vehicle: tcp to whoever connects, where HOST is "
+            "127.0.0.1 for this machine alone; udp to HOST.",
             rich_help_panel=_PANEL,
         ),
     ] = None

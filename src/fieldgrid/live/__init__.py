@@ -1,7 +1,9 @@
 """Live: local grids, poses and a costmap while the vehicle drives, the map at the end."""
 
 from fieldgrid.live.camera import StereoDevices, parse_devices
-from fieldgrid.live.feed import Feed, parse_feed
+from fieldgrid.live.datagrams import DatagramFeed
+from fieldgrid.live.feed import Feed
+from fieldgrid.live.feeds import open_feed, parse_feed
 from fieldgrid.live.finish import discard_session, finish_from, finish_session
 from fieldgrid.live.images import ImageFolder
 from fieldgrid.live.intake import Pauses, Sources
@@ -22,6 +24,7 @@ from fieldgrid.live.results import (
 
 __all__ = [
     "Counts",
+    "DatagramFeed",
     "Doubt",
     "Feed",
     "ImageFolder",
@@ -42,6 +45,7 @@ __all__ = [
     "finish_from",
     "finish_session",
     "live_folder",
+    "open_feed",
     "parse_devices",
     "parse_feed",
     "replay",

@@ -15,7 +15,6 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -67,18 +66,6 @@ def _units(values: Float32, unit: float) -> UInt16:
     np.clip(scaled, 0.0, MOST, out=scaled)
     scaled[np.isnan(values)] = UNKNOWN
     return scaled.astype("<u2")
-
-
-def parse_feed(text: str) -> tuple[str, int]:
-    """Host and port of `tcp://HOST:PORT`; ConfigError for others."""
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port, parts = None, None, urlsplit("")
-    if parts.scheme != "tcp" or not host or port is None or parts.path.strip("/") or parts.query:
-        raise ConfigError(f"{text!r} is no feed; give tcp://127.0.0.1:PORT.")
-    return host, port
 
 
 class _Client:
