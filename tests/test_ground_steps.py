@@ -13,9 +13,10 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.edges import WIDEST_GAP, find_edges
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import NO_STEP_KNOWN, OBSTACLE_ABOVE, STEP_CHANNEL, LocalGrid
 from fieldgrid.layers.relief import LEAST_STEP_CM, STEP_VOTES
-from fieldgrid.localgrid import FrameGround, LocalGridder, step_range_m
+from fieldgrid.localgrid import LocalGridder, step_range_m
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import StereoSettings
 from fieldgrid.stereo import Disparity

@@ -37,6 +37,11 @@ DROP_CHANNEL, BEYOND_DROP, NO_DROP_TOLD = "drop_cm", 254, 255
 uint8 [n_y, n_x], centimetres up to 253, 0 where it does not; what stands where the ground lies
 behind such an edge and below it; and where the frame cannot tell either."""
 
+TOP_CHANNEL, FOOT_CHANNEL, GROUND_BELOW = "top_dm", "foot_dm", 128
+"""The channels of a frame that say how high what stands at its cells reaches and how low it begins,
+uint8 [n_y, n_x], decimetres above the ground, 0 where nothing stands; and what is added to the
+lower one where the ground below it shows."""
+
 
 @dataclass(frozen=True, slots=True)
 class GridSpec:

@@ -8,12 +8,12 @@ enter after the matching, and clouds with their points.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Int16, Int32, UInt8
+from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.cloud import Cloud
 from fieldgrid.depth import (
@@ -24,23 +24,14 @@ from fieldgrid.depth import (
     points_per_rad,
     rays,
 )
-from fieldgrid.edges import Edges
 from fieldgrid.errors import CalibrationError
-from fieldgrid.grids import (
-    BEYOND_DROP,
-    DROP_CHANNEL,
-    GROUND_CHANNEL,
-    NO_DROP_TOLD,
-    NO_GROUND_CM,
-    NO_STEP_KNOWN,
-    STEP_CHANNEL,
-    GridSpec,
-    LocalGrid,
-)
+from fieldgrid.frame_ground import Blocks, FrameGround, drops_cm, ground_heights_cm, steps_cm
+from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import DensitySettings, StereoSettings
+from fieldgrid.standing import BINS_PER_M, reach_dm, stack_pixels, stack_points
 from fieldgrid.stereo import (
     SUBPIXELS,
     Disparity,
@@ -58,43 +49,9 @@ one cell are no rain drop."""
 _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
-class FrameGround(NamedTuple):
-    """What was found of the ground in one frame: for tables, for doubt, and for the terrain.
-
-    `heights_cm` [n_y, n_x] is the channel `GROUND_CHANNEL`, None where the vehicle's tilt is not
-    known; `steps_cm` is `STEP_CHANNEL` and `drops_cm` `DROP_CHANNEL`, None where no ground was
-    found.
-    """
-
-    camera_height_m: float
-    pitch_deg: float
-    roll_deg: float
-    refined: bool
-    heights_cm: Int16 | None = None
-    steps_cm: UInt8 | None = None
-    drops_cm: UInt8 | None = None
-
-    def channels(self) -> dict[str, AnyArray]:
-        """What a frame keeps of it beside its grid."""
-        kept = {
-            GROUND_CHANNEL: self.heights_cm,
-            STEP_CHANNEL: self.steps_cm,
-            DROP_CHANNEL: self.drops_cm,
-        }
-        return {name: array for name, array in kept.items() if array is not None}
-
-
-MOST_ABOVE_M = 100.0
-"""No ground is seen that lies so much higher or lower than the vehicle."""
-
-
 SURE_TILT_DEG = 0.5
 """Of a vehicle that leans by an angle less sure than this, heights of the ground are not kept: 15 m
 ahead they would be off by more than 13 cm."""
-
-TERRAIN_M = 0.2
-"""Heights of the ground, which is followed in patches of half a metre, are kept for blocks of this
-size: a fifth of the bytes, and 1 cm on a slope of 10°."""
 
 STEP_SIGMA_M = 0.045
 """Steps are looked for where the height of a matched point is surer than this: 10 m with the
@@ -134,6 +91,8 @@ class LocalGridder:
         range_m = _ranges_m(self.spec)
         self._within = (range_m >= nearest_m) & (range_m <= self.max_range_m)
         self._step_range_m = step_range_m(rig, self.max_range_m, self.stereo)
+        self._tells_steps = range_m <= self._step_range_m
+        self._blocks = Blocks(self.spec)
         self._gain = density_gain(rig, self.spec, self.settings)
         self._needed = points_needed(rig, self.spec, self.settings)
 
@@ -213,55 +172,35 @@ class LocalGridder:
         ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
+        tops_dm, feet_dm = self._standing(seen, plane, ground_m)
         ground = _summary(plane)._replace(
-            steps_cm=self._steps_cm(edges.steps), drops_cm=self._drops_cm(edges)
+            steps_cm=steps_cm(edges.steps, spec, self._tells_steps),
+            drops_cm=drops_cm(edges, spec, self._step_range_m),
+            tops_dm=tops_dm,
+            feet_dm=feet_dm,
         )
         if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
-            heights_cm = self._heights_cm(plane, ground_m, counts[0] >= self._needed[0])
+            mounted_m, on_ground = self.rig.mount.height_m, counts[0] >= self._needed[0]
+            heights_cm = ground_heights_cm(plane, mounted_m, spec, ground_m, on_ground)
             ground = ground._replace(heights_cm=heights_cm)
         return LocalGrid(spec, density, observed), ground
 
-    def _heights_cm(self, plane: GroundPlane, ground_m: Float32, seen: Bool) -> Int16:
-        """Heights of the ground, above the place below the sensor that is its mounted height lower,
-        in blocks in which it was seen."""
-        block = max(round(TERRAIN_M / self.spec.cell_m), 1)
-        j, i = (np.arange(n) // block for n in self.spec.shape)
-        count = np.zeros((j[-1] + 1, i[-1] + 1), dtype=np.int64)
-        np.add.at(count, (j[:, None], i), seen)
-        middle = [np.minimum(k * block + block // 2, k.size - 1) for k in (j, i)]
-        x, y = (at[k] for at, k in zip(self.spec.centres_m(), middle[::-1], strict=True))
-        level_m = self.rig.mount.height_m - plane.height_m
-        above_m = ground_m[middle[0]][:, middle[1]] + level_m
-        above_m = above_m + plane.rise[0] * x + plane.rise[1] * y[:, None]
-        within = (count[j][:, i] > 0) & (np.abs(above_m) < MOST_ABOVE_M)  # not where it is NaN
-        heights_cm = np.full(self.spec.shape, NO_GROUND_CM, dtype=np.int16)
-        heights_cm[within] = np.rint(100.0 * above_m[within])
-        return heights_cm
-
-    def _steps_cm(self, steps_m: Float64) -> UInt8:
-        """The steps at cells, from those at patches [ny, nx], metres."""
-        found = np.nan_to_num(np.rint(100.0 * steps_m), nan=NO_STEP_KNOWN)
-        highest = np.where(np.isnan(steps_m), NO_STEP_KNOWN, NO_STEP_KNOWN - 1)
-        steps_cm = self._at_cells(np.minimum(found, highest).astype(np.uint8))
-        steps_cm[_ranges_m(self.spec) > self._step_range_m] = NO_STEP_KNOWN
-        return steps_cm
-
-    def _drops_cm(self, edges: Edges) -> UInt8:
-        """The drops at cells, and what lies beyond them, from edges at patches [ny, nx]."""
-        j, i = np.indices(edges.drops.shape) + 0.5
-        range_m = np.hypot(PATCH_M * i - self.spec.width_m / 2.0, PATCH_M * j)
-        drops_cm = np.minimum(np.rint(100.0 * edges.drops), BEYOND_DROP - 1).astype(np.uint8)
-        drops_cm[range_m > self._step_range_m] = NO_DROP_TOLD
-        drops_cm[edges.beyond & ((drops_cm == 0) | (drops_cm == NO_DROP_TOLD))] = BEYOND_DROP
-        return self._at_cells(drops_cm)
-
-    def _at_cells(self, patches: UInt8) -> UInt8:
-        """The values of patches [ny, nx] at the cells in them, [n_y, n_x]."""
-        j, i = (
-            ((np.arange(n) + 0.5) * self.spec.cell_m / PATCH_M).astype(int) for n in self.spec.shape
-        )
-        cells: UInt8 = patches[j][:, i]
-        return cells
+    def _standing(
+        self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32
+    ) -> tuple[UInt8, UInt8]:
+        """How high what stands at cells reaches, and how low it begins: see `reach_dm`."""
+        bottom_m = np.float32(self.settings.slice_bottom_m)
+        top_m = np.float32(self.settings.slice_top_m)
+        above = (self._blocks.middle(ground_m), self._blocks.side_m, bottom_m, top_m)
+        bins = math.ceil(BINS_PER_M * self.settings.slice_top_m - 1e-6)
+        if isinstance(seen, CodedDepth):
+            geometry = rays(self.rig, plane.A_grid_sensor, plane.height_m)
+            stacks = stack_pixels(*seen, *geometry, *above, bins)
+        else:
+            A_grid_sensor = plane.A_grid_sensor.astype(np.float32)
+            stacks = stack_points(seen, A_grid_sensor, plane.height_m, *above, bins)
+        top, foot = reach_dm(stacks, np.stack([self._blocks.middle(one) for one in self._needed]))
+        return self._blocks.at_cells(top), self._blocks.at_cells(foot)
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""

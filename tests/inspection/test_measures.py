@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.measures import Look, blur, exposure
 from fieldgrid.inspection.rigs import scale
-from fieldgrid.localgrid import FrameGround
 from fieldgrid.pose import estimate_poses
 from fieldgrid.vertical import misalignment
 from tests.simulated import DATUM, Command, fixes_of, simulate, steps_of

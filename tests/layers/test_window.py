@@ -18,6 +18,9 @@ ALL = tuple(GROUPS.values())
 WINDOW = Window(-256, -256, 512, 512)
 
 
+GROUND = ("ground", "relief", "drop", "standing")
+
+
 def folded(
     frames: list[Frame], transfer: Transfer = Transfer.CENTRE, cell_m: float = CELL_M
 ) -> Cells:
@@ -45,7 +48,11 @@ def test_a_cell_says_how_often_how_much_and_how_high() -> None:
         "height_frames": 2,
         "log_odds": 17 - 2 * 8,
         # No frame says anything of the ground itself.
-        **{c.name: 0 for group in ("ground", "relief", "drop") for c in GROUPS[group].channels},
+        **{
+            c.name: 0
+            for group in ("ground", "relief", "drop", "standing")
+            for c in GROUPS[group].channels
+        },
     }
 
 

@@ -16,8 +16,9 @@ import cv2
 
 from fieldgrid.array_types import Float32
 from fieldgrid.attitude import Attitude
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
-from fieldgrid.localgrid import FrameGround, LocalGridder
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
 from fieldgrid.recording import Frame, Image, Recording

@@ -11,8 +11,9 @@ import numpy as np
 
 from fieldgrid.build.perception import CameraMotion, perceive, side_by_side
 from fieldgrid.errors import CalibrationError, FieldgridError
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.measures import Look, blur, exposure
-from fieldgrid.localgrid import FrameGround, LocalGridder
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, features
 from fieldgrid.recording import Frame, Image, Recording

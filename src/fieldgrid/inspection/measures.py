@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from fieldgrid.array_types import Float64, UInt8
-from fieldgrid.localgrid import FrameGround
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.vertical import shift_px
 
 DARK_LEVEL, SATURATED_LEVEL = 16, 250

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.findings import Finding, error, info, warning
-from fieldgrid.localgrid import FrameGround
 from fieldgrid.motion import Steps
 from fieldgrid.rig import DepthCamera, Lidar, Mount, Rig, Sensor, StereoCamera
 from fieldgrid.trajectory import Status, Trajectory

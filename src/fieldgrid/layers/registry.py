@@ -17,6 +17,7 @@ from fieldgrid.layers import (
     occupancy,
     relief,
     sessions,
+    standing,
     traversability,
     variance,
 )
@@ -114,6 +115,7 @@ for _group in (
     relief.GROUP,
     occupancy.GROUP,
     drop.GROUP,
+    standing.GROUP,
 ):
     register_group(_group)
 
@@ -135,6 +137,8 @@ for _layer in (
     relief.ROUGHNESS,
     relief.STEP,
     drop.DROP,
+    standing.MAX_HEIGHT,
+    standing.CLEARANCE,
     traversability.TRAVERSABILITY,
     occupancy.OCCUPANCY,
     density.PEAK,
