@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import sqlite3
 import tempfile
 import time
@@ -27,6 +28,7 @@ from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.evaluation import evaluate, read_truth
 from fieldgrid.grids import BEYOND_DROP, DROP_CHANNEL, NO_DROP_TOLD
+from fieldgrid.lattice import Bounds
 from fieldgrid.layers import GROUPS
 from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile import MapFile, open_map
@@ -273,6 +275,7 @@ def _map(folder: Path, gnss: str) -> Iterator[str]:
                 f"{100 * (found.free_with_obstacle or 0.0):.2f} %"
             )
             yield f"    {_terrain(universal, folder)}"
+            yield f"    {_standing(universal, folder)}"
         yield f"    bytes a cell of the terrain: {_bytes(out)}"
 
 
@@ -295,6 +298,28 @@ def _terrain(universal: MapFile, folder: Path) -> str:
     return (
         f"ground: RMSE {100 * rmse:.1f} cm over {error.size} cells of 25 cm, bias "
         f"{100 * error.mean():+.1f} cm, {spread(error, sigma).line(' m')}; asked: RMSE <= 5 cm"
+    )
+
+
+def _standing(universal: MapFile, folder: Path) -> str:
+    """The heights of the objects of the truth, and how many cells have room below what hangs."""
+    found = []
+    with (folder / "truth" / "obstacles.json").open() as file:
+        objects = json.load(file)["obstacles"]
+    for one in objects:
+        corners = np.array(one["footprint_EN"])
+        bounds = Bounds(*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+        view = universal.read(bounds, layers=("max_height",))
+        if np.nanmax(view.layer("max_height"), initial=0.0) > 0.0:
+            highest = np.nanmax(view.layer("max_height"))
+            found.append(f"{one['id']} {highest:.1f} ({one['height_m']:.2f})")
+    view = universal.read(layers=("max_height", "clearance"))
+    stands = view.layer("max_height") > 0.0
+    room = view.layer("clearance")[np.isfinite(view.layer("clearance"))]
+    return (
+        f"heights, found (true), m: {', '.join(found)}; of {stands.sum()} cells in which something "
+        f"stands {room.size} have room below, {np.median(room) if room.size else 0.0:.1f} m in the "
+        "middle"
     )
 
 

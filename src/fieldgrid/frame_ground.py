@@ -68,14 +68,22 @@ class Blocks:
         self.side_m = side * spec.cell_m
         self.rows, self.columns = (np.arange(n) // side for n in spec.shape)
         self.shape = int(self.rows[-1]) + 1, int(self.columns[-1]) + 1
-        self._middle: tuple[Index, Index] = (
+        self._side = side
+        self.middles: tuple[Index, Index] = (
             np.minimum(np.arange(self.shape[0]) * side + side // 2, spec.n_y - 1),
             np.minimum(np.arange(self.shape[1]) * side + side // 2, spec.n_x - 1),
         )
 
     def middle(self, cells: AnyArray) -> AnyArray:
         """Of values of cells [n_y, n_x], those in the middle of blocks."""
-        return cells[self._middle[0]][:, self._middle[1]]
+        return cells[self.middles[0]][:, self.middles[1]]
+
+    def any(self, cells: Bool) -> Bool:
+        """The blocks in which any of the cells [n_y, n_x] is."""
+        for axis, size in enumerate(cells.shape):
+            first = np.arange(0, size, self._side)
+            cells = np.logical_or.reduceat(cells, first, axis=axis)
+        return cells
 
     def at_cells(self, values: AnyArray) -> AnyArray:
         """The values of blocks at their cells, [n_y, n_x]."""
@@ -88,12 +96,10 @@ def ground_heights_cm(
     """Heights of the ground, above the place below the sensor that is its mounted height lower,
     in blocks in which it was seen, int16 [n_y, n_x]."""
     blocks = Blocks(spec)
-    count = np.zeros(blocks.shape, dtype=np.int64)
-    np.add.at(count, (blocks.rows[:, None], blocks.columns), seen)
-    x, y = spec.centres_m()
-    above_m = ground_m + (mounted_m - plane.height_m)
-    above_m = blocks.middle(above_m + plane.rise[0] * x + plane.rise[1] * y[:, None])
-    within = (count > 0) & (np.abs(above_m) < MOST_ABOVE_M)  # not where it is NaN
+    x, y = (at[middle] for at, middle in zip(spec.centres_m(), blocks.middles[::-1], strict=True))
+    above_m = blocks.middle(ground_m) + (mounted_m - plane.height_m)
+    above_m = above_m + plane.rise[0] * x + plane.rise[1] * y[:, None]
+    within = blocks.any(seen) & (np.abs(above_m) < MOST_ABOVE_M)  # not where it is NaN
     heights_cm = np.full(blocks.shape, NO_GROUND_CM, dtype=np.int16)
     heights_cm[within] = np.rint(100.0 * above_m[within])
     return blocks.at_cells(heights_cm)
