@@ -104,10 +104,12 @@ def pooled(found: Attitude, roll_deg: np.ndarray, pitch_deg: np.ndarray) -> Spre
 def main() -> None:
     """Print every figure beside what is asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=("simulated", "drives", "folds", "drops"))
+    parser.add_argument("--only", choices=("simulated", "drives", "folds", "drops", "bytes"))
     only = parser.parse_args().only
     if only in (None, "folds"):
         print("\n".join(folds()))
+    if only in (None, "bytes"):
+        print("\n".join(stored()))
     if only in (None, "drops"):
         print("\n".join(drops()))
     if only in (None, "simulated"):
@@ -139,6 +141,32 @@ def folds() -> Iterator[str]:
         if name != "density" and group.fold is not None:
             alone, both = paired_ms(lambda: fold("density"), partial(fold, "density", name), 9)
             yield f"  {name:<12}{(both - alone) / alone:5.2f}"
+
+
+def stored() -> Iterator[str]:
+    """Where the bytes of the map of the example drive are, a cell."""
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place) / "map.gpkg"
+        build_map([EXAMPLE], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
+        with open_map(out) as universal:
+            cells = int(universal.read().observed.sum())
+        yield f"bytes a cell, {cells} cells: {out.stat().st_size / cells:.1f}; asked: <= 10"
+        database = sqlite3.connect(out)
+        for table, column in (
+            ("fieldgrid_grid", "channel"),
+            ("fieldgrid_session_tile", "channels"),
+            ("fieldgrid_tile", "channels"),
+            ("fieldgrid_tile", "zoom"),
+            ("fieldgrid_array", "kind"),
+        ):
+            rows = database.execute(
+                f"SELECT {column}, sum(length(data)) FROM {table} GROUP BY 1 ORDER BY 2 DESC"
+            ).fetchall()
+            parts = ", ".join(f"{name} {size / cells:.2f}" for name, size in rows)
+            yield f"  {table}: {sum(size for _, size in rows) / cells:.2f} ({parts})"
+        (pictures,) = database.execute("SELECT sum(length(tile_data)) FROM density").fetchone()
+        database.close()
+        yield f"  pictures: {pictures / cells:.2f}"
 
 
 def drops() -> Iterator[str]:
