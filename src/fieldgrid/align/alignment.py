@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -19,9 +19,9 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.drives import Drive, Role, read_drives
 from fieldgrid.align.network import Match, solve, turn_sigma_deg
-from fieldgrid.align.pairs import Pair, bounded, overlapping, thinned
+from fieldgrid.align.pairs import Overlap, Pair, bounded, overlapping, placed, thinned
 from fieldgrid.align.report import MapAlignment, summed_up
-from fieldgrid.align.score import PROBE_DEG, TurnPeak, peak, scores, turn_peak
+from fieldgrid.align.score import PROBE_DEG, Against, TurnPeak, peak, turn_peak
 from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
@@ -191,12 +191,14 @@ class _Run:
     def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
         """Where every two drives agree, and the matches of those that do without doubt."""
         transforms = [drive.transform for drive in self._drives]
-        pictures = self._draw(transforms, COARSE_M, "drives")
+        (pictures,) = self._draw(transforms, COARSE_M, "drives")
         reach_m = self._reach_m + BEYOND_M
         by_pair = defaultdict(list)
-        pairs = thinned(self._pairs(pictures, None))
+        pairs = [placed(one, pictures) for one in thinned(self._overlaps(pictures, None))]
         for pair, score in self._each(
-            lambda p: scores(pictures[p.a][p.k], pictures[p.b][p.l], reach_m), pairs, "drives"
+            lambda p: Against(pictures[p.a][p.k], reach_m).scores(pictures[p.b][p.l]),
+            pairs,
+            "drives",
         ):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
@@ -223,51 +225,55 @@ class _Run:
         self, transforms: Sequence[Transform], believed: set[tuple[int, int]], stage: str
     ) -> list[Match]:
         """The matches of drives that agree, placed by transforms."""
-        pictures = self._draw(transforms, FINE_M, stage)
-        less, more = (
-            self._draw(transforms, FINE_M, stage, turn) for turn in (-PROBE_DEG, PROBE_DEG)
-        )
+        turns_deg = 0.0, -PROBE_DEG, PROBE_DEG
+        pictures, less, more = self._draw(transforms, FINE_M, stage, turns_deg)
 
         def match(p: Pair) -> Match | None:
-            a, b = pictures[p.a][p.k], pictures[p.b][p.l]
-            score = scores(a, b, FINE_REACH_M)
+            against = Against(pictures[p.a][p.k], FINE_REACH_M)
+            score = against.scores(pictures[p.b][p.l])
             if score is None:
                 return None
             turned = TurnPeak(0.0, 0.0)
             if p.a != p.b:
-                turned = turn_peak(a, less[p.b][p.l], b, more[p.b][p.l], score.alike)
+                turned = turn_peak(against, less[p.b][p.l], score, more[p.b][p.l])
             return Match(*p, *peak(score, np.zeros(2)), *turned)
 
-        pairs = bounded(self._pairs(pictures, believed))
+        chosen = bounded(self._overlaps(pictures, believed))
+        pairs = [placed(one, pictures) for one in chosen]
         return [one for _, one in self._each(match, pairs, stage)]
 
     def _draw(
-        self, transforms: Sequence[Transform], cell_m: float, stage: str, turn_deg: float = 0.0
-    ) -> list[list[Picture]]:
-        """The pictures of all submaps by drive, each turned about its own middle."""
+        self,
+        transforms: Sequence[Transform],
+        cell_m: float,
+        stage: str,
+        turns_deg: Sequence[float] = (0.0,),
+    ) -> list[list[list[Picture]]]:
+        """For each turn the pictures of all submaps by drive, each turned about its own middle."""
         lattice = Lattice(max(cell_m, self._local_m))
         places = [(n, submap) for n, drive in enumerate(self._drives) for submap in drive.submaps]
-        pictures: list[list[Picture]] = [[] for _ in self._drives]
+        pictures: list[list[list[Picture]]] = [[[] for _ in self._drives] for _ in turns_deg]
         drawn = in_order(
-            lambda place: draw(place[1], transforms[place[0]], lattice, turn_deg),
+            lambda place: draw(place[1], transforms[place[0]], lattice, turns_deg),
             places,
             self._jobs,
         )
-        for done, ((n, _), picture) in enumerate(zip(places, drawn, strict=True)):
-            pictures[n].append(picture)
+        for done, ((n, _), turned) in enumerate(zip(places, drawn, strict=True)):
+            for of_turn, picture in zip(pictures, turned, strict=True):
+                of_turn[n].append(picture)
             self._tell(f"drawing {stage}", done + 1, len(places))
         return pictures
 
-    def _pairs(
+    def _overlaps(
         self, pictures: Sequence[Sequence[Picture]], believed: set[tuple[int, int]] | None
-    ) -> list[Pair]:
-        """What is to be compared: not what holds with what holds, nor what is in doubt."""
-        return [
-            pair
-            for pair in overlapping(pictures)
-            if Role.MOVES in (self._drives[pair.a].role, self._drives[pair.b].role)
-            and (believed is None or pair.a == pair.b or (pair.a, pair.b) in believed)
-        ]
+    ) -> Iterator[Overlap]:
+        """What may be compared: not what holds with what holds, nor what is in doubt."""
+
+        def compared(a: int, b: int) -> bool:
+            moves = Role.MOVES in (self._drives[a].role, self._drives[b].role)
+            return moves and (believed is None or a == b or (a, b) in believed)
+
+        return overlapping(pictures, compared)
 
     def _each(
         self, work: Callable[[Pair], _Found | None], pairs: Sequence[Pair], stage: str

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +30,17 @@ SAME_LANE_M = 1.2
 """Vehicles whose tracks lie farther apart see the opposite faces of what stands between them."""
 
 
+class Overlap(NamedTuple):
+    """Submap `k` of drive `a` and submap `l` of drive `b`: `share` of the smaller one was seen by
+    both."""
+
+    a: int
+    k: int
+    b: int
+    l: int  # noqa: E741 - the letter after k
+    share: float
+
+
 class Pair(NamedTuple):
     """Submap `k` of drive `a` and submap `l` of drive `b`. `at_m` [2] is the middle of the ground
     that both saw; `across` [2] the unit vector from the track of the one to that of the other
@@ -39,16 +50,18 @@ class Pair(NamedTuple):
     a: int
     k: int
     b: int
-    l: int  # noqa: E741 - the letter after k
+    l: int  # noqa: E741
     at_m: Float64
     across: Float64
     facing: Float64
     share: float
 
 
-def overlapping(pictures: Sequence[Sequence[Picture]]) -> Iterator[Pair]:
-    """The pairs worth comparing, of different drives and of the same one; `pictures` has those of
-    each drive."""
+def overlapping(
+    pictures: Sequence[Sequence[Picture]], compared: Callable[[int, int], bool]
+) -> Iterator[Overlap]:
+    """The pairs worth comparing, of different drives and of the same one, as far as these are to be
+    `compared`; `pictures` has those of each drive."""
     places = [(n, k) for n, of_one in enumerate(pictures) for k in range(len(of_one))]
     windows = np.array([pictures[n][k].window for n, k in places], np.float64)
     middles, reach = windows[:, :2] + windows[:, 2:] / 2.0, np.hypot(*windows[:, 2:].T) / 2.0
@@ -58,19 +71,24 @@ def overlapping(pictures: Sequence[Sequence[Picture]]) -> Iterator[Pair]:
         shared = defaultdict[int, list[tuple[float, int]]](list)
         for n in sorted(tree.query_ball_point(middle, own_reach + reach.max())):
             b, l = places[n]  # noqa: E741
-            if b > a or (b == a and l >= k + APART):
+            if (b > a or (b == a and l >= k + APART)) and compared(a, b):
                 share = _shared(one, pictures[b][l])
                 if share >= LEAST_SHARE:
                     shared[b].append((share, l))
         for b, told in shared.items():
             for share, l in sorted(told, reverse=True)[:MOST_OF_A_DRIVE]:  # noqa: E741
-                other = pictures[b][l]
-                yield Pair(a, k, b, l, *_place(one, other), one.facing - other.facing, share)
+                yield Overlap(a, k, b, l, share)
 
 
-def thinned(pairs: Sequence[Pair]) -> list[Pair]:
+def placed(of: Overlap, pictures: Sequence[Sequence[Picture]]) -> Pair:
+    """The pair, with where it lies and how its submaps look at it."""
+    one, other = pictures[of.a][of.k], pictures[of.b][of.l]
+    return Pair(*of[:4], *_place(one, other), one.facing - other.facing, of.share)
+
+
+def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:
     """Of each two drives a few pairs from all along them."""
-    by_drives = defaultdict[tuple[int, int], list[Pair]](list)
+    by_drives = defaultdict[tuple[int, int], list[Overlap]](list)
     for pair in pairs:
         by_drives[pair.a, pair.b].append(pair)
     chosen = []
@@ -80,7 +98,7 @@ def thinned(pairs: Sequence[Pair]) -> list[Pair]:
     return chosen
 
 
-def bounded(pairs: Sequence[Pair]) -> list[Pair]:
+def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
     """Of each submap the pairs that share most ground with it, as far as it needs any."""
     counts = Counter[tuple[int, int]]()
     chosen = []

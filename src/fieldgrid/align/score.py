@@ -50,53 +50,69 @@ class Scores(NamedTuple):
         """The largest shift, in cells."""
         return len(self.by_cell) // 2
 
+    def within(self, reach_m: float) -> Scores:
+        """Those of shifts up to some metres along either axis."""
+        off = max(self.reach - round(reach_m / self.cell_m), 0)
+        inner = (slice(off, len(self.by_cell) - off),) * 2
+        return self._replace(by_cell=self.by_cell[inner], independent=self.independent[inner])
+
     @property
     def shifts_m(self) -> Float64:
         """The shifts along either axis, metres."""
         return self.cell_m * np.arange(-self.reach, self.reach + 1, dtype=np.float64)
 
 
-def scores(a: Picture, b: Picture, reach_m: float, alike: float | None = None) -> Scores | None:
-    """Compare two pictures of one lattice; None where they share no obstacle to speak of.
+class Against:
+    """A picture with which others of its lattice are compared, up to a shift."""
 
-    `alike` is told of the residuals when it is not given.
-    """
-    cell_m = a.lattice.cell_m
-    reach = round(reach_m / cell_m)
-    obstacles = min(float(one.value.sum()) / 255.0 for one in (a, b))
-    if obstacles * cell_m**2 < LEAST_OBSTACLE_M2:
-        return None
-    window = a.window.grown(reach)
-    value_b, seen_b = _on(b, window)
-    if float(seen_b.sum()) < LEAST_SHARE * min(a.cells, b.cells):
-        return None
-    shape = tuple(fft.next_fast_len(side, real=True) for side in window.shape)
-    seen_a = a.seen.astype(np.float32)
-    value_a = a.value / np.float32(255.0)
-    of_a = [np.conj(fft.rfft2(x, shape)) for x in (seen_a, value_a, value_a**2)]
-    of_b = [fft.rfft2(x, shape) for x in (seen_b, value_b, value_b**2)]
+    def __init__(self, a: Picture, reach_m: float) -> None:
+        self.a = a
+        self._reach = round(reach_m / a.lattice.cell_m)
+        self._window = a.window.grown(self._reach)
+        self._shape = tuple(fft.next_fast_len(n, real=True) for n in self._window.shape)
+        value = a.value / np.float32(255.0)
+        parts = a.seen.astype(np.float32), value, value**2
+        self._spectra = [np.conj(fft.rfft2(part, self._shape)) for part in parts]
 
-    def lagged(i: int, j: int) -> Float64:
-        side = 2 * reach + 1
-        found = fft.irfft2(of_a[i] * of_b[j], shape)[:side, :side]
-        return np.asarray(found, dtype=np.float64)
+    def scores(self, b: Picture, alike: float | None = None) -> Scores | None:
+        """Those of another picture; None where the two share no obstacle to speak of.
 
-    n, sum_a, sum_b = np.maximum(lagged(0, 0), 1.0), lagged(1, 0), lagged(0, 1)
-    spread_a = lagged(2, 0) - sum_a**2 / n
-    spread_b = lagged(0, 2) - sum_b**2 / n
-    least = 1e-3 * n  # a picture that is the same everywhere correlates with nothing
-    covariance = lagged(1, 1) - sum_a * sum_b / n
-    told = n > LEAST_SHARE * min(a.cells, b.cells)
-    told &= (spread_a > least) & (spread_b > least)
-    rho = np.where(told, covariance / np.sqrt(np.maximum(spread_a * spread_b, 1e-12)), 0.0)
-    rho = np.clip(rho, 0.0, 0.999)
-    by_cell = -0.5 * np.log1p(-(rho**2))
-    if not rho.any():
-        return None
-    if alike is None:
-        best = np.unravel_index(int((n * by_cell).argmax()), n.shape)
-        alike = _correlated_cells(a, value_b, seen_b, int(best[0]), int(best[1]))
-    return Scores(by_cell, np.where(told, n, 0.0) / alike, alike, cell_m)
+        `alike` is told of the residuals when it is not given.
+        """
+        a, cell_m = self.a, self.a.lattice.cell_m
+        if min(_obstacle_m2(a), _obstacle_m2(b)) < LEAST_OBSTACLE_M2:
+            return None
+        value_b, seen_b = _on(b, self._window)
+        if float(seen_b.sum()) < LEAST_SHARE * min(a.cells, b.cells):
+            return None
+        spectra = [fft.rfft2(part, self._shape) for part in (seen_b, value_b, value_b**2)]
+
+        def lagged(i: int, j: int) -> Float64:
+            side = 2 * self._reach + 1
+            found = fft.irfft2(self._spectra[i] * spectra[j], self._shape)[:side, :side]
+            return np.asarray(found, dtype=np.float64)
+
+        n, sum_a, sum_b = np.maximum(lagged(0, 0), 1.0), lagged(1, 0), lagged(0, 1)
+        spread_a = lagged(2, 0) - sum_a**2 / n
+        spread_b = lagged(0, 2) - sum_b**2 / n
+        least = 1e-3 * n  # a picture that is the same everywhere correlates with nothing
+        covariance = lagged(1, 1) - sum_a * sum_b / n
+        told = n > LEAST_SHARE * min(a.cells, b.cells)
+        told &= (spread_a > least) & (spread_b > least)
+        rho = np.where(told, covariance / np.sqrt(np.maximum(spread_a * spread_b, 1e-12)), 0.0)
+        rho = np.clip(rho, 0.0, 0.999)
+        by_cell = -0.5 * np.log1p(-(rho**2))
+        if not rho.any():
+            return None
+        if alike is None:
+            best = np.unravel_index(int((n * by_cell).argmax()), n.shape)
+            alike = _correlated_cells(a, value_b, seen_b, int(best[0]), int(best[1]))
+        return Scores(by_cell, np.where(told, n, 0.0) / alike, alike, cell_m)
+
+
+def _obstacle_m2(picture: Picture) -> float:
+    """How much ground with full obstacles would have as much of them."""
+    return float(picture.value.sum()) / 255.0 * picture.lattice.cell_m**2
 
 
 def _on(picture: Picture, window: Window) -> tuple[Float32, Float32]:
@@ -205,17 +221,18 @@ class TurnPeak(NamedTuple):
     information: float
 
 
-def turn_peak(a: Picture, less: Picture, b: Picture, more: Picture, alike: float) -> TurnPeak:
-    """The turn of `b`, from itself and from pictures of it that are turned by -PROBE_DEG and
-    +PROBE_DEG: the top of the parabola through the best score of each."""
-    tops, cells = [], list[float]()
-    for one in (less, b, more):
-        found = scores(a, one, PROBE_REACH_M, alike)
-        if found is None:
+def turn_peak(a: Against, less: Picture, straight: Scores, more: Picture) -> TurnPeak:
+    """The turn of a picture with the scores `straight`, from these and from pictures of it that are
+    turned by -PROBE_DEG and +PROBE_DEG: the top of the parabola through the best score of each."""
+    probes = a.scores(less, straight.alike), straight, a.scores(more, straight.alike)
+    tops = []
+    for found in probes:
+        near = None if found is None else found.within(PROBE_REACH_M)
+        if near is None or not near.by_cell.any():
             return TurnPeak(0.0, 0.0)
-        tops.append(_top(found))
-        cells.append(float(found.independent[found.reach, found.reach]))
-    tops = [cells[1] * top for top in tops]
+        tops.append(_top(near))
+    cells = float(straight.independent[straight.reach, straight.reach])
+    tops = [cells * top for top in tops]
     curvature = (tops[0] - 2.0 * tops[1] + tops[2]) / PROBE_DEG**2
     if curvature >= 0.0:
         return TurnPeak(0.0, 0.0)

@@ -14,11 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, UInt8
+from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import Cells
+from fieldgrid.layers import Cells, FrameCells
 from fieldgrid.layers.density import GROUP
 from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile import FrameRecord, Transform
+from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer, footprint
 
 SUBMAP_M = 8.0
@@ -81,14 +83,25 @@ def cut(session: str, frames: Sequence[FrameRecord]) -> Iterator[Submap]:
         yield Submap(session, tuple(part))
 
 
-def draw(submap: Submap, transform: Transform, lattice: Lattice, turn_deg: float = 0.0) -> Picture:
-    """What the frames of a submap saw, each at its pose as driven, transformed; and turned about
-    the middle of the submap."""
+def draw(
+    submap: Submap, transform: Transform, lattice: Lattice, turns_deg: Sequence[float] = (0.0,)
+) -> list[Picture]:
+    """What the frames of a submap saw, each at its pose as driven, transformed; a picture for each
+    turn about the middle of the submap."""
     poses = [transform.pose(frame.driven) for frame in submap.frames]
-    if turn_deg:
-        middle = np.mean([(pose.east_m, pose.north_m) for pose in poses], axis=0)
-        turn = Transform(0.0, 0.0, turn_deg, float(middle[0]), float(middle[1]))
-        poses = [turn.pose(pose) for pose in poses]
+    grids = [frame.grid() for frame in submap.frames]
+    east_m, north_m = np.mean([(pose.east_m, pose.north_m) for pose in poses], axis=0).tolist()
+    pictures = []
+    for turn_deg in turns_deg:
+        turn = Transform(0.0, 0.0, turn_deg, east_m, north_m)
+        turned = [turn.pose(pose) for pose in poses] if turn_deg else poses
+        pictures.append(_picture(submap, grids, turned, lattice))
+    return pictures
+
+
+def _picture(
+    submap: Submap, grids: Sequence[LocalGrid], poses: Sequence[Pose], lattice: Lattice
+) -> Picture:
     specs = (frame.spec for frame in submap.frames)
     windows = [footprint(spec, at, lattice) for spec, at in zip(specs, poses, strict=True)]
     window = reduce(Window.union, windows)
@@ -96,8 +109,8 @@ def draw(submap: Submap, transform: Transform, lattice: Lattice, turn_deg: float
     local_m = max(frame.spec.cell_m for frame in submap.frames)
     rule = Transfer.CENTRE if lattice.cell_m >= np.sqrt(2.0) * local_m else Transfer.AREA
     fold = WindowFold(lattice, window, rule, [GROUP])
-    for frame, pose in zip(submap.frames, poses, strict=True):
-        fold.add(frame.cells(), pose)
+    for grid, pose in zip(grids, poses, strict=True):
+        fold.add(FrameCells(grid, {}), pose)
     window, cells = _cropped(window, fold.cells())
     weight, seen = cells["weight"], cells.observed
     density = cells["sum"] / np.maximum(weight, np.uint64(1))

@@ -132,8 +132,9 @@ class FrameRecord:
         return is_accepted(self.pose)
 
     def grid(self) -> LocalGrid:
-        """The local grid, decompressed at each call."""
-        return self.cells().grid
+        """The local grid, decompressed at each call; its channels alone."""
+        own = [channel for channel in self.load() if channel.name in ("density", "observed")]
+        return decode_cells(self.spec, own, f"grid of frame {self.frame_id!r}").grid
 
     def cells(self) -> FrameCells:
         """The local grid and all further channels, decompressed at each call."""
