@@ -35,8 +35,9 @@ from fieldgrid.mapfile.view import DROP_LAYERS, MapView, empty_view
 from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, Transfer, mean_density
 
-_CHUNK_CELLS = 1280
-"""Stored cells along the side of a square that is worked on at a time, for odd cell sizes."""
+_CHUNK_CELLS = 512
+"""Stored cells along the side of a square that is worked on at a time: what its channels take fits
+into the caches of a processor, and some of them at once into little memory."""
 
 
 class Request(NamedTuple):
@@ -181,11 +182,11 @@ def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
 
 
 def chunks(window: Window, factor: float) -> Iterator[Window]:
-    """A window cut into squares of about a million stored cells, `factor` along the side of one of
-    its own; where tiles begin, if that is a small whole number."""
+    """A window cut into squares of about a quarter of a million stored cells, `factor` along the
+    side of one of its own; where tiles begin, if that is a small whole number."""
     side = max(1, int(_CHUNK_CELLS / factor))
-    if factor in (1, 2, 3, 4, 5):
-        side = TILE_CELLS * max(1, int(4 // factor))
+    if factor in (3, 5):
+        side = TILE_CELLS
     for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
         for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
             chunk = window.intersect(Window(i0, j0, side, side))
