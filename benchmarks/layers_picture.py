@@ -14,8 +14,11 @@ from fieldgrid.figures.grid import draw_grid
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 
-LAYERS = ("slope", "roughness", "step", "traversability", "occupancy")
-CELL_M, WIDTH_IN, HEIGHT_IN = 0.1, 14.0, 3.5
+LAYERS = (
+    *("slope", "roughness", "step", "traversability"),
+    *("density", "occupancy", "max_height", "clearance"),
+)
+CELL_M, ROWS, WIDTH_IN, HEIGHT_IN = 0.1, 2, 13.0, 6.8
 AREA = Bounds(-12.0, 55.0, 10.0, 80.0)
 """The ends of both lanes, and the headland."""
 
@@ -26,9 +29,9 @@ def main() -> None:
     with open_map(source) as universal:
         view = universal.read(AREA, cell_m=CELL_M, layers=LAYERS)
     figure, places = plt.subplots(
-        1, len(LAYERS), figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained"
+        ROWS, len(LAYERS) // ROWS, figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained"
     )
-    for axes, name in zip(places, LAYERS, strict=True):
+    for axes, name in zip(places.flat, LAYERS, strict=True):
         draw_grid(axes, view, (), name, layer=name)
         axes.label_outer()
     figure.savefig(target, dpi=90)
