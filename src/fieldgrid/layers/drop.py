@@ -106,10 +106,13 @@ def _expected(weight: UInt64, _: UInt64) -> UInt64:
 def _of_base(cells: Cells) -> UInt64:
     """Centimetres of the drop in base cells, one more; 0 where nothing is known."""
     odds, parts = cells["drop_odds"].view(np.int64), cells["drop_parts"]
-    one = np.uint64(1)
-    mean_cm = (cells["drop_cm_sum"] + parts // np.uint64(2)) // np.maximum(parts, one)
-    known = (odds != 0) | (parts > 0)
-    return np.where(known, np.where(odds > 0, mean_cm, 0) + one, 0).astype(np.uint64)
+    deepest: UInt64 = (odds != 0).astype(np.uint64)
+    some = parts > 0  # few are, so that nothing else is divided
+    if some.any():
+        parts, total = parts[some], cells["drop_cm_sum"][some]
+        mean_cm = (total + parts // np.uint64(2)) // parts
+        deepest[some] = np.where(odds[some] > 0, mean_cm, 0) + np.uint64(1)
+    return deepest
 
 
 def _sure(cells: Cells) -> UInt64:
@@ -118,12 +121,19 @@ def _sure(cells: Cells) -> UInt64:
 
 
 def _drop(cells: Cells) -> AnyArray:
-    deepest = cells["drop_deepest"].astype(np.float64)
-    return np.where(deepest > 0, (deepest - 1.0) / 100.0, np.nan)
+    deepest = cells["drop_deepest"].astype(np.float32)
+    known = deepest > 0.0
+    deepest -= 1.0
+    deepest /= 100.0
+    deepest[~known] = np.nan
+    return deepest
 
 
 def _sure_share(cells: Cells) -> AnyArray:
-    return np.minimum(cells["sure"] / np.float32(cells.base_cells), 1.0)
+    share = cells["sure"].astype(np.float32)
+    if cells.base_cells > 1:
+        np.minimum(share / np.float32(cells.base_cells), 1.0, out=share)
+    return share
 
 
 GROUP = ChannelGroup(
