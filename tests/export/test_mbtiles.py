@@ -20,6 +20,7 @@ from rasterio.warp import transform
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection, export_map
+from fieldgrid.farm import Farm
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, create_map, open_map
@@ -207,3 +208,15 @@ def test_beside_a_pole_there_are_no_tiles(tmp_path: Path) -> None:
             session.add(*drive(1)[0])
         with pytest.raises(ConfigError, match=r"Web Mercator does not reach to .* 89\.0°"):
             export_map(made, tmp_path / "t.mbtiles")
+
+
+def test_a_farm_has_the_tiles_of_its_map(tiles: Path, tmp_path: Path) -> None:
+    (tmp_path / "farm").mkdir()
+    write_asymmetric_map(tmp_path / "farm" / "f.gpkg")
+    with Farm(tmp_path / "farm") as farm:
+        export_map(farm, tmp_path / "f.mbtiles")
+    alone, together = (
+        {(zoom, x, y): pixels.tobytes() for zoom, x, y, pixels in pictures(path)}
+        for path in (tiles, tmp_path / "f.mbtiles")
+    )
+    assert alone == together
