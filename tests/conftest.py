@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -15,6 +15,8 @@ from hypothesis import settings
 from fieldgrid.recording import DriveOptions
 
 if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
     from fieldgrid.build import SessionReport
 
 # The first example of a kernel compiles it, and the machine has other work: time says nothing here.
@@ -91,3 +93,37 @@ def make_drive(tmp_path: Path) -> Callable[..., Path]:
         return make_small_drive(tmp_path / name, frames)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Debian's Chromium, headless; the test is skipped where it or Playwright is not there."""
+    from tests.view.browsing import CHROMIUM_FLAGS, chromium
+
+    program = chromium()
+    if program is None:
+        pytest.skip("there is no Chromium for tests in a browser (Debian's package chromium)")
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    # Nothing is fetched: not by Playwright, and not by the browser at its start.
+    os.environ["PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD"] = "1"
+    with driver.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=CHROMIUM_FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def look(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """Opens pages that are watched; in the end nothing may have gone wrong in any of them."""
+    from tests.view.browsing import Watched
+
+    opened: list[Watched] = []
+
+    def open_page(link: str, **options: Any) -> Watched:
+        page = Watched.open(browser, link, **options)
+        opened.append(page)
+        return page
+
+    yield open_page
+    for page in opened:
+        page.close()

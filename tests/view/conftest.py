@@ -1,13 +1,11 @@
-"""One map, one server and one browser for all tests of the viewer."""
+"""One map and one server for all tests of the viewer."""
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,11 +14,7 @@ from fieldgrid.grids import LocalGrid
 from fieldgrid.mapfile import open_map
 from tests.changes.worlds import Box, lane, world_map
 from tests.conftest import TWO_LANES
-from tests.view.browsing import CHROMIUM_FLAGS, Watched, chromium
 from tests.view.serving import Server, serving
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 LATER_NS = 60 * 86_400_000_000_000
 GONE_ABOVE = 100
@@ -88,33 +82,3 @@ def own_server(vineyard: Path, tmp_path: Path) -> Iterator[Server]:
     shutil.copy(vineyard, tmp_path / "vineyard.gpkg")
     with serving(tmp_path / "vineyard.gpkg", recordings=(TWO_LANES,)) as running:
         yield running
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Debian's Chromium, headless; the test is skipped where it or Playwright is not there."""
-    program = chromium()
-    if program is None:
-        pytest.skip("there is no Chromium for tests in a browser (Debian's package chromium)")
-    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    # Nothing is fetched: not by Playwright, and not by the browser at its start.
-    os.environ["PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD"] = "1"
-    with driver.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=CHROMIUM_FLAGS)
-        yield started
-        started.close()
-
-
-@pytest.fixture
-def look(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """Opens pages that are watched; in the end nothing may have gone wrong in any of them."""
-    opened: list[Watched] = []
-
-    def open_page(link: str, **options: Any) -> Watched:
-        page = Watched.open(browser, link, **options)
-        opened.append(page)
-        return page
-
-    yield open_page
-    for page in opened:
-        page.close()

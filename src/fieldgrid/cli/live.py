@@ -128,7 +128,7 @@ def command(
 
         fieldgrid live -o row.gpkg --replay june --feed tcp://127.0.0.1:7007
 
-        fieldgrid live -o row.gpkg --images june --gnss - --view 8080
+        fieldgrid live -o row.gpkg --replay june --view 8080 --foxglove 8765
 
         fieldgrid live -o row.gpkg --finish --accept clock-offset
     """

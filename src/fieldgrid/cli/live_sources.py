@@ -104,7 +104,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--foxglove",
             metavar="[HOST:]PORT",
-            help="Let Foxglove connect, at ws://127.0.0.1:8765 with the port that it is used to.",
+            help="Let Foxglove connect, from this machine alone unless a HOST is given; its usual "
+            "port is 8765.",
             rich_help_panel=_PANEL,
         ),
     ] = None
