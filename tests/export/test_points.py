@@ -18,7 +18,14 @@ import trimesh
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
+from fieldgrid.grids import (
+    FOOT_CHANNEL,
+    GROUND_CHANNEL,
+    NO_GROUND_CM,
+    TOP_CHANNEL,
+    GridSpec,
+    LocalGrid,
+)
 from fieldgrid.mapfile import MapFile, create_map, open_map
 from fieldgrid.trajectory import Pose
 from tests.export.asymmetric import DATUM, F_BOXES, cells, enu, write_asymmetric_map
@@ -40,7 +47,7 @@ def las_by_struct(path: Path) -> tuple[_Floats, dict[str, npt.NDArray[Any]], str
     assert encoding & 16  # the system is WKT
     assert data[24:26] == bytes([1, 4])
     header, offset, records, kind, size = struct.unpack_from("<HIIBH", data, 94)
-    assert (kind, size) == (6, 36)
+    assert (kind, size) == (6, 40)
     scale = np.array(struct.unpack_from("<3d", data, 131))
     origin = np.array(struct.unpack_from("<3d", data, 155))
     high_low = struct.unpack_from("<6d", data, 179)
@@ -55,7 +62,7 @@ def las_by_struct(path: Path) -> tuple[_Floats, dict[str, npt.NDArray[Any]], str
     point = np.dtype(
         [("xyz", "<i4", 3), ("intensity", "<u2"), ("flags", "u1", 4), ("angle", "<i2"),
          ("source", "<u2"), ("time", "<f8"), ("density", "u1"), ("frames", "<u4"),
-         ("ground_known", "u1")]
+         ("ground_known", "u1"), ("height_m", "<f4")]
     )  # fmt: skip
     assert point.itemsize == size
     points = np.frombuffer(data, point, count, offset)
@@ -72,7 +79,7 @@ def read(path: Path) -> tuple[_Floats, dict[str, npt.NDArray[Any]]]:
     if path.suffix == ".ply":
         cloud = trimesh.load(path)
         raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
-        values = {name: raw[name] for name in ("density", "frames", "ground_known")}
+        values = {name: raw[name] for name in ("density", "frames", "ground_known", "height_m")}
         return np.asarray(cloud.vertices, dtype=np.float64), values
     if path.suffix == ".las":
         xyz, values, wkt = las_by_struct(path)
@@ -81,7 +88,7 @@ def read(path: Path) -> tuple[_Floats, dict[str, npt.NDArray[Any]]]:
         xyz = np.asarray(packed.xyz)
         values = {
             name: np.asarray(packed[name])
-            for name in ("intensity", "density", "frames", "ground_known")
+            for name in ("intensity", "density", "frames", "ground_known", "height_m")
         }
         wkt = packed.header.vlrs.get("WktCoordinateSystemVlr")[0].string.rstrip("\0")
     assert np.array_equal(values["intensity"], values["density"])
@@ -106,6 +113,7 @@ def test_each_obstacle_cell_is_a_point(name: str, universal: MapFile, tmp_path: 
     # The vehicles' height: nothing tells how they leaned.
     np.testing.assert_allclose(points[:, 2], 0.3, atol=0.002)
     assert not values["ground_known"].any()
+    assert np.isnan(values["height_m"]).all()
     in_stem = np.zeros(len(points), dtype=bool)
     for box in F_BOXES:
         in_stem |= (
@@ -126,12 +134,19 @@ def test_points_stand_on_the_ground_where_it_is_known(name: str, tmp_path: Path)
     pose = Pose(1_780_000_000_000_000_000, 50.0, 20.0, 3.0, 0.0, 0.02, 0.3, 1.0)
     with create_map(path, DATUM, cell_m=0.1) as made:
         with made.add_session("a") as session:
-            session.add(grid, pose, channels={GROUND_CHANNEL: centimetres})
+            tops_dm = np.full(spec.shape, 14, np.uint8)
+            channels = {
+                GROUND_CHANNEL: centimetres,
+                TOP_CHANNEL: tops_dm,
+                FOOT_CHANNEL: np.zeros_like(tops_dm),
+            }
+            session.add(grid, pose, channels=channels)
         done = export_map(made, tmp_path / name)
     points, values = read(tmp_path / name)
     known = values["ground_known"] == 1
     assert known.sum() == done.about["on_seen_ground"] == pytest.approx(len(points) / 2, rel=0.1)
     assert np.array_equal(known, points[:, 0] < 50.0)
+    np.testing.assert_allclose(values["height_m"], 1.4, atol=0.05)
     slope_m = 3.0 + 0.2 * (points[:, 1] - 20.0)
     np.testing.assert_allclose(points[known, 2], slope_m[known], atol=0.03)
     np.testing.assert_allclose(points[~known, 2], 3.0, atol=0.003)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float64, UInt8, UInt32
+from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt32
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
@@ -21,7 +21,7 @@ from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.publish import mentions, replacing
 
-_HEIGHTS = ("ground", "height", "count")
+_HEIGHTS = ("ground", "height", "max_height", "count")
 _SCALE_M = 0.001
 _SOFTWARE = "fieldgrid obstacles"
 _COUNT_DIGITS = 20
@@ -31,7 +31,8 @@ _EARTH_2R_M = 12.75e6
 
 class _Points(NamedTuple):
     """Obstacle cells, n: their centres and heights in metres from the datum in its plane; whether
-    the ground there was seen, or is taken from the vehicle's height; what was seen of them."""
+    the ground there was seen, or is taken from the vehicle's height; what was seen of them, and how
+    high they stand above the ground, NaN where that is not known."""
 
     east_m: Float64
     north_m: Float64
@@ -39,6 +40,7 @@ class _Points(NamedTuple):
     ground_known: Bool
     density: UInt8
     frames: UInt32
+    height_m: Float32
 
 
 def export_las(
@@ -53,7 +55,8 @@ def export_las(
 
     x and y are in the map's plane, whose system stands in the file; z is metres above the WGS84
     ellipsoid. The intensity is the density, and so is the dimension `density`; `frames` saw the
-    cell, and `ground_known` is 1 where z is the ground and 0 where it is the vehicle's height.
+    cell, `height_m` is how high the obstacle stands, or NaN, and `ground_known` is 1 where z is
+    the ground and 0 where it is the vehicle's height.
     Raises ConfigError when laspy is not installed; other errors as in `export_ply`.
     """
     try:
@@ -75,6 +78,7 @@ def export_las(
         ("density", "u1", "0 to 255"),
         ("frames", "u4", "that saw the cell"),
         ("ground_known", "u1", "1: z is the ground's"),
+        ("height_m", "f4", "above the ground, or NaN"),
     ):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind, says))
     told = _Told()
@@ -102,6 +106,7 @@ def export_las(
             record.z = datum.height_m + points.up_m + bulge_m
             record.intensity = record.density = points.density
             record.frames, record.ground_known = points.frames, points.ground_known
+            record.height_m = points.height_m
             record.return_number[:] = record.number_of_returns[:] = 1
             writer.write_points(record)
     return told.exported(universal, path, selection)
@@ -118,11 +123,12 @@ def export_ply(
     """Write the obstacles as binary PLY: x east, y north, z up, metres from the datum in its plane.
 
     With each vertex go `density`, the `frames` that saw the cell, and `ground_known`: 1 where z is
-    the ground, 0 where it is the vehicle's height. Comments name the datum. Raises MapExistsError
+    the ground, 0 where it is the vehicle's height; `height_m` is how high the obstacle stands above
+    it, or NaN. Comments name the datum. Raises MapExistsError
     when `path` exists and may not be overwritten, MapWriteError when it cannot be written.
     """
     kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
-    kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1")]
+    kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")]
     told = _Told()
     with (
         replacing(
@@ -138,7 +144,7 @@ def export_ply(
             vertices = np.zeros(len(points.east_m), dtype=kinds)
             columns = (
                 *(points.east_m, points.north_m, points.up_m),
-                *(points.density, points.frames, points.ground_known),
+                *(points.density, points.frames, points.ground_known, points.height_m),
             )
             for (name, _), column in zip(kinds, columns, strict=True):
                 vertices[name] = column
@@ -192,7 +198,9 @@ def _of_view(view: MapView, above: int) -> _Points:
     known = np.isfinite(ground_m)
     up_m = np.nan_to_num(np.where(known, ground_m, vehicle_m))
     count = view.layer("count")[j, i].astype(np.uint32)
-    return _Points(east_m[i], north_m[j], up_m, known, worst[j, i].astype(np.uint8), count)
+    high_m = view.layer("max_height")[j, i].astype(np.float32)
+    density = worst[j, i].astype(np.uint8)
+    return _Points(east_m[i], north_m[j], up_m, known, density, count, high_m)
 
 
 def _ply_header(universal: MapFile, count: int) -> bytes:
@@ -209,6 +217,7 @@ def _ply_header(universal: MapFile, count: int) -> bytes:
         "property uchar density",
         "property uint frames",
         "property uchar ground_known",
+        "property float height_m",
         "end_header",
     ]
     return "".join(f"{line}\n" for line in lines).encode("ascii")
