@@ -7,12 +7,10 @@ request.
 
 from __future__ import annotations
 
-import io
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Bool, UInt8
@@ -20,6 +18,7 @@ from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds, TileIndex, tile_window
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, MapFile, MapView
+from fieldgrid.mapfile.png import encode_png
 
 _SAMPLE_CELLS = 1 << 18
 """About how many cells the range of a layer is found from."""
@@ -116,8 +115,4 @@ def draw_layer(view: MapView, layer: str, scale: Scale) -> bytes | None:
 
 def encode(grey: UInt8, seen: Bool) -> bytes:
     """Grey and alpha [rows, columns], row 0 in the south, as PNG, row 0 in the north."""
-    pixels = np.stack([grey, seen * np.uint8(255)], axis=-1)[::-1]
-    pixels[pixels[..., 1] == 0] = 0
-    written = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels), "LA").save(written, "PNG", compress_level=1)
-    return written.getvalue()
+    return encode_png(grey * seen, seen)
