@@ -108,10 +108,13 @@ def test_lines_of_a_kmz_end_at_the_bounds(universal: MapFile, tmp_path: Path) ->
     assert 0.0 < lengths["part"] < lengths["all"]
 
 
-def test_paths_and_fixes_of_a_bag_end_at_the_bounds(universal: MapFile, tmp_path: Path) -> None:
-    export_map(universal, tmp_path / "part.rosbag2", Selection(PART))
+@pytest.mark.parametrize("name", ["part.rosbag2", "part.bag"])
+def test_paths_and_fixes_of_a_bag_end_at_the_bounds(
+    universal: MapFile, tmp_path: Path, name: str
+) -> None:
+    export_map(universal, tmp_path / name, Selection(PART))
     poses, fixes = [], []
-    with AnyReader([tmp_path / "part.rosbag2"]) as reader:
+    with AnyReader([tmp_path / name]) as reader:
         for connection, _, data in reader.messages():
             message: Any = reader.deserialize(data, connection.msgtype)
             if "/path" in connection.topic:
@@ -152,9 +155,11 @@ def test_features_of_other_formats_end_at_the_bounds(
 def test_no_format_is_forgotten() -> None:
     """The others are made of the cells of the part."""
     of_cells = {"geotiff", "png", "nav2", "csv", "parquet", "npz", "zarr", "netcdf"}
+    of_cells |= {"mbtiles", "las", "ply"}
     tested = {"geojson", "gpkg", "shapefile", "flatgeobuf", "dxf"} | {
         "kmz",
         "mcap",
+        "rosbag1",
         "rosbag2",
         "isoxml",
     }

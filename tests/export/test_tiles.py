@@ -12,7 +12,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, export_map, nav2, rosbag, tiles
+from fieldgrid.export import Selection, bag_content, export_map, nav2, tiles
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import Mark, MarkKind, open_map
 from tests.export.nav2_loader import load
@@ -34,8 +34,8 @@ def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tiles, "MESSAGE_CELLS", 20_000)
     monkeypatch.setattr(tiles, "_LOOK_CELLS", 50)
     monkeypatch.setattr(nav2, "TILE_CELLS", 64)
-    monkeypatch.setattr(rosbag, "TILE_CELLS", 64)
-    monkeypatch.setattr(rosbag, "GRID_MAP_CELLS", 10_000)
+    monkeypatch.setattr(bag_content, "TILE_CELLS", 64)
+    monkeypatch.setattr(bag_content, "GRID_MAP_CELLS", 10_000)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_tiles_of_a_bag_are_the_occupancy_grid_and_the_grid_map(
             export_map(universal, tmp_path / "x.mcap", options={"messages": "foxglove"})
         monkeypatch.setattr(tiles, "MESSAGE_CELLS", 10**9)
         part = export_map(universal, tmp_path / "part.rosbag2")
-        monkeypatch.setattr(rosbag, "GRID_MAP_CELLS", 10**9)
+        monkeypatch.setattr(bag_content, "GRID_MAP_CELLS", 10**9)
         export_map(universal, tmp_path / "whole.rosbag2")
     assert dict(done.rows)["too large for one message"].startswith("/map and /grid_map: ")
     assert dict(part.rows)["too large for one message"].startswith("/grid_map: ")

@@ -227,7 +227,7 @@ register(
     Format(
         "las",
         (".las", ".laz"),
-        "a point for each obstacle cell, on the ground",
+        "a point for each obstacle cell",
         export_las,
         ObstacleOptions,
         Holds.SHAPES,
