@@ -135,16 +135,17 @@ def while_appending(path: Path, ask: Callable[[], None]) -> None:
         "import sys\nfrom dataclasses import replace\nfrom fieldgrid.mapfile import open_map\n"
         "with open_map(sys.argv[1], writable=True) as m:\n"
         "    frames = [f for f, _ in zip(m.frames(with_grid=True), range(300))]\n"
-        "    with m.add_session('benchmark') as s:\n"
+        "    with m.add_session(sys.argv[2]) as s:\n"
         "        for k, f in enumerate(frames): s.add(f.grid(), f.pose, frame_id=str(k))\n"
     )
-    writer = subprocess.Popen([sys.executable, "-c", program, str(path)])
+    name = f"benchmark {time.time_ns()}"  # a removed session keeps its name
+    writer = subprocess.Popen([sys.executable, "-c", program, str(path), name])
     while writer.poll() is None:
         ask()
     if writer.wait():
         raise SystemExit("the session was not added")
     with open_map(path, writable=True) as universal:
-        universal.remove_session("benchmark")
+        universal.remove_session(name)
 
 
 def main() -> None:

@@ -223,12 +223,7 @@ def _severity(view: MapView, obstacle_above: int) -> UInt8:
     return found
 
 
-def _sampled(
-    view: MapView,
-    severity: UInt8,
-    lat_deg: AnyArray,
-    lon_deg: AnyArray,
-) -> UInt8:
+def _sampled(view: MapView, severity: UInt8, lat_deg: AnyArray, lon_deg: AnyArray) -> UInt8:
     # The height matters by some micrometres: a point of the plane 1 km away is 8 cm above the
     # datum's height, and its vertical is tilted by 0.16 mrad.
     east, north, _ = view.datum.to_enu(lat_deg, lon_deg, view.datum.height_m)
