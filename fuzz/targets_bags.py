@@ -13,6 +13,7 @@ from fieldgrid.array_types import Float32
 from fieldgrid.errors import FieldgridError
 from fieldgrid.recording import DriveOptions, Frame, Image, Mounting, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount
+from fieldgrid.sweep import Sweep
 from fuzz.target import Target
 from fuzz.targets_ros import check_sentence, mend_mcap
 from tests.recording import bags
@@ -66,8 +67,11 @@ class _Checks(NamedTuple):
         assert not np.any(depth_m <= 0.0)
         self._check_hashes()
 
-    def cloud(self, points_m: Float32) -> None:
-        assert np.isfinite(points_m).all()
+    def cloud(self, sweep: Sweep) -> None:
+        assert np.isfinite(sweep.points_m).all()
+        if sweep.after_s is not None:
+            assert np.isfinite(sweep.after_s).all()
+            assert sweep.after_s.shape == sweep.points_m.shape[:1]
         self._check_hashes()
 
     def _check_hashes(self) -> None:
