@@ -47,11 +47,11 @@ def test_a_replay_tells_what_it_kept_and_makes_the_map(
 def test_a_request_to_end_makes_the_map_of_what_was_driven(
     request_to_end: signal.Signals, tmp_path: Path
 ) -> None:
-    # The last frame comes long after the others.
-    drive = make_small_drive(tmp_path / "drives" / "june", (20, 21, 22, 49))
+    # The last frame comes long after the others, which are far enough apart to tell a heading.
+    drive = make_small_drive(tmp_path / "drives" / "june", (20, 25, 30, 49))
     cut_log(drive)
     out = tmp_path / "m.gpkg"
-    arguments = ("live", "-o", out, "--replay", drive, "--rate", "2", "--json")
+    arguments = ("live", "-o", out, "--replay", drive, "--rate", "4", "--json")
     said = []
     with subprocess.Popen(
         in_a_process(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
