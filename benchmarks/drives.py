@@ -1,8 +1,10 @@
-"""`build` of many drives by two processes beside one, interleaved; part of `make bench`.
+"""`build` of many drives by two processes beside one, and by the two workers of a Dask cluster
+beside those, interleaved; part of `make bench`.
 
     python -m benchmarks.drives [DRIVES] [ROUNDS]
 
-The drives are the example's, again and again. Each build is a program of its own. The ratio of
+The drives are the example's, again and again. Each build is a program of its own, and so are
+scheduler and workers, which stay for all rounds. The ratio of
 wall times says something on an idle machine with two cores only; that of processor times says
 anywhere what the processes cost more than one does.
 """
@@ -18,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -35,13 +38,14 @@ def measure_drives(drives: int = DRIVES, rounds: int = ROUNDS) -> Iterator[Line]
         paths = [Path(folder) / f"drive-{k:03d}" for k in range(drives)]
         for path in paths:
             _copy(path)
-        runs: dict[int, list[dict[str, float]]] = {1: [], 2: []}
-        for _ in range(rounds):
-            for jobs, made in runs.items():
-                made.append(_run(jobs, paths, Path(folder) / f"{jobs}.gpkg"))
-    one, two = (
-        {key: float(np.median([run[key] for run in runs[jobs]])) for key in runs[jobs][0]}
-        for jobs in (1, 2)
+        with _cluster(Path(folder)) as address:
+            runs: dict[str, list[dict[str, float]]] = {"1": [], "2": [], address: []}
+            for _ in range(rounds):
+                for where, made in runs.items():
+                    made.append(_run(where, paths, Path(folder) / "out.gpkg"))
+    one, two, cluster = (
+        {key: float(np.median([run[key] for run in made])) for key in made[0]}
+        for made in runs.values()
     )
     frames = 50 * drives
     yield Line(f"build of {drives} drives, {frames} frames, --jobs 1", f"{one['wall_s']:.1f} s")
@@ -52,6 +56,12 @@ def measure_drives(drives: int = DRIVES, rounds: int = ROUNDS) -> Iterator[Line]
         "  processor time of two beside one",
         f"{_cpu_s(two) / _cpu_s(one):.2f} x",
         f"of it {100 * two['own_cpu_s'] / _cpu_s(two):.0f} % in the parent",
+    )
+    yield Line("  by two workers of a Dask cluster", f"{cluster['wall_s']:.1f} s")
+    yield Line(
+        "  more than by two processes",
+        f"{100 * (cluster['wall_s'] / two['wall_s'] - 1.0):.0f} %",
+        "asked <= 10 %",
     )
     yield Line("  peak memory of one", f"{one['own_mb']:.0f} MB")
     yield Line("  peak memory of the parent of two", f"{two['own_mb']:.0f} MB", "asked <= 1000 MB")
@@ -75,8 +85,37 @@ def _copy(path: Path) -> None:
             (path / side / image.name).symlink_to(image.resolve())
 
 
-def _run(jobs: int, paths: list[Path], out: Path) -> dict[str, float]:
-    command = [sys.executable, "-m", "benchmarks.drives", "--build", str(jobs), str(out)]
+@contextmanager
+def _cluster(folder: Path) -> Iterator[str]:
+    """A scheduler and two workers of one thread each; gives the scheduler's address."""
+    told = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    near = ["--scheduler-file", str(told), "--no-dashboard"]
+    commands = [
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *near],
+        [*dask, "worker", *near, "--nworkers", "2", "--nthreads", "1", "--local-directory",
+         str(folder / "workers")],
+    ]  # fmt: skip
+    programs = [subprocess.Popen(one, stderr=subprocess.DEVNULL) for one in commands]
+    try:
+        from distributed import Client
+
+        while not told.exists():
+            if programs[0].poll() is not None:
+                raise SystemExit("the scheduler of Dask did not start")
+            time.sleep(0.1)
+        with Client(scheduler_file=str(told)) as client:
+            client.wait_for_workers(2, timeout=60)
+            address = str(client.scheduler.address)
+        yield address
+    finally:
+        for program in reversed(programs):
+            program.terminate()
+            program.wait(30)
+
+
+def _run(where: str, paths: list[Path], out: Path) -> dict[str, float]:
+    command = [sys.executable, "-m", "benchmarks.drives", "--build", where, str(out)]
     done = subprocess.run(
         [*command, *map(str, paths)], check=True, stdout=subprocess.PIPE, text=True
     )
@@ -85,14 +124,18 @@ def _run(jobs: int, paths: list[Path], out: Path) -> dict[str, float]:
     return found
 
 
-def _build(jobs: int, out: Path, paths: list[Path]) -> None:
-    """What `_run` runs: one build, and what it took."""
+def _build(where: str, out: Path, paths: list[Path]) -> None:
+    """What `_run` runs: one build by so many processes, or on a cluster, and what it took."""
     from fieldgrid.build import build_map
     from fieldgrid.recording import DriveOptions
     from fieldgrid.settings import BuildSettings
 
     start = time.perf_counter()
-    build_map(paths, out, BuildSettings(), DriveOptions("gnss_rtk.nmea"), jobs=jobs)
+    drive, settings = DriveOptions("gnss_rtk.nmea"), BuildSettings()
+    if where.isdigit():
+        build_map(paths, out, settings, drive, jobs=int(where))
+    else:
+        build_map(paths, out, settings, drive, scheduler=where)
     wall_s = time.perf_counter() - start
     own, workers = (
         resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
@@ -110,7 +153,7 @@ def _build(jobs: int, out: Path, paths: list[Path]) -> None:
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if sys.argv[1:2] == ["--build"]:
-        _build(int(sys.argv[2]), Path(sys.argv[3]), [Path(path) for path in sys.argv[4:]])
+        _build(sys.argv[2], Path(sys.argv[3]), [Path(path) for path in sys.argv[4:]])
     else:
         for line in measure_drives(*map(int, sys.argv[1:])):
             print(f"{line.what:<58} {line.value:>16}  {line.asked}", flush=True)

@@ -64,17 +64,16 @@ class StoredSessions:
         """See `CellSource`."""
         groups = self._groups
         total: dict[TileIndex, Cells] = {}
-        for tile, session_id in self._tables.sessions_near(window):
-            if session_id in self._names:
-                cells = self._tables.session_cells(session_id, tile)
-                before = total.get(tile)
-                total[tile] = cells if before is None else merge_sessions(groups, before, cells)
+        for tile, session_id in self._tables.sessions_near(window, self._names):
+            cells = self._tables.session_cells(session_id, tile)
+            before = total.get(tile)
+            total[tile] = cells if before is None else merge_sessions(groups, before, cells)
         found = ((tile_window(t), with_overviews(groups, cells)) for t, cells in total.items())
         return assembled(window, found)
 
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
         """See `SessionSource`."""
-        near = self._tables.sessions_near(window)
+        near = self._tables.sessions_near(window, self._names)
         for session_id, name in self._names.items():
             tiles = [tile for tile, other in near if other == session_id]
             cells = ((tile, self._tables.session_cells(session_id, tile)) for tile in tiles)

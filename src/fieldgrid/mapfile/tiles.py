@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,14 +75,16 @@ class TileTables:
         )
         return [row[0] for row in rows]
 
-    def sessions_near(self, window: Window) -> list[tuple[TileIndex, int]]:
-        """The base tiles that a window touches, with the sessions that have something there."""
+    def sessions_near(self, window: Window, among: Collection[int]) -> list[tuple[TileIndex, int]]:
+        """The base tiles that a window touches, with those sessions among some that have something
+        there."""
         corners = list(window.tiles())
         (south, west), (north, east) = corners[0], corners[-1]
         rows = self.rows(
             "SELECT DISTINCT ty, tx, session_id FROM fieldgrid_session_tile "
-            "WHERE ty BETWEEN ? AND ? AND tx BETWEEN ? AND ? ORDER BY 1, 2, 3",
-            (south, north, west, east),
+            "WHERE session_id IN (SELECT value FROM json_each(?)) "
+            "AND ty BETWEEN ? AND ? AND tx BETWEEN ? AND ? ORDER BY 1, 2, 3",
+            (json.dumps(list(among)), south, north, west, east),
         )
         return [(_index(ty, tx), session_id) for ty, tx, session_id in rows]
 
