@@ -267,7 +267,7 @@ def extent_of(look: Any) -> list[float]:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_serious_in_the_way_of_anybody(look: Any, served: LivePage, scheme: str) -> None:
+def test_nothing_serious_in_the_way_of_anybody(served: LivePage, look: Any, scheme: str) -> None:
     if not AXE.exists():
         pytest.skip("axe-core is not installed (npm ci in page/)")
     served.take(event("The receiver is silent."))

@@ -92,7 +92,8 @@ class Watched:
         problems = [
             text for text in self._problems if not any(part in text for part in self.expected)
         ]
-        assert (foreign, violations, problems) == ([], [], [])
+        wrong = foreign, violations, problems
+        assert wrong == ([], [], []), wrong
 
     def asked(self, part: str) -> list[str]:
         """The addresses asked for that contain a text."""

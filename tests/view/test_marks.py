@@ -91,7 +91,7 @@ def test_nobody_else_marks_anything(
     assert small.read_bytes() == before
 
 
-def test_an_area_is_drawn_kept_and_undone(look: Any, own_server: Server) -> None:
+def test_an_area_is_drawn_kept_and_undone(own_server: Server, look: Any) -> None:
     page = look(own_server.link)
     page.page.click("#mark-area")
     for corner in ((-14.0, 56.0), (-8.0, 56.0), (-8.0, 62.0)):
@@ -120,7 +120,7 @@ def test_an_area_is_drawn_kept_and_undone(look: Any, own_server: Server) -> None
         assert universal.marks() == ()
 
 
-def test_a_point_is_marked_on_a_phone_and_by_keyboard(look: Any, own_server: Server) -> None:
+def test_a_point_is_marked_on_a_phone_and_by_keyboard(own_server: Server, look: Any) -> None:
     page = look(own_server.link, size=(400, 780), has_touch=True, is_mobile=True)
     page.page.locator("#show-panels").tap()
     page.page.locator("#mark-point").tap()
