@@ -9,6 +9,7 @@ absent.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import resource
 import tempfile
 import time
@@ -20,6 +21,7 @@ import numpy as np
 from benchmarks import EXAMPLE
 from fieldgrid.angles import wrap_deg
 from fieldgrid.build import estimate_drive, visual_odometry
+from fieldgrid.convert import convert_recording
 from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
 from fieldgrid.live.kept import Kept
@@ -27,7 +29,7 @@ from fieldgrid.live.lag import Trailing, pose_at
 from fieldgrid.live.sensed import PARTS, Rows
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.recording import DriveOptions, Recording, open_recording
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
 
@@ -42,8 +44,10 @@ def main() -> None:
     """Measure and print."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
+    options.add_argument("--sessions", action="store_true", help="only latency, drops and load")
     chosen = options.parse_args()
-    fixed_lags()
+    if not chosen.sessions:
+        fixed_lags()
     if not chosen.poses:
         sessions()
 
@@ -165,11 +169,22 @@ def sessions() -> None:
         f"{'':<30}{'kept':>6}{'dropped':>9}{'to the grid, ms':>18}{'to the costmap, ms':>20}"
         f"{'processor':>16}{'memory':>9}{'of it for a grid':>23}"
     )
-    measure("example, its own pace", EXAMPLE, "gnss_rtk.nmea", 1.0)
-    measure("example, 10 pairs a second", EXAMPLE, "gnss_rtk.nmea", TEN_HZ)
-    measure("example, no frame dropped", EXAMPLE, "gnss_rtk.nmea", None)
+    drives = [
+        ("example, its own pace", EXAMPLE, "gnss_rtk.nmea", 1.0),
+        ("example, 10 pairs a second", EXAMPLE, "gnss_rtk.nmea", TEN_HZ),
+        ("example, no frame dropped", EXAMPLE, "gnss_rtk.nmea", None),
+    ]
     if KITTI.exists():
-        measure("KITTI 0020, its own pace", KITTI, None, 1.0)
+        drives.append(("KITTI 0020, its own pace", KITTI, None, 1.0))
+    with tempfile.TemporaryDirectory() as place:
+        bag = Path(place) / "example.mcap"
+        convert_recording(EXAMPLE, bag, DriveOptions(gnss="gnss_rtk.nmea"))
+        drives.append(("a bag of the example", bag, None, 1.0))
+        spawn = multiprocessing.get_context("spawn")
+        for drive in drives:  # a process each, so that memory is its own
+            process = spawn.Process(target=measure, args=drive)
+            process.start()
+            process.join()
 
 
 def measure(name: str, folder: Path, log: str | None, rate: float | None) -> None:

@@ -161,16 +161,20 @@ def test_of_frames_that_wait_the_oldest_is_dropped(
 def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
     short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second is done before the first."""
+    """The grid of the second is made before that of the first."""
     later, told = threading.Event(), Told()
 
     def uneven(frame: Frame, *arguments: Any, **options: Any) -> Any:
         if frame.frame_id == "000020":
             assert later.wait(60)
-        looked = stage_frame(frame, *arguments, **options)
-        if frame.frame_id == "000021":
-            later.set()
-        return looked
+        tell = options.pop("gridded")
+
+        def gridded(*made: Any) -> None:
+            if frame.frame_id == "000021":
+                later.set()
+            tell(*made)
+
+        return stage_frame(frame, *arguments, gridded=gridded, **options)
 
     monkeypatch.setattr(perceiving, "stage_frame", uneven)
     out = tmp_path / "m.gpkg"

@@ -22,6 +22,8 @@ from fieldgrid.live.pushed import warm_up
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.odometry import step
 from fieldgrid.recording import open_recording
+from fieldgrid.live.lag import Trailing
+from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.settings import BuildSettings
 
 compiled = Kernel.compiled
@@ -33,7 +35,12 @@ def noted(kernel):
 with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
     gridder = LocalGridder(recording.rig, BuildSettings().grid.spec())
     warm_up(gridder, odometry=True)
+    warm_up_poses(recording.rig, BuildSettings())
     Kernel.compiled = noted
+    trailing = Trailing(recording.rig, BuildSettings(), None, 20.0)
+    for fix in list(recording.fixes())[:100]:
+        trailing.add_fix(fix)
+    trailing.estimate(trailing.newest_ns)
     first, second = (stage_frame(f, gridder, odometry=True)[0] for f in recording.frames(0, 2))
     step(first.features, second.features, recording.rig)
 """

@@ -32,6 +32,10 @@ _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 
+Gridded = Callable[[LocalGrid, FrameGround], None]
+"""Is told of a frame's grid as soon as it is made, before the rest of what is perceived."""
+
+
 class Perceived(NamedTuple):
     """One frame after perception, before it meets its pose; seconds by stage.
 
@@ -79,11 +83,12 @@ def perceive_frame(
     odometry: bool,
     attitude: Attitude | None,
     way: Way | None,
+    gridded: Gridded | None = None,
 ) -> Perceived:
     """One frame, read and perceived here; RecordingError where it cannot be read."""
     time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
     tilt = None if attitude is None else attitude.tilt_at(time_ns)
-    return frame.read(_Stages(frame, gridder, odometry, tilt, way))
+    return frame.read(_Stages(frame, gridder, odometry, tilt, way, gridded))
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -177,9 +182,10 @@ class _Stages:
         odometry: bool,
         tilt: Tilt | None,
         way: Way | None,
+        gridded: Gridded | None = None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
-        self._tilt, self._way = tilt, way
+        self._tilt, self._way, self._tell = tilt, way, gridded or (lambda *_: None)
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perceived:
@@ -190,6 +196,7 @@ class _Stages:
         matched = time.thread_time()
         grid, ground = gridder.from_disparity(disparity, self._tilt)
         gridded = time.thread_time()
+        self._tell(grid, ground)
         seen = features(gridder.rig.camera, left, right) if self._odometry else None
         done = time.thread_time()
         return Perceived(
@@ -225,6 +232,7 @@ class _Stages:
         hashes, decoded = self._hashes(), time.thread_time()
         grid, ground = to_grid(seen, self._tilt)
         grid_s = time.thread_time() - decoded
+        self._tell(grid, ground)
         return Perceived(
             self._frame, grid, ground, None, hashes, decoded - self._start, 0.0, grid_s, 0.0
         )

@@ -14,7 +14,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build.perception import CameraMotion, Perceived, perceive_frame, side_by_side
+from fieldgrid.build.perception import (
+    CameraMotion,
+    Gridded,
+    Perceived,
+    perceive_frame,
+    side_by_side,
+)
 from fieldgrid.build.report import BadFrame, StageTimes
 from fieldgrid.errors import RecordingError
 from fieldgrid.localgrid import LocalGridder
@@ -187,9 +193,12 @@ def stage_frame(
     odometry: bool,
     attitude: Attitude | None = None,
     way: Way | None = None,
+    gridded: Gridded | None = None,
 ) -> tuple[Perceived, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
-    seen = perceive_frame(frame, gridder, odometry=odometry, attitude=attitude, way=way)
+    seen = perceive_frame(
+        frame, gridder, odometry=odometry, attitude=attitude, way=way, gridded=gridded
+    )
     return seen, stage(
         seen.grid,
         frame.frame_id,

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.array_types import Int64
 from fieldgrid.build import cell_budget
 from fieldgrid.errors import FieldgridError, GnssError
 from fieldgrid.fixes import Fix, FixColumns
@@ -14,9 +16,9 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.live.sensed import Rows, motion_of
 from fieldgrid.motion import Motion
 from fieldgrid.odometry import Refusal, Step, steps_of
-from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.pose import Budget, Estimate, estimate_poses
 from fieldgrid.rig import Rig
-from fieldgrid.settings import BuildSettings
+from fieldgrid.settings import BuildSettings, PoseSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
 KEPT_S = 60.0
@@ -30,6 +32,31 @@ FEWEST_FIXES = 3
 
 AHEAD_S, TIMES_AHEAD = 600.0, 10
 """A fix that is stamped so far ahead of all else is not used here, unless so many follow it."""
+
+
+class Asked(NamedTuple):
+    """What an estimate is made of; nothing that is pushed later changes it."""
+
+    fixes: FixColumns
+    rig: Rig
+    datum: Datum | None
+    settings: PoseSettings
+    motion: Motion
+    budget: Budget
+    frame_ns: Int64
+
+    def estimate(self) -> Estimate:
+        """The poses. GnssError where there are none, which says why."""
+        return estimate_poses(
+            self.fixes,
+            self.rig,
+            self.datum,
+            self.settings,
+            self.motion,
+            self.budget,
+            frame_ns=self.frame_ns,
+            level_grids=False,
+        )
 
 
 class Trailing:
@@ -52,8 +79,6 @@ class Trailing:
         self._last_fix_ns: int | None = None
         self._ahead = 0
         self.newest_ns = 0
-        self.fixes = FixColumns.of([])
-        """Those of the latest estimate, used or not."""
 
     @property
     def last_fix_ns(self) -> int | None:
@@ -96,6 +121,12 @@ class Trailing:
     def estimate(self, oldest_ns: int) -> Estimate:
         """The poses of the last seconds, and from before `oldest_ns` on if that is still there.
         GnssError where there are none, which says why."""
+        found = self.asked(oldest_ns).estimate()
+        self.datum = found.trajectory.datum
+        return found
+
+    def asked(self, oldest_ns: int) -> Asked:
+        """What such an estimate is made of. GnssError where there is too little."""
         if self._last_fix_ns is None:
             raise GnssError("There is no fix yet; wait for the receiver.")
         since_ns = min(self._last_fix_ns - self._window_ns, oldest_ns - BEFORE_NS)
@@ -105,19 +136,15 @@ class Trailing:
         if len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - self._last_fix_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
-        self.fixes = FixColumns.of_rows(fixes)
-        found = estimate_poses(
-            self.fixes,
+        return Asked(
+            FixColumns.of_rows(fixes),
             self._rig,
             self.datum,
             self._settings.pose,
             self._motion(since_ns),
             self._budget,
-            frame_ns=np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
-            level_grids=False,
+            np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
         )
-        self.datum = found.trajectory.datum
-        return found
 
     def _motion(self, since_ns: int) -> Motion:
         parts = {

@@ -25,6 +25,7 @@ from fieldgrid.live.posing import LiveOptions, Poser
 from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensed import Rows, rows_of
+from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
 from fieldgrid.rig import Rig
@@ -88,6 +89,7 @@ class Live(Closing):
         check_target(Path(map_path), about)
         odometry = follows_camera(rig, settings)
         warm_up(gridder, odometry=odometry)
+        warm_up_poses(rig, settings)
         self.name, self.rig, self._settings = name, rig, settings
         self._kept = Kept(Path(map_path), about)
         drive = self._kept.drive

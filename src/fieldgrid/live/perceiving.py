@@ -7,13 +7,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
+
+import cv2
 
 from fieldgrid.build import BadFrame
 from fieldgrid.build.perception import Perceived
 from fieldgrid.build.report import StageTimes
 from fieldgrid.build.staging import Found, stage_frame
 from fieldgrid.errors import FieldgridError, MapWriteError
+from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
 from fieldgrid.live.kept import Kept
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
@@ -40,8 +44,11 @@ class Seen(NamedTuple):
 
 
 class _Waiting(NamedTuple):
+    """`is_again`: it is the last frame before a restart, pushed again."""
+
     frame: Frame
     pushed_s: float
+    is_again: bool
 
 
 class Perceiver:
@@ -72,11 +79,15 @@ class Perceiver:
         last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
         self._newest_ns = last_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
-        self._again_ns = self._kept_ns = last_ns if odometry else None
+        self._again_ns = last_ns if odometry else None
         self.frames = len(frames)
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
+        # Frames beside each other use the cores better than OpenCV's stripes of one frame, whose
+        # threads wait for each other by spinning.
+        self._cv_threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)
         self._threads = [
             threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
             for _ in range(WORKERS)
@@ -101,7 +112,7 @@ class Perceiver:
                 if len(self._queue) >= self._most:
                     dropped = self._queue.popleft().frame
                     self.dropped += 1
-                self._queue.append(_Waiting(frame, time.monotonic()))
+                self._queue.append(_Waiting(frame, time.monotonic(), is_again))
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
             else:
@@ -132,6 +143,7 @@ class Perceiver:
             self._changed.notify_all()
         for thread in self._threads:
             thread.join()
+        cv2.setNumThreads(self._cv_threads)
 
     def _run(self) -> None:
         """Stage frames beside the other threads, and do what follows when it is their turn."""
@@ -145,11 +157,15 @@ class Perceiver:
                 self._changed.notify_all()
             problem, looked = None, None
             try:
-                looked = stage_frame(waiting.frame, self._gridder, odometry=self._odometry)
+                looked = stage_frame(
+                    waiting.frame,
+                    self._gridder,
+                    odometry=self._odometry,
+                    gridded=partial(self._gridded, waiting, turn),
+                )
             except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
                 problem = error
-            with self._changed:
-                self._changed.wait_for(lambda turn=turn: self._done == turn)  # type: ignore[misc]
+            self._await(turn)
             try:
                 if looked is not None:
                     self._keep(waiting, *looked)
@@ -162,6 +178,21 @@ class Perceiver:
                 self._done += 1
                 self._changed.notify_all()
 
+    def _await(self, turn: int) -> None:
+        """Wait until all frames before are kept."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._done == turn)
+
+    def _gridded(self, waiting: _Waiting, turn: int, grid: LocalGrid, ground: FrameGround) -> None:
+        """Tell a grid once those before it are told and kept, and before the rest of its frame is
+        looked at: whoever drives by it need not wait for that."""
+        self._await(turn)
+        if not waiting.is_again:
+            frame = waiting.frame
+            time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+            latency_s = time.monotonic() - waiting.pushed_s
+            self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
+
     def _bad(self, frame: Frame, reason: str) -> None:
         time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
         self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
@@ -172,11 +203,9 @@ class Perceiver:
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         # Behind it the stage file may have frames of which the journal does not know.
-        if self._last is None and time_ns == self._kept_ns:
+        if waiting.is_again:
             self._last = seen.features
             return
-        latency_s = time.monotonic() - waiting.pushed_s
-        self._tell(LiveGrid(frame.frame_id, time_ns, seen.grid, seen.ground.refined, latency_s))
         start = time.thread_time()
         found: Found = None
         if self._last is not None and seen.features is not None:

@@ -1,4 +1,7 @@
-"""Poses and the window around the vehicle, again with each frame: a thread of its own."""
+"""Poses and the window around the vehicle, again with each frame: a thread of its own.
+
+Estimates are made beside it; a frame that is newer than they are is placed by the camera's step.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +20,12 @@ from fieldgrid.build.poses import no_ground
 from fieldgrid.cost import CostCurve
 from fieldgrid.costmap import Costmap, Inflation
 from fieldgrid.errors import ConfigError, FieldgridError
-from fieldgrid.fixes import Fix
+from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
-from fieldgrid.live.lag import Trailing, pose_at, unknown_pose
+from fieldgrid.live.carrying import Carried
+from fieldgrid.live.estimating import Estimated, Estimator, estimated
+from fieldgrid.live.lag import Asked, Trailing, pose_at, unknown_pose
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
@@ -33,9 +39,6 @@ from fieldgrid.transfer import Transfer
 EVERY_S = 0.2
 """Without a new frame poses are estimated so often."""
 
-MOST_SHARE = 0.5
-"""Of one core, estimates take no more: frames come first."""
-
 SILENT_S = 3.0
 """Without a frame or a pose for longer, the window is not to be trusted."""
 
@@ -47,6 +50,13 @@ UNSEEN_DEG = 20.0
 
 MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
+
+
+class _Frames(NamedTuple):
+    """Frames whose pose is good enough: for good, and such as may still move."""
+
+    settled: list[Placed]
+    moving: list[Placed]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +105,21 @@ class Poser:
     ) -> None:
         self._rig, self._options, self._tell = rig, options, tell
         self._trailing = Trailing(rig, settings, datum, options.window_s)
-        self._reach_m = cell_budget(rig, settings).reach_m
         self._window = RollingWindow(
             *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
             *(options.map_side_m, settings.grid.spec().reach_m),
         )
-        self._inbox: deque[Fix | Seen | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
+        self._budget, self._settings = cell_budget(rig, settings), settings.pose
+        self._inbox: deque[Fix | Seen | Estimated | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
+        self._estimate: Estimate | None = None
+        self._fixes = FixColumns.of([])
+        self._why = "no pose was estimated yet"
+        self._estimated_ns = 0
+        self._before: Carried | None = None
+        self._latest: Carried | None = None
+        self._shown_s = -math.inf
         self._waiting: list[Seen] = []
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
@@ -112,15 +129,17 @@ class Poser:
         self._gear = 0
         self._used = np.zeros(0, dtype=np.bool_)
         self._heard_s = time.monotonic()
+        self._estimator = Estimator(self.put)
         self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
         self._thread.start()
 
-    def put(self, said: Fix | Seen | tuple[str, Rows]) -> None:
-        """Take what was pushed; it never blocks."""
+    def put(self, said: Fix | Seen | Estimated | tuple[str, Rows]) -> None:
+        """Take what was pushed, or what was estimated of it; it never blocks."""
         with self._changed:
             self._inbox.append(said)
-            self._heard_s = time.monotonic()
-            if isinstance(said, Seen):
+            if not isinstance(said, Estimated):
+                self._heard_s = time.monotonic()
+            if isinstance(said, Seen | Estimated):
                 self._has_frame = True
                 self._changed.notify()
 
@@ -132,27 +151,46 @@ class Poser:
         self._thread.join()
 
     def _run(self) -> None:
-        took_s = 0.0
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed, took_s * (1.0 / MOST_SHARE - 1.0))
                 self._changed.wait_for(lambda: self._has_frame or self._closed, EVERY_S)
                 said, self._has_frame, closed = list(self._inbox), False, self._closed
                 self._inbox.clear()
-            start_s = time.thread_time()
             try:
                 for one in said:
                     self._take(one)
-                still_s = 0.0 if said else time.monotonic() - self._heard_s
-                if said or still_s > SILENT_S:
-                    self._estimate(still_s)
-            except Exception as error:  # noqa: BLE001 - an estimate that fails does not end the mapping
-                self._say(What.POSE, f"Poses could not be estimated: {error!r}")
-            took_s = time.thread_time() - start_s
+                self._go_on(said, closed=closed)
+            except Exception as error:  # noqa: BLE001 - what fails here does not end the mapping
+                self._say(What.POSE, f"Poses could not be told: {error!r}")
             if closed:
                 return
 
-    def _take(self, said: Fix | Seen | tuple[str, Rows]) -> None:
+    def _go_on(self, said: Sequence[object], *, closed: bool) -> None:
+        """Let an estimate be made of what was said, and show the window if that is new."""
+        still_s = 0.0 if said else time.monotonic() - self._heard_s
+        if closed:
+            self._estimator.close()
+            self._ask(estimated)
+        elif self._estimator.is_free and (said or still_s > SILENT_S):
+            self._ask(self._estimator.ask)
+        is_due = time.monotonic() - self._shown_s >= EVERY_S and (said or still_s > SILENT_S)
+        if closed or is_due or any(isinstance(one, Seen) for one in said):
+            self._tell_all(still_s)
+            self._shown_s = time.monotonic()
+
+    def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
+        """Ask for an estimate; one that is made at once is taken at once."""
+        newest_ns = self._trailing.newest_ns
+        try:
+            asked = self._trailing.asked(min((w.time_ns for w in self._waiting), default=newest_ns))
+        except FieldgridError as error:
+            self._take_estimate(Estimated(None, None, str(error)))
+            return
+        made = ask(asked)
+        if made is not None:
+            self._take_estimate(made)
+
+    def _take(self, said: Fix | Seen | Estimated | tuple[str, Rows]) -> None:
         if isinstance(said, Fix):
             if why := self._trailing.add_fix(said):
                 self._say(What.FIX_REFUSED, why)
@@ -161,25 +199,33 @@ class Poser:
                 self._trailing.add_frame(said.time_ns, said.step)
             self._waiting.append(said)
             self._newest = said
+        elif isinstance(said, Estimated):
+            self._take_estimate(said)
         else:
             self._trailing.add_rows(*said)
 
-    def _estimate(self, still_s: float) -> None:
-        """Estimate, place and tell; nothing was pushed for so long."""
-        estimate, doubt, code = None, "", Doubt.NONE
-        try:
-            newest_ns = self._trailing.newest_ns
-            estimate = self._trailing.estimate(
-                min((w.time_ns for w in self._waiting), default=newest_ns)
-            )
-        except FieldgridError as error:
-            doubt, code = str(error), Doubt.NO_FIXES
-            self._used = np.zeros(len(self._trailing.fixes), dtype=np.bool_)
-        if estimate is not None:
-            self._say_refused(estimate)
-            self._pose, self._gear, doubt = self._now(estimate)
-            track = estimate.trajectory
-            self._used = np.isin(self._trailing.fixes.time_ns, track.time_ns[track.accepted])
+    def _take_estimate(self, made: Estimated) -> None:
+        """Let an estimate, or that there is none, take the place of the one before."""
+        self._estimate, self._why = made.estimate, made.why
+        if made.problem:
+            self._say(What.POSE, f"Poses could not be estimated: {made.problem}")
+        if made.asked is not None:
+            self._fixes, frame_ns = made.asked.fixes, made.asked.frame_ns
+            self._estimated_ns = int(frame_ns[-1]) if len(frame_ns) else 0
+        if made.estimate is None:
+            self._used = np.zeros(len(self._fixes), dtype=np.bool_)
+            return
+        track = made.estimate.trajectory
+        self._trailing.datum = track.datum
+        self._used = np.isin(self._fixes.time_ns, track.time_ns[track.accepted])
+        self._say_refused(made.estimate)
+
+    def _tell_all(self, still_s: float) -> None:
+        """Place what was seen, and tell; nothing was pushed for so long."""
+        doubt, code = self._why, Doubt.NO_FIXES
+        placed = self._placed(doubt)
+        if self._estimate is not None:
+            self._pose, self._gear, doubt = self._now(self._estimate)
             code = Doubt.POSE if doubt else Doubt.NONE
             if self._pose.status is not Status.REJECTED:
                 self._window.follow(self._pose)
@@ -189,9 +235,9 @@ class Poser:
                 doubt, code = f"no frame for {silent_s:.1f} s", Doubt.NO_FRAMES
         if still_s > SILENT_S and not doubt:
             doubt, code = f"nothing was pushed for {still_s:.0f} s", Doubt.SILENT
-        placed = self._placed(estimate, doubt)
+        self._window.settle(placed.settled)
         if self._trailing.datum is not None:
-            self._show(self._trailing.datum, placed, doubt, code)
+            self._show(self._trailing.datum, placed.moving, doubt, code)
         if bool(doubt) != bool(self._doubt) or self._doubt is None:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
@@ -206,7 +252,10 @@ class Poser:
             pose, gear = pose_at(trajectory, newest_ns)
             return pose, gear, pose.reason
         pose, gear = pose_at(trajectory, min(newest_ns, int(known[-1])))
-        since_s = max(newest_ns - int(known[-1]), 0) / 1e9
+        latest = self._latest
+        if latest and latest.since_s and latest.pose.time_ns > pose.time_ns:
+            pose, gear = latest.pose, latest.gear
+        since_s = max(newest_ns - pose.time_ns, 0) / 1e9
         if since_s > 0.0:
             speed_mps = abs(pose.speed_mps)
             turned_deg = UNSEEN_DEG * math.sqrt(since_s) if speed_mps > 0.1 else 0.0
@@ -222,20 +271,21 @@ class Poser:
             return pose, gear, f"no pose that can be used for {since_s:.1f} s: {why}"
         return pose, gear, pose.reason if pose.status is Status.REJECTED else ""
 
-    def _placed(self, estimate: Estimate | None, doubt: str) -> list[Placed]:
-        """Tell the poses of the frames that wait, place those that are settled for good, and return
-        those that are good enough but may still move."""
+    def _placed(self, doubt: str) -> _Frames:
+        """Tell the poses of the frames that wait, and what becomes of their grids."""
         still: list[Seen] = []
-        moving: list[Placed] = []
-        settled: list[Placed] = []
-        fix_ns, newest_ns = self._trailing.last_fix_ns or 0, self._trailing.newest_ns
+        found = _Frames([], [])
+        # It is the estimate that must have fixes after a frame, and the frame's own step.
+        fix_ns = int(self._fixes.time_ns.max(initial=0))
+        newest_ns, before = self._trailing.newest_ns, self._before
         for seen in self._waiting:
-            since_s = (fix_ns - seen.time_ns) / 1e9
-            is_settled = since_s >= self._options.lag_s
+            is_settled = (fix_ns - seen.time_ns) / 1e9 >= self._options.lag_s
+            is_settled = is_settled and seen.time_ns <= self._estimated_ns
             is_settled = is_settled or (newest_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
-            pose, gear = unknown_pose(seen.time_ns, doubt), 0
-            if estimate is not None:
-                pose, gear = pose_at(estimate.trajectory, seen.time_ns)
+            at = self._pose_of(seen, before, doubt)
+            if seen.is_kept:
+                before = at
+            pose, gear = at.pose, at.gear
             if pose.status is not Status.REJECTED and not seen.ground_found:
                 pose = replace(pose, status=Status.REJECTED, reason=no_ground(self._rig))
             is_good = pose.status is not Status.REJECTED
@@ -243,17 +293,35 @@ class Poser:
                 self._tell(LivePose(seen.frame_id, pose, gear, is_settled))
                 self._told.add(seen.time_ns)
             if is_good:
-                off_m = self._reach_m * math.radians(pose.heading_sigma_deg)
+                off_m = self._budget.reach_m * math.radians(pose.heading_sigma_deg)
                 sigma_m = math.hypot(pose.position_sigma_m, off_m)
                 frame = Placed(seen.grid, pose, seen.time_ns, sigma_m)
-                (settled if is_settled else moving).append(frame)
+                (found.settled if is_settled else found.moving).append(frame)
             if is_settled:
                 self._told.discard(seen.time_ns)
+                self._before = before
             else:
                 still.append(seen)
-        self._waiting = still
-        self._window.settle(settled)
-        return moving
+        self._waiting, self._latest = still, before
+        return found
+
+    def _pose_of(self, seen: Seen, before: Carried | None, doubt: str) -> Carried:
+        """The pose of a frame by the latest estimate, or by the camera's step from the frame before
+        where it is newer than that."""
+        pose, gear = unknown_pose(seen.time_ns, doubt), 0
+        if self._estimate is not None:
+            pose, gear = pose_at(self._estimate.trajectory, seen.time_ns)
+        if (
+            self._estimate is not None
+            and seen.time_ns > self._estimated_ns
+            and seen.step is not None
+            and before is not None
+            and before.pose.status is not Status.REJECTED
+        ):
+            carried = before.on(seen.time_ns, seen.step)
+            if carried.is_good(self._settings, self._budget):
+                return carried
+        return Carried(pose, gear)
 
     def _show(self, datum: Datum, moving: list[Placed], doubt: str, code: Doubt) -> None:
         newest, now_ns = self._newest, self._trailing.newest_ns
@@ -277,7 +345,7 @@ class Poser:
                 latency_s,
                 code,
                 self._gear,
-                self._trailing.fixes,
+                self._fixes,
                 self._used,
             )
         )
