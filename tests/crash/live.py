@@ -70,8 +70,9 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
     had = NOTHING
     while hit.total() - hit[ENDED] < count:
         # Most meet it while it drives, after so many frames; some at its begin or its end.
-        grids = int(random.integers(-1, len(FRAMES) + 1))
-        longest_s = whole_s / (4.0 if 0 <= grids < len(FRAMES) else 1.5)
+        left = len(FRAMES) - len(had.frames)
+        grids = int(random.integers(-1, left + 1)) if left else -1
+        longest_s = whole_s / (20.0 if 0 <= grids < left else 2.0)
         doing, said = _one(drive, out, grids, float(random.uniform(0.0, longest_s)))
         hit[doing] += 1
         if live_folder(out).exists():
