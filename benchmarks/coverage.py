@@ -240,17 +240,11 @@ def best_of(task: Task) -> Best:
             passes += both
             sizes.append(lane.length_m)
     network = Network(searcher, passes, [], [], lambda done, total: None)
-    costs, known = network.bounds()
+    costs, lengths, known = network.bounds()
     pairs = [(int(a), int(b)) for a, b in np.argwhere(~known)]
-    lengths = costs.copy()
     for pair, cost in zip(pairs, network.costs(pairs, 60_000), strict=True):
-        costs[pair] = lengths[pair] = cost
-        way, after = network.ways[pair], passes[pair[1]]
-        if len(way) and after is not None:
-            lengths[pair] = sum(
-                float(np.hypot(*np.diff(rows[:, :2], axis=0).T).sum())
-                for rows in (way, after.samples)
-            )
+        costs[pair], lengths[pair] = cost, network.lengths_m.get(pair, math.inf)
+    lengths[~np.isfinite(costs)] = math.inf
     worth = 1000.0 * np.array(sizes)
     order = best_order(costs, np.ones(costs.shape, np.bool_), worth, lambda _: [], exact_up_to=0)
     lost = worth.sum() - sum(worth[node // 2] for node in order.nodes)

@@ -31,8 +31,10 @@ from fieldgrid.build import build_map
 from fieldgrid.evidence import OBSTACLE, Evidence
 from fieldgrid.mapfile import open_map
 from fieldgrid.polyline import lengths, project, resampled
+from fieldgrid.recording import DriveOptions
 from fieldgrid.rows import Planting as Found
 from fieldgrid.rows import find_rows, rows_of_view
+from fieldgrid.settings import BuildSettings
 
 DRIVES = ("vineyard_two_lanes", "vineyard_two_lanes_later", "vineyard_slope")
 SEEDS = range(3)
@@ -109,7 +111,7 @@ def drives(maps: Path) -> Iterator[str]:
     for name in DRIVES:
         path = maps / f"{name}.gpkg"
         if not path.exists():
-            build_map([DATA / name], path, gnss="gnss_rtk.nmea")
+            build_map([DATA / name], path, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
         yield f"{name}: {judge_drive(path, name)}"
 
 

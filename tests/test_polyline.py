@@ -75,3 +75,24 @@ def test_beyond_its_ends_a_line_goes_on() -> None:
     along, across = project(np.array([[-3.0, 1.0], [12.0, -2.0]]), line)
     assert np.allclose(along, [-3.0, 12.0])
     assert np.allclose(across, [1.0, -2.0])
+
+
+def test_of_two_pieces_the_nearer_one_counts() -> None:
+    """Against the same of all pieces at once, in NumPy."""
+    rng = np.random.default_rng(0)
+    line, points = np.cumsum(rng.normal(size=(20, 2)), axis=0), 5.0 * rng.normal(size=(200, 2))
+    step = np.diff(line, axis=0)
+    size = np.hypot(*step.T)
+    offset = points[:, None] - line[None, :-1]
+    at = (offset * step).sum(axis=2) / size
+    low, high = np.zeros(19), size.copy()
+    low[0], high[-1] = -np.inf, np.inf
+    at = at.clip(low, high)
+    best = np.linalg.norm(offset - (at / size)[:, :, None] * step, axis=2).argmin(axis=1)
+    rows = np.arange(200)
+    beside = (step[best, 0] * offset[rows, best, 1] - step[best, 1] * offset[rows, best, 0]) / size[
+        best
+    ]
+    along, left = project(points, line)
+    assert along == pytest.approx(lengths(line)[best] + at[rows, best])
+    assert left == pytest.approx(beside)

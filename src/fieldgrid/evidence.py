@@ -7,13 +7,15 @@ obstacle and what was never seen.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float64, UInt8
+from fieldgrid.array_types import Float64, UInt8
 from fieldgrid.grids import OBSTACLE_ABOVE
+from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import MapView
 from fieldgrid.polyline import lengths, normals
@@ -62,17 +64,6 @@ class Evidence(NamedTuple):
         east_m, north_m = self.lattice.centres(self.window)
         return np.column_stack([east_m[i], north_m[j]])
 
-    def at(self, points_m: Float64) -> UInt8:
-        """The classes of the cells that enclose points [..., 2]; outside, nothing was seen."""
-        per_m = self.lattice.cells_per_m
-        i = np.floor(points_m[..., 0] * per_m).astype(np.int64) - self.window.i0
-        j = np.floor(points_m[..., 1] * per_m).astype(np.int64) - self.window.j0
-        height, width = self.cells.shape
-        inside: Bool = (i >= 0) & (j >= 0) & (i < width) & (j < height)
-        found = np.zeros(inside.shape, dtype=np.uint8)
-        found[inside] = self.cells[j[inside], i[inside]]
-        return found
-
     def strip(
         self,
         line: Float64,
@@ -91,8 +82,22 @@ class Evidence(NamedTuple):
         left /= np.hypot(left[:, 0], left[:, 1])[:, None]
         apart_m = across_step_m or self.cell_m
         across = np.arange(-right_m + 0.5 * apart_m, left_m, apart_m)
-        points = middle[:, None] + across[None, :, None] * left[:, None]
-        return Strip(self.at(points), at, across)
+        cells = np.zeros((len(at), len(across)), dtype=np.uint8)
+        i0, j0, per_m = self.window.i0, self.window.j0, self.lattice.cells_per_m
+        read_across(self.cells, i0, j0, per_m, middle, left, across, cells)
+        return Strip(cells, at, across)
+
+
+@kernel
+def read_across(cells, i0, j0, per_m, middle, left, across, found):  # type: ignore[no-untyped-def]
+    """Write the classes of the cells that enclose the points so far to the left of some others;
+    those outside stay."""
+    for k in range(len(middle)):
+        for m in range(len(across)):
+            i = math.floor((middle[k, 0] + across[m] * left[k, 0]) * per_m) - i0
+            j = math.floor((middle[k, 1] + across[m] * left[k, 1]) * per_m) - j0
+            if 0 <= i < cells.shape[1] and 0 <= j < cells.shape[0]:
+                found[k, m] = cells[j, i]
 
 
 def fill_pinholes(evidence: Evidence, hole_m: float) -> Evidence:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fieldgrid.array_types import Float64
+from fieldgrid.kernel import kernel
 
 
 def lengths(line: Float64) -> Float64:
     """How far along the line each of its points is, metres, from 0."""
-    step = np.diff(line, axis=0)
-    return np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+    step = line[1:] - line[:-1]
+    s = np.zeros(len(line))
+    np.cumsum(np.hypot(step[:, 0], step[:, 1]), out=s[1:])
+    return s
 
 
 def resampled(line: Float64, step_m: float) -> Float64:
@@ -51,18 +56,27 @@ def part(line: Float64, start_m: float, stop_m: float) -> Float64:
 
 def project(points_m: Float64, line: Float64) -> tuple[Float64, Float64]:
     """How far along a line each point [n, 2] lies, and how far to its left; ends carried on."""
-    s = lengths(line)
-    a, step = line[:-1], np.diff(line, axis=0)
-    size = np.hypot(step[:, 0], step[:, 1])
-    unit = step / size[:, None]
-    offset = points_m[:, None] - a[None]
-    along = (offset * unit[None]).sum(axis=2)
-    inner = np.clip(along, 0.0, size[None])
-    inner[:, 0] = np.minimum(along[:, 0], size[0])
-    inner[:, -1] = np.maximum(along[:, -1], 0.0) if len(size) > 1 else along[:, -1]
-    foot = inner[:, :, None] * unit[None]
-    apart = np.hypot(*(offset - foot).transpose(2, 0, 1))
-    best = apart.argmin(axis=1)
-    rows = np.arange(len(points_m))
-    left = unit[best, 0] * offset[rows, best, 1] - unit[best, 1] * offset[rows, best, 0]
-    return s[best] + inner[rows, best], left
+    along, left = np.empty(len(points_m)), np.empty(len(points_m))
+    points, line = (np.ascontiguousarray(p, dtype=np.float64) for p in (points_m, line))
+    project_points(points, line, np.full(len(points), np.inf), along, left)
+    return along, left
+
+
+@kernel
+def project_points(points, line, nearest, along, left):  # type: ignore[no-untyped-def]
+    """Write along and left of each point: of its nearest piece of the line, the first of equals.
+    `nearest` is infinite at first."""
+    last, before = len(line) - 2, 0.0
+    for k in range(last + 1):
+        step_x, step_y = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        size = math.sqrt(step_x * step_x + step_y * step_y)
+        unit_x, unit_y = step_x / size, step_y / size
+        low, high = 0.0 if k > 0 else -np.inf, size if k < last else np.inf
+        for p in range(len(points)):
+            x, y = points[p, 0] - line[k, 0], points[p, 1] - line[k, 1]
+            at = min(max(x * unit_x + y * unit_y, low), high)
+            apart = (x - at * unit_x) ** 2 + (y - at * unit_y) ** 2
+            if apart < nearest[p]:
+                nearest[p] = apart
+                along[p], left[p] = before + at, unit_x * y - unit_y * x
+        before += size

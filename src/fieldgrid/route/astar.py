@@ -26,7 +26,6 @@ QUEUED, COUNT, TRIES, NEAREST = range(4)
 MOVES = 10
 """A move is a curvature of `CURVATURES`; five are forward, five in reverse."""
 
-TABLE = 1 << 20
 _HEADINGS = 48
 _TURN_COST = 1.03
 _GREED = 1.25

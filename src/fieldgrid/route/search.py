@@ -27,7 +27,6 @@ from fieldgrid.route.astar import (
     PARENT,
     QUEUED,
     REVERSE_COST,
-    TABLE,
     TRIES,
     expand,
     first_free_word,
@@ -45,6 +44,10 @@ _COARSE_CELLS = 1_200_000
 _EIGHT_WAYS = 2.0 * math.sqrt(2.0 - math.sqrt(2.0)) / math.sqrt(2.0)
 _WORTH_M = 0.05
 """A shorter saving is no reason to change a way."""
+
+_LONGEST_WORD = 30.0
+"""Turning radii by which the length of a curve is at most above the distance of its ends: a few
+whole circles."""
 
 _BLOCKED_COST = 1000.0
 """What a metre through what is blocked is worth, where the question is what is in the way."""
@@ -126,13 +129,15 @@ class Searcher:
     ) -> Found:
         """A way from one of the starts to one of the goals, which are free and differ in their
         yaw only; `left_m` is `distance_left` of the goal."""
-        direct = self._best_curve(starts, goals)
         bound_m = float(left_m[self.coarse_place(starts[0])])
+        direct = self._samples[:0]
+        if self._may_be_free(starts[0], goals[0], bound_m):
+            direct = self._best_curve(starts, goals)
         if len(direct) and driven_cost(direct) <= 1.05 * bound_m:
             return Found(direct, goals[0], False, direct[:0, :2])
         states, links = np.zeros((max_states, 5)), np.empty((max_states, 2), dtype=np.int64)
         heap, places = np.zeros(max_states), np.empty(max_states, dtype=np.int64)
-        table = np.full((TABLE, 2), -1, dtype=np.int64)
+        table = np.full((1 << (4 * max_states).bit_length(), 2), -1, dtype=np.int64)
         counters, tried_at = np.zeros(4, dtype=np.int64), np.array([np.inf])
         states[: len(starts), :3], states[: len(starts), ESTIMATE] = starts, bound_m
         links[: len(starts)] = -1
@@ -148,14 +153,17 @@ class Searcher:
             )  # fmt: skip
             if here < 0:
                 break
+            pose = Pose(*states[here, :3].tolist())
+            if not self._may_be_free(pose, goals[0], float(left_m[self.coarse_place(pose)])):
+                continue
             # A way about is taken for one only when the search has gone on for long.
             radius = self.vehicle.turning_radius_m
             longest_m = 1.2 * states[here, ESTIMATE] + radius * (2.0 + counters[TRIES] / 500)
-            found = self._best_curve([Pose(*states[here, :3].tolist())], goals, longest_m)
+            found = self._best_curve([pose], goals, longest_m)
         ways = [direct] if len(direct) else []
         if len(found):
             way = joined([*self._moves(states, links, here), found])
-            ways.append(self._shortened(way, starts, goals))
+            ways.append(self._shortened(way, starts, goals, left_m))
         if ways:
             best = min(ways, key=driven_cost)
             return Found(best, goals[0], False, best[:0, :2])
@@ -166,22 +174,37 @@ class Searcher:
         """The moves from a start to a state, as rows of x, y, yaw, gear, curvature."""
         found = []
         while links[here, PARENT] >= 0:
-            origin, move = links[here].tolist()
+            here, move = links[here].tolist()
+            x, y, yaw = states[here, :3].tolist()
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            way = self._arcs[move].copy()
+            ahead, left = way[:, 0].copy(), way[:, 1].copy()
+            way[:, 0] = x + ahead * cos - left * sin
+            way[:, 1] = y + ahead * sin + left * cos
+            way[:, 2] += yaw
+            found.append(way)
+        return found[::-1]
+
+    @cached_property
+    def _arcs(self) -> list[Float64]:
+        """Each move from a pose at the corner that faces east."""
+        length, arcs = 1.6 * self._lattice, []
+        for move in range(MOVES):
             gear = 1.0 if move < MOVES // 2 else -1.0
             curvature = CURVATURES[move % len(CURVATURES)] * self.vehicle.curvature_1pm
-            length = 1.6 * self._lattice
             d = gear * np.linspace(0.0, length, math.ceil(length / self.shape.step_m) + 1)
-            x, y, yaw = states[origin, :3]
-            turned = yaw + curvature * d
-            east, north = d * math.cos(yaw), d * math.sin(yaw)
+            turned, same = curvature * d, np.ones(len(d))
+            ahead, left = d, 0.0 * d
             if curvature:
-                east = (np.sin(turned) - math.sin(yaw)) / curvature
-                north = (math.cos(yaw) - np.cos(turned)) / curvature
-            same = np.ones(len(d))
-            rows = (x + east, y + north, turned, gear * same, curvature * same)
-            found.append(np.column_stack(rows))
-            here = origin
-        return found[::-1]
+                ahead, left = np.sin(turned) / curvature, (1.0 - np.cos(turned)) / curvature
+            arcs.append(np.column_stack([ahead, left, turned, gear * same, curvature * same]))
+        return arcs
+
+    def _may_be_free(self, start: Pose, goal: Pose, left_m: float) -> bool:
+        """Whether a curve between poses may be free, that are so far apart by `distance_left`: none
+        is shorter than the way around what is blocked."""
+        most_m = math.dist(start[:2], goal[:2]) + _LONGEST_WORD * self.vehicle.turning_radius_m
+        return most_m >= self.least_m(left_m)
 
     def _best_curve(
         self, starts: list[Pose], goals: list[Pose], longest_m: float = math.inf
@@ -195,7 +218,9 @@ class Searcher:
                     best, longest_m = curve, driven_cost(curve)
         return best
 
-    def _shortened(self, samples: Float64, starts: list[Pose], goals: list[Pose]) -> Float64:
+    def _shortened(
+        self, samples: Float64, starts: list[Pose], goals: list[Pose], left_m: Float32
+    ) -> Float64:
         """A way with curves in the place of its stretches where that is cheaper."""
         for _ in range(3):
             before, start = driven_cost(samples), 0
@@ -208,6 +233,7 @@ class Searcher:
                         samples, start, stop,
                         starts if start == 0 else [Pose(*samples[start, :3].tolist())],
                         goals if stop == len(samples) - 1 else [Pose(*samples[stop, :3].tolist())],
+                        left_m,
                     )  # fmt: skip
                     if shorter is not None:
                         samples = shorter
@@ -219,12 +245,21 @@ class Searcher:
         return samples
 
     def _replaced(
-        self, samples: Float64, start: int, stop: int, starts: list[Pose], goals: list[Pose]
+        self,
+        samples: Float64,
+        start: int,
+        stop: int,
+        starts: list[Pose],
+        goals: list[Pose],
+        left_m: Float32,
     ) -> Float64 | None:
         """The way with a curve between two of its poses, or others where its ends are free to
         choose; None where that saves nothing."""
         had_m = driven_cost(samples[start : stop + 1])
         if had_m < math.dist(samples[start, :2], samples[stop, :2]) + _WORTH_M:
+            return None
+        nearer_m = left_m[self.coarse_place(starts[0])] - left_m[self.coarse_place(goals[0])]
+        if not self._may_be_free(starts[0], goals[0], float(nearer_m)):
             return None
         longest_m = had_m + 2.0 * CUSP_M
         curve = self._best_curve(starts, goals, longest_m)

@@ -35,7 +35,7 @@ def _ordered(segments: Segments, members: Int64) -> Float64:
     half, weight = segments.half_m[members], segments.support[members].astype(np.float64)
     s = np.zeros(len(members))
     if len(members) > 1:
-        gap = np.hypot(*(middle[:, None] - middle[None]).transpose(2, 0, 1))
+        gap = np.hypot(*(np.subtract.outer(v, v) for v in middle.T))
         # Zero would be no edge. The shortest tree follows a curve from neighbour to neighbour.
         tree = minimum_spanning_tree(gap + 1e-6)
         order, before = breadth_first_order(tree, int(weight.argmax()), directed=False)

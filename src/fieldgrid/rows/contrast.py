@@ -43,15 +43,22 @@ def chance_of_noise(
     count = int(len(core) * _STEP_M / part_m)
     if count < 2:
         return 1.0
-    on, off = (
-        np.array([(part == OBSTACLE).mean() for part in np.array_split(cells, count)])
-        for cells in (core, flank)
-    )
+    on, off = (_shares(cells == OBSTACLE, count) for cells in (core, flank))
     off /= seen
     if on.mean() <= _LEAST_RATIO * off.mean():
         return 1.0
     error = float((on - off).std(ddof=1)) / np.sqrt(count)
     return float(student.sf((on - off).mean() / max(error, 1e-9), count - 1))
+
+
+def _shares(is_in: Bool, count: int) -> Float64:
+    """The share that is true of flags [n, m], in each of `count` stretches."""
+    k = np.arange(count + 1)
+    # The first ones are longer by one where it does not come out even.
+    edges = k * (len(is_in) // count) + np.minimum(k, len(is_in) % count)
+    sums = np.add.reduceat(is_in.sum(axis=1), edges[:-1])
+    shares: Float64 = sums / (np.diff(edges) * is_in.shape[1])
+    return shares
 
 
 def stand_out(chances: Float64) -> Bool:

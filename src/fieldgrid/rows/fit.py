@@ -7,6 +7,7 @@ station, so they count as fewer.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -80,20 +81,27 @@ def _robust(
     design: Float64, v: Float64, trust: Float64, robust: Float64
 ) -> tuple[Float64, Float64, Float64, float]:
     """Huber's fit: coefficients, the inverse of the normal matrix, weights, and the scatter."""
-    scatter = 1.0
+    known, ridge = trust > 0.0, 1e-9 * np.eye(design.shape[1])
     for _ in range(4):
-        w = trust * robust
-        normal = design.T @ (design * w[:, None]) + 1e-9 * np.eye(design.shape[1])
-        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        coefficients = inverse @ (design.T @ (w * v))
+        weighted = design.T * (trust * robust)
+        inverse = np.asarray(np.linalg.inv(weighted @ design + ridge), dtype=np.float64)
+        coefficients = inverse @ (weighted @ v)
         residual = v - design @ coefficients
-        used = np.abs(residual[trust > 0.0])
-        scatter = max(1.4826 * float(np.median(used)), 0.3 * float(np.sqrt((used**2).mean())))
+        size = np.abs(residual)
+        used = size[known]
+        scatter = max(1.4826 * _median(used), 0.3 * math.sqrt(float(used @ used) / len(used)))
         scatter = max(scatter, 1e-4)
-        robust = np.minimum(1.0, _HUBER * scatter / np.maximum(np.abs(residual), 1e-12))
-    left = max(float((trust > 0.0).sum()) - design.shape[1], 1.0)
+        robust = np.minimum(1.0, _HUBER * scatter / np.maximum(size, 1e-12))
+    left = max(float(known.sum()) - design.shape[1], 1.0)
     rms = float(np.sqrt((robust * trust * residual**2).sum() / max((robust * trust).sum(), 1e-9)))
     return coefficients, inverse, robust, rms * float(np.sqrt((left + design.shape[1]) / left))
+
+
+def _median(values: Float64) -> float:
+    """`numpy.median` of a few values, in a tenth of its time."""
+    ascending = np.sort(values)
+    half = len(values) // 2
+    return 0.5 * float(ascending[half] + ascending[-1 - half])
 
 
 def _base(points_m: Float64, weight: Float64) -> Float64:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64
@@ -63,15 +64,12 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
     if len(lines) < 2:
         return [], np.nan
     samples = [resampled(line, _STEP_M) for line in lines]
-    owner = np.repeat(np.arange(len(lines)), [len(s) for s in samples])
-    tree = cKDTree(np.concatenate(samples))
-    reach = _BLOCK_SPACINGS * crop.max_spacing_m
+    near = _near(samples, _BLOCK_SPACINGS * crop.max_spacing_m)
     facing = []
     for k, sample in enumerate(samples):
         left = normals(sample)
-        near = {int(owner[i]) for hits in tree.query_ball_point(sample[::4], reach) for i in hits}
-        distances = np.full((len(near) + 1, len(sample)), np.inf)
-        others = sorted(near - {k})
+        others = near[k]
+        distances = np.full((len(others) + 1, len(sample)), np.inf)
         for n, other in enumerate(others):
             s, v = project(sample, lines[other])
             length = lengths(lines[other])[-1]
@@ -96,6 +94,18 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
         middle = 0.5 * (sample + _at(lines[left_row], s))
         pairs.append(Pair(left_row, right, apart, middle, apart <= _LANE_SPACINGS * usual))
     return pairs, usual
+
+
+def _near(samples: list[Float64], reach_m: float) -> list[list[int]]:
+    """For each line by its points the others of which one is within reach."""
+    every = [shapely.multipoints(points) for points in samples]
+    some = [shapely.multipoints(points[::4]) for points in samples]
+    hits = shapely.STRtree(every).query(some, "dwithin", reach_m)
+    found: list[list[int]] = [[] for _ in samples]
+    for k, other in sorted(zip(*hits.tolist(), strict=True)):
+        if k != other:
+            found[k].append(other)
+    return found
 
 
 def outer_lines(lines: list[Float64], crop: Crop) -> tuple[list[Float64], float]:

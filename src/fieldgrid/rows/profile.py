@@ -50,20 +50,18 @@ def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
     stations, cells = _by_station(strip)
     band = np.abs(strip.across_m) > 0.65 * gate_m
     left, right = (_seen(cells[:, :, band & (np.sign(strip.across_m) == side)]) for side in (1, -1))
-    near = np.zeros(len(strip.across_m), dtype=np.bool_)
-    obstacle = cells == OBSTACLE
+    obstacle = (cells == OBSTACLE).sum(axis=1)
     offset = np.zeros(len(stations))
     # The gate follows the row: first all that is nearer to it than to the next, then the canopy.
     for reach in (gate_m, 0.75 * gate_m, 0.6 * gate_m):
         beside = strip.across_m[None, :] - offset[:, None]
-        near = np.abs(beside) < reach
-        inside = obstacle & near[:, None, :]
-        weight = inside.sum(axis=(1, 2)).astype(np.float64)
-        total = (inside * strip.across_m).sum(axis=(1, 2))
+        inside = obstacle * (np.abs(beside) < reach)
+        weight = inside.sum(axis=1).astype(np.float64)
+        total = inside @ strip.across_m
         pooled = uniform_filter1d(weight, 9), uniform_filter1d(total, 9)
         offset = np.divide(pooled[1], pooled[0], out=offset.copy(), where=pooled[0] > 0.0)
     mean = np.divide(total, weight, out=offset.copy(), where=weight > 0.0)
-    share = obstacle.mean(axis=1)
+    share = obstacle / cells.shape[1]
     faces, width, both = _faces(share, strip.across_m, offset, left, right)
     weight[weight < _CELLS] = 0.0
     return Profile(line, stations, mean, weight, left, right, faces, width, both)

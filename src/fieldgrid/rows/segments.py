@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64, Int64
+from fieldgrid.kernel import kernel
 from fieldgrid.rows.crops import Crop
 
 _ANGLES = 120
@@ -143,53 +144,61 @@ def _segments_of(
     peaks, _ = find_peaks(
         profile, distance=0.75 * crop.min_spacing_m / bin_m, prominence=0.25 * profile.max()
     )
-    order = v.argsort()
-    s, v = s[order], v[order]
-    found = []
+    inside = np.empty(len(s))
+    pieces = []
     for peak in peaks:
-        line = _fitted(s, v, first + (peak - 12 + 0.5) * bin_m, 0.33 * crop.min_spacing_m, side)
-        if line is None:
+        guess = first + (peak - 12 + 0.5) * bin_m
+        at, slope, count = fit_line(s, v, guess, 0.33 * crop.min_spacing_m, side, inside)
+        if count < _MIN_POINTS // 2:
             continue
-        at, slope, inside = line
-        trim = 1 + len(inside) // 40  # specks beyond its ends are no part of a row
-        low, high = inside[trim], inside[-1 - trim]
+        on_line = np.sort(inside[:count])
+        trim = 1 + count // 40  # specks beyond its ends are no part of a row
+        low, high = on_line[trim], on_line[-1 - trim]
         length, centre = float(high - low), 0.5 * (low + high)
         step = max(crop.plant_spacing_m, 0.5)
-        occupied = np.count_nonzero(np.diff(np.floor(inside / step))) + 1
+        occupied = np.count_nonzero(np.diff(np.floor(on_line / step))) + 1
         filled = min(1.0, occupied * step / max(length, step))
         if length < 0.3 * side or filled < 0.5:
             continue
-        turned = along + slope * across
-        place = middle_m + centre * along + (at + slope * centre) * across
-        found.append((place, turned / np.hypot(*turned), 0.5 * length, len(inside), filled))
-    return found
+        pieces.append((centre, at + slope * centre, slope, 0.5 * length, count, filled))
+    if not pieces:
+        return []
+    place = np.array([piece[:3] for piece in pieces])
+    middles = middle_m + place[:, :1] * along + place[:, 1:2] * across
+    turned = along + place[:, 2:] * across
+    turned /= np.hypot(turned[:, 0], turned[:, 1])[:, None]
+    return [
+        (middle, out, *piece[3:])
+        for middle, out, piece in zip(middles, turned, pieces, strict=True)
+    ]
 
 
-def _fitted(
-    s: Float64, v: Float64, at: float, gate: float, side: float
-) -> tuple[float, float, Float64] | None:
-    """The line v = at + slope·s near a peak, and where along it its points are, in order.
-
-    `v` ascends, so that the points near the line are a slice to choose from.
-    """
-    slope, inside = 0.0, s[:0]
+@kernel
+def fit_line(s, v, at, gate, side, inside):  # type: ignore[no-untyped-def]
+    """The line v = at + slope·s near a peak, and how many points are on it, whose s are written;
+    their number alone counts where they are too few."""
+    slope, count = 0.0, 0
     for _ in range(3):
-        reach = gate + abs(slope) * side
-        near = slice(*np.searchsorted(v, (at - reach, at + reach)))
-        s_near, v_near = s[near], v[near]
-        close = np.abs(v_near - at - slope * s_near) < gate
-        inside, across = s_near[close], v_near[close]
-        if len(inside) < _MIN_POINTS // 2:
-            return None
-        mean_s, mean_v = inside.mean(), across.mean()
-        spread = inside - mean_s
-        variance = float(spread @ spread)
-        slope = float(spread @ across) / max(variance, 1e-9)
+        count, mean_s, mean_v = 0, 0.0, 0.0
+        for k in range(len(s)):
+            if abs(v[k] - at - slope * s[k]) < gate:
+                inside[count] = s[k]
+                count += 1
+                mean_s += s[k]
+                mean_v += v[k]
+        if count < _MIN_POINTS // 2:
+            break
+        mean_s, mean_v = mean_s / count, mean_v / count
+        variance, both = 0.0, 0.0
+        for k in range(len(s)):
+            if abs(v[k] - at - slope * s[k]) < gate:
+                variance += (s[k] - mean_s) ** 2
+                both += (s[k] - mean_s) * v[k]
         # Too short a piece has no direction of its own.
-        long = variance > len(inside) * (0.12 * side) ** 2
-        slope = float(np.clip(slope, -0.15, 0.15)) if long else 0.0
-        at = float(mean_v - slope * mean_s)
-    return at, slope, np.sort(inside)
+        is_long = variance > count * (0.12 * side) ** 2
+        slope = min(max(both / max(variance, 1e-9), -0.15), 0.15) if is_long else 0.0
+        at = mean_v - slope * mean_s
+    return at, slope, count
 
 
 def _axes(angle: float) -> tuple[Float64, Float64]:
