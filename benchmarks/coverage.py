@@ -1,18 +1,20 @@
 """Coverage of random fields: what is covered, how short the way is, and whether all holds.
 
-`python -m benchmarks.coverage [[FIRST:]LAST]` makes so many fields (default 200): one or two blocks
-of rows, straight or bent, with stepped ends, gaps, things in lanes and on headlands, and parts that
-were not seen; vehicles of all kinds, with reverse or without. It plans a coverage of each and
-prints
+`python -m benchmarks.coverage [[FIRST:]LAST [EXACT]]` makes so many fields (default 200): one or
+two blocks of rows, straight or bent, with stepped ends, gaps, things in lanes and on headlands, and
+parts that were not seen; vehicles of all kinds, with reverse or without. It plans a coverage of
+each and prints
 
 * faults: by the check that every route passes, and by looking up points of the footprint in the
   view, pose by pose;
 * the share of the lanes covered that can be by construction: a third of the fields have nothing but
   rows in them, lanes that are wide enough, and headlands in which the vehicle can turn about;
-* for fields of up to `EXACT` lanes the cost and the length beside those of the best order, found by
-  planning the way between every two lanes;
+* for fields of up to `EXACT` lanes (default 4; ten take minutes, 0 is for none) the cost and the
+  length beside those of the best order, found by planning the way between every two lanes;
 * on the same ways, what the local search for more than ten lanes makes of them;
 * processor time.
+
+A field is made of its number, so 10,000 of them may be planned in parts: `0:500 0`, `500:1000 0`...
 
 `python -m benchmarks.coverage layouts [NUMBER...]` covers layouts of real vineyards (all 40 without
 numbers), whose rows are found in made evidence without noise, with a vehicle 0.7 m wide that cannot
@@ -49,9 +51,6 @@ from fieldgrid.polyline import extended, part, resampled
 from fieldgrid.route import Vehicle
 from fieldgrid.route.plan import searcher_of
 from fieldgrid.rows import Lane, Planting, rows_of_view
-
-EXACT = 4
-"""Lanes up to which every way between two of them is planned."""
 
 _CELL_M = 0.2
 
@@ -282,8 +281,9 @@ class Outcome(NamedTuple):
     took_s: float
 
 
-def outcome(seed: int) -> Outcome:
-    """Plan on one field and check what comes of it."""
+def outcome(seed: int, exact: int) -> Outcome:
+    """Plan on one field and check what comes of it, beside the best order of up to `exact`
+    lanes."""
     task = random_field(seed)
     lanes = len(task.planting.lanes)
     began = time.process_time()
@@ -295,7 +295,7 @@ def outcome(seed: int) -> Outcome:
         return Outcome(task.is_open, lanes, 0, wrong, said, None, took)
     took = time.process_time() - began
     bad, ratios = points_on_barred(coverage, task.view), None
-    if lanes <= EXACT and len(coverage.lanes) > 1:
+    if lanes <= exact and len(coverage.lanes) > 1:
         best = best_of(task)
         ratios = (
             coverage.cost_m / best.cost_m,
@@ -337,12 +337,13 @@ def report(found: list[Outcome]) -> None:
     )
 
 
-def main(seeds: range) -> None:
+def main(seeds: range, exact: int) -> None:
     """Print what came of some fields, each time twenty more are done."""
     found = []
     for seed in seeds:
-        found.append(outcome(seed))
+        found.append(outcome(seed, exact))
         if len(found) % 20 == 0 or seed == seeds[-1]:
+            print(f"{seeds[0]}:{seed + 1}:", end=" ")
             report(found)
 
 
@@ -381,4 +382,4 @@ if __name__ == "__main__":
         over_layouts([int(number) for number in sys.argv[2:]] or list(range(1, 41)))
     else:
         first, _, last = (sys.argv[1:] or ["200"])[0].rpartition(":")
-        main(range(int(first or 0), int(last)))
+        main(range(int(first or 0), int(last)), int((sys.argv[2:] or ["4"])[0]))

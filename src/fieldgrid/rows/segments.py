@@ -8,10 +8,11 @@ patches share their profiles, so that a patch with a trailer or with few cells f
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import correlate1d, gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -27,6 +28,14 @@ _ANGLES = 120
 _MIN_POINTS = 12
 _NEIGHBOUR_WEIGHT = 0.5
 _MAX_TURN_RAD = np.radians(9.0)
+
+
+_BINS = 12
+"""Of the profile across a patch, in the least distance of rows; it is smoothed by a fifth of that,
+as by `gaussian_filter1d`, whose weights take as long as the rest."""
+
+_SMOOTH = np.exp(-0.5 * (np.arange(-10, 11) / (_BINS / 5.0)) ** 2)
+_SMOOTH /= _SMOOTH.sum()
 
 
 class Segments(NamedTuple):
@@ -87,7 +96,7 @@ def _patches(points_m: Float64, side_m: float, step_m: float) -> _Patches:
     tree = cKDTree(points_m)
     keys = np.unique(np.floor(points_m / step_m).astype(np.int64), axis=0)
     middle = np.asarray((keys + 0.5) * step_m, dtype=np.float64)
-    members = tree.query_ball_point(middle, side_m / 2.0, p=np.inf)
+    members = tree.query_ball_point(middle, side_m / 2.0, p=np.inf, return_sorted=False)
     return _Patches(middle, [np.asarray(m, dtype=np.int64) for m in members])
 
 
@@ -135,28 +144,28 @@ def _segments_of(
     along, across = _axes(angle)
     local = points_m - middle_m
     s, v = local @ along, local @ across
-    bin_m = crop.min_spacing_m / 12.0
+    bin_m = crop.min_spacing_m / _BINS
     first = float(v.min()) - 1.0
     counts = np.bincount(((v - first) / bin_m).astype(np.int64))
-    profile = gaussian_filter1d(
-        np.pad(counts.astype(np.float64), 12), crop.min_spacing_m / 5.0 / bin_m, mode="constant"
-    )
+    profile = correlate1d(np.pad(counts.astype(np.float64), 12), _SMOOTH, mode="constant")
     peaks, _ = find_peaks(
         profile, distance=0.75 * crop.min_spacing_m / bin_m, prominence=0.25 * profile.max()
     )
-    inside = np.empty(len(s))
+    # From one end to the other.
+    order = s.argsort()
+    s, v, inside = s[order], v[order], np.empty(len(s))
+    step = max(crop.plant_spacing_m, 0.5)
     pieces = []
     for peak in peaks:
         guess = first + (peak - 12 + 0.5) * bin_m
-        at, slope, count = fit_line(s, v, guess, 0.33 * crop.min_spacing_m, side, inside)
+        at, slope, count, occupied = fit_line(
+            s, v, guess, 0.33 * crop.min_spacing_m, side, step, inside
+        )
         if count < _MIN_POINTS // 2:
             continue
-        on_line = np.sort(inside[:count])
         trim = 1 + count // 40  # specks beyond its ends are no part of a row
-        low, high = on_line[trim], on_line[-1 - trim]
-        length, centre = float(high - low), 0.5 * (low + high)
-        step = max(crop.plant_spacing_m, 0.5)
-        occupied = np.count_nonzero(np.diff(np.floor(on_line / step))) + 1
+        low, high = float(inside[trim]), float(inside[count - 1 - trim])
+        length, centre = high - low, 0.5 * (low + high)
         filled = min(1.0, occupied * step / max(length, step))
         if length < 0.3 * side or filled < 0.5:
             continue
@@ -174,10 +183,10 @@ def _segments_of(
 
 
 @kernel
-def fit_line(s, v, at, gate, side, inside):  # type: ignore[no-untyped-def]
-    """The line v = at + slope·s near a peak, and how many points are on it, whose s are written;
-    their number alone counts where they are too few."""
-    slope, count = 0.0, 0
+def fit_line(s, v, at, gate, side, step, inside):  # type: ignore[no-untyped-def]
+    """The line v = at + slope·s near a peak, how many points are on it, whose s are written, and in
+    how many stretches of `step` there are any; s ascends. Of too few points their number counts."""
+    slope, count, occupied = 0.0, 0, 0
     for _ in range(3):
         count, mean_s, mean_v = 0, 0.0, 0.0
         for k in range(len(s)):
@@ -189,16 +198,19 @@ def fit_line(s, v, at, gate, side, inside):  # type: ignore[no-untyped-def]
         if count < _MIN_POINTS // 2:
             break
         mean_s, mean_v = mean_s / count, mean_v / count
-        variance, both = 0.0, 0.0
+        variance, both, occupied, last = 0.0, 0.0, 0, -np.inf
         for k in range(len(s)):
             if abs(v[k] - at - slope * s[k]) < gate:
                 variance += (s[k] - mean_s) ** 2
                 both += (s[k] - mean_s) * v[k]
+                place = math.floor(s[k] / step)
+                occupied += place != last
+                last = place
         # Too short a piece has no direction of its own.
         is_long = variance > count * (0.12 * side) ** 2
         slope = min(max(both / max(variance, 1e-9), -0.15), 0.15) if is_long else 0.0
         at = mean_v - slope * mean_s
-    return at, slope, count
+    return at, slope, count, occupied
 
 
 def _axes(angle: float) -> tuple[Float64, Float64]:
