@@ -59,11 +59,16 @@ bench: .venv/installed ## Measure speed and memory
 	$(PY) -m benchmarks.odometry
 	$(PY) -m benchmarks.track_hour
 	$(PY) -m benchmarks.reading
+	$(PY) -m benchmarks.verifying
 	$(PY) -m benchmarks.drives
 
-crash: .venv/installed ## Kill writers and break their disk, hundreds of times (some minutes)
-	$(PY) -m tests.crash.kills 250
+crash: .venv/installed ## Kill writers, cut the power, damage maps (COUNT=500: some minutes; 10000: hours)
+	$(PY) -m tests.crash.kills $(shell expr $(or $(COUNT),500) / 10)
 	$(PY) -m tests.crash.failures 40
+	$(PY) -m tests.crash.power $(or $(COUNT),500)
+	$(PY) -m tests.crash.damages $(or $(COUNT),500) 1 $(shell expr 10000 / $(or $(COUNT),500))
+	$(PY) -m tests.crash.exports $(shell expr $(or $(COUNT),500) / 50)
+	$(PY) -m tests.crash.writers $(shell expr $(or $(COUNT),500) / 200)
 	$(PY) -m tests.crash.builds 20
 
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
@@ -77,7 +82,7 @@ accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, align
 	$(PY) -m benchmarks.align 100
 	$(PY) -m benchmarks.changes
 
-fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each)
+fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each); counts go on from run to run
 	$(PY) -m fuzz --seconds $(or $(SECONDS),30)
 
 format: .venv/installed ## Format the code and fix what can be fixed

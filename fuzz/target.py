@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +26,26 @@ class Target(NamedTuple):
     check: Callable[[bytes], None]
     seeds: Callable[[], list[bytes]]
     mend: Callable[[bytes], bytes] = bytes
+
+
+def check_sentence(text: str) -> None:
+    """What a reader says of input that it refuses ends as a sentence does."""
+    assert text.endswith((".", "?")), text
+
+
+def written(data: bytes, name: str) -> Path:
+    """A file with these bytes. The next one of that name takes its place: to make a folder and a
+    file anew takes longer than most parsers do."""
+    path = _scratch() / name
+    path.write_bytes(data)
+    return path
+
+
+@cache
+def _scratch() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="fieldgrid-fuzz-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def real_starts(*patterns: str) -> list[bytes]:

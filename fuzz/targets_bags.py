@@ -14,8 +14,8 @@ from fieldgrid.errors import FieldgridError
 from fieldgrid.recording import DriveOptions, Frame, Image, Mounting, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount
 from fieldgrid.sweep import Sweep
-from fuzz.target import Target
-from fuzz.targets_ros import check_sentence, mend_mcap
+from fuzz.target import Target, check_sentence, written
+from fuzz.targets_ros import mend_mcap
 from tests.recording import bags
 from tests.recording.bags import Container, Maker, Said
 from tests.recording.test_packed_depth import config, png, rvl
@@ -28,17 +28,14 @@ _OPTIONS = DriveOptions(mounting=Mounting(Mount(2.0, 15.0), LeverArm(0.0, 0.0, 3
 
 
 def check_drive(data: bytes) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "drive.bag")
-        path.write_bytes(data)
-        try:
-            with open_drive(path, _OPTIONS) as drive:
-                if drive.refusal is None:
-                    _check_frames(drive.recording())
-                else:
-                    check_sentence(str(drive.refusal))
-        except FieldgridError as error:
-            check_sentence(str(error))
+    try:
+        with open_drive(written(data, "drive.bag"), _OPTIONS) as drive:
+            if drive.refusal is None:
+                _check_frames(drive.recording())
+            else:
+                check_sentence(str(drive.refusal))
+    except FieldgridError as error:
+        check_sentence(str(error))
 
 
 def _check_frames(drive: Recording) -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import re
 import struct
-import tempfile
-from pathlib import Path
 
 from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.gnss.ubx import UbxParser, parse_ubx
 from fieldgrid.recording.logs import read_fix_log
-from fuzz.target import Target, real_starts
+from fuzz.target import Target, real_starts, written
 
 _UBX_KINDS = ((1, 4, 18), (1, 7, 92), (1, 0x14, 36), (1, 0x3C, 64), (1, 0x61, 4))
 _PVT = struct.pack(
@@ -62,15 +60,13 @@ def fuzz_log(data: bytes) -> None:
 
 
 def _open(data: bytes, name: str, header: bytes = b"") -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, name)
-        path.write_bytes(data)
-        if header:
-            path.with_suffix(".xml").write_bytes(header)
-        try:
-            log = read_fix_log(path)
-        except FieldgridError:
-            return
+    path = written(data, name)
+    if header:
+        written(header, path.with_suffix(".xml").name)
+    try:
+        log = read_fix_log(path)
+    except FieldgridError:
+        return
     for fix in log.fixes:
         _check_fix(fix, on_earth=name == "log.ubx")
 

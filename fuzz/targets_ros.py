@@ -13,7 +13,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.ros import decode, open_bag, types
-from fuzz.target import Target
+from fuzz.target import Target, check_sentence, written
 
 _TYPE = "std_msgs/msg/Header"
 _DEFINITION = "builtin_interfaces/Time stamp\nstring frame_id\n"
@@ -23,31 +23,24 @@ _CHUNK_HEAD = struct.Struct("<BQQQQII")  # of an MCAP
 
 
 def check_bag(data: bytes) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "drive")
-        path.write_bytes(data)
-        try:
-            bag = open_bag(path)
-        except RecordingError as error:
-            check_sentence(str(error))
-            return
-        with bag:
-            counts = dict.fromkeys(bag.topics, 0)
-            for message in bag.messages():
-                counts[message.topic] += 1
-                assert bag.start_ns <= message.receive_ns <= bag.end_ns
-                try:
-                    decode(message)
-                except RecordingError as error:
-                    check_sentence(str(error))
-            assert counts == {name: topic.count for name, topic in bag.topics.items()}
-            for name, count in counts.items():
-                assert [len(times) for times in bag.stamps(name)] == [count, count]
-            assert bag.damage == "" or bag.damage.endswith(" used.")
-
-
-def check_sentence(text: str) -> None:
-    assert text.endswith("."), text
+    try:
+        bag = open_bag(written(data, "drive"))
+    except RecordingError as error:
+        check_sentence(str(error))
+        return
+    with bag:
+        counts = dict.fromkeys(bag.topics, 0)
+        for message in bag.messages():
+            counts[message.topic] += 1
+            assert bag.start_ns <= message.receive_ns <= bag.end_ns
+            try:
+                decode(message)
+            except RecordingError as error:
+                check_sentence(str(error))
+        assert counts == {name: topic.count for name, topic in bag.topics.items()}
+        for name, count in counts.items():
+            assert [len(times) for times in bag.stamps(name)] == [count, count]
+        assert bag.damage == "" or bag.damage.endswith(" used.")
 
 
 def rosbag1_seeds() -> list[bytes]:

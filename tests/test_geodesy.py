@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -175,3 +176,11 @@ def test_a_reference_system_is_known_in_other_words() -> None:
     assert not datum.is_crs_wkt(Datum(39.407121235, -1.219356789, 702.417).crs_wkt())
     assert not datum.is_crs_wkt(Datum(39.407121234, -1.219356789, 702.918).crs_wkt())
     assert not datum.is_crs_wkt("PROJCS[")
+
+
+def test_a_plane_of_fewer_parameters_is_another() -> None:
+    datum = Datum(39.407121234, -1.219356789, 702.417)
+    text = datum.crs_wkt()
+    lost = re.sub(r'PARAMETER\["false_easting",[^]]*\],?', "", text)
+    assert lost != text
+    assert not datum.is_crs_wkt(lost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import gc
 import subprocess
@@ -143,3 +144,24 @@ def test_a_draft_that_nobody_published_is_gone_at_the_exit(tmp_path: Path) -> No
     )
     assert ended.stdout == "True\n"  # the exit of the child left it
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_changes_places_with_the_one_that_it_replaces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither is missing at any moment."""
+    if not hasattr(ctypes.CDLL(None), "renameat2"):
+        pytest.skip("this system cannot exchange names")
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "old").touch()
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("there was a moment without a folder")
+
+    draft = DraftFolder(target, overwrite=True, ours=lambda _: True, what="ours")
+    (draft.folder / "new").touch()
+    monkeypatch.setattr(Path, "rename", refuse)
+    draft.publish()
+    assert [path.name for path in target.iterdir()] == ["new"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -85,6 +85,14 @@ class TruthError(FieldgridError, ValueError):
     """A truth folder that a map cannot be evaluated against."""
 
 
+def shortened(value: object, most: int = 200) -> str:
+    """What a library says, on one line, of bounded length and with escapes for what is not to be
+    printed."""
+    text = " ".join(str(value).split())
+    text = text if len(text) <= most else f"{text[:most]}..."
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def quoted(value: object, most: int = 60) -> str:
     """A value of an input as messages quote it: short, and with escapes for what is not to be
     printed, like control characters and bytes that are no text."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,9 @@ class Datum:
         if theirs is None or ours is None or not found.equals(own):
             return False
         # PROJ takes systems some centimetres apart for equal; these are degrees, metres, a scale.
-        pairs = zip(theirs.params, ours.params, strict=True)
+        pairs = list(zip_longest(theirs.params, ours.params))
+        if any(None in pair for pair in pairs):
+            return False
         return all(abs(float(one.value) - float(other.value)) <= 1e-10 for one, other in pairs)
 
     def _axes(self) -> tuple[float, float, float, float]:

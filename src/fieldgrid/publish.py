@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import fcntl
 import glob
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 
 
@@ -227,20 +229,31 @@ class DraftFolder:
             for file in sorted(self.folder.rglob("*")):
                 _sync(file)
             _sync(self.folder)
-            if place.exists():
-                place.rename(old)
-            try:
-                self.folder.rename(place)
-            except OSError:
-                if old.exists():
-                    old.rename(place)
-                raise
+            if not (place.exists() and _exchanged(self.folder, place)):
+                if place.exists():
+                    place.rename(old)
+                try:
+                    self.folder.rename(place)
+                except OSError:
+                    if old.exists():
+                        old.rename(place)
+                    raise
             _sync(place.parent)
         except OSError as error:
             raise _unwritable(self.target, error) from error
         finally:
             shutil.rmtree(old, ignore_errors=True)
             self.discard()
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two names change places, so that neither is missing at any moment; False where the
+    system or the file system cannot."""
+    change = getattr(ctypes.CDLL(None), "renameat2", None)
+    if change is None:  # not Linux
+        return False
+    here, paths = ctypes.c_int(_AT_FDCWD), (os.fsencode(one), os.fsencode(other))
+    return bool(change(here, paths[0], here, paths[1], ctypes.c_uint(_RENAME_EXCHANGE)) == 0)
 
 
 def _hold(descriptor: int, draft: Path) -> bool:

@@ -137,7 +137,11 @@ def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     assert result.status == 1
     assert json.loads(result.out)["sound"] is False
     assert len(json.loads(result.out)["problems"]) == 1
-    assert fieldgrid("repair", path).output() == f"repaired {path}\n"
+    kept = path.with_name("vineyard.before-repair.gpkg")
+    assert fieldgrid("repair", path).output() == f"repaired {path}; as it was: {kept}\n"
+    assert fieldgrid("verify", kept).status == 1
+    assert fieldgrid("repair", path, "--in-place").output() == f"repaired {path}\n"
+    assert [one.name for one in path.parent.glob("*repair*")] == [kept.name]
     assert json.loads(fieldgrid("verify", path, "--json").output())["problems"] == []
     assert content(path) == expected
 

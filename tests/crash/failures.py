@@ -28,10 +28,13 @@ from tests.crash.operations import (
     State,
     Step,
     add,
+    align,
     check,
     make,
+    mark,
     merge,
     remove,
+    rename,
     repair,
     repose,
     restore,
@@ -72,6 +75,9 @@ def steps(folder: Path) -> list[Step]:
         repose("0", -140.0),
         shift("0", 0.75),
         repair(),
+        rename("0", "zero"),
+        align(("0", "1"), 0.25),
+        mark(3.0),
         merge(folder / "copy.gpkg"),
     ]
 
@@ -89,14 +95,14 @@ def compiled(folder: Path) -> Path | None:
     return library
 
 
-def run_in_child(points: int) -> subprocess.CompletedProcess[str]:
-    """This module as a program whose calls go through the library."""
+def run_in_child(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A module as a program whose calls go through the library."""
     with tempfile.TemporaryDirectory() as folder:
         library = compiled(Path(folder))
         assert library is not None, "there is no C compiler"
         environment = {**os.environ, "LD_PRELOAD": str(library), "PYTHONPATH": str(ROOT)}
         return subprocess.run(
-            [sys.executable, "-m", "tests.crash.failures", "--inside", str(points)],
+            [sys.executable, "-m", module, "--inside", *arguments],
             env=environment,
             capture_output=True,
             text=True,
@@ -208,7 +214,7 @@ def main() -> None:
     if arguments[:1] == ["--inside"]:
         _inside(int(arguments[1]))
         return
-    done = run_in_child(int(arguments[0]) if arguments else 40)
+    done = run_in_child("tests.crash.failures", arguments[0] if arguments else "40")
     print(done.stdout, end="")
     print(done.stderr, end="", file=sys.stderr)
     sys.exit(done.returncode)

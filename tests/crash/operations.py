@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
+from fieldgrid.mapfile import (
+    Mark,
+    MarkKind,
+    Transform,
+    create_map,
+    merge_maps,
+    open_map,
+)
 from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_session
 
 State = dict[str, tuple[bool, float, float]]
@@ -82,6 +89,48 @@ def shift(name: str, east_m: float) -> Step:
             universal.set_transform(name, east_m, -1.5 * east_m, 7.0 * east_m)
 
     return Step(f"shift {name}", run, lambda s: {**s, name: (*s[name][:2], east_m)})
+
+
+def rename(name: str, to: str) -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.rename_session(name, to)
+
+    def expected(state: State) -> State:
+        return {to if key == name else key: value for key, value in state.items()}
+
+    return Step(f"rename {name}", run, expected)
+
+
+def align(names: tuple[str, ...], east_m: float) -> Step:
+    """All of some drives put elsewhere at once, as an alignment does."""
+
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.set_transforms({name: Transform(east_m, 0.5, 1.0) for name in names})
+
+    def expected(state: State) -> State:
+        moved = {name: (*state[name][:2], east_m) for name in names}
+        return {**state, **moved}
+
+    return Step("align", run, expected)
+
+
+def upgrade() -> Step:
+    def run(path: Path) -> None:
+        with open_map(path, writable=True) as universal:
+            universal.upgrade()
+
+    return Step("upgrade", run, lambda state: state)
+
+
+def create(heading_deg: float) -> Step:
+    """A new map with one session."""
+
+    def run(path: Path) -> None:
+        make(path, heading_deg)
+
+    return Step("create", run, lambda _: {"0": (True, heading_deg, 0.0)})
 
 
 def mark(east_m: float) -> Step:

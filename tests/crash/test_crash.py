@@ -7,15 +7,18 @@ import os
 import re
 import shutil
 import time
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fieldgrid.mapfile import open_map
+from tests.crash.damages import Trial, in_cells, run_random
 from tests.crash.failures import run_in_child
 from tests.crash.kills import run_kills
 from tests.crash.operations import make
+from tests.crash.writers import run_writers
 from tests.mapfile.content import ANONYMOUS, content
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 
@@ -29,7 +32,7 @@ def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(tmp_path: 
 def test_no_call_that_fails_or_is_the_last_tears_a_map() -> None:
     if shutil.which("cc") is None and shutil.which("gcc") is None:
         pytest.skip("there is no C compiler (cc) to make calls fail with")
-    done = run_in_child(2)
+    done = run_in_child("tests.crash.failures", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "every map verified" in done.stdout
     refused = re.search(r"full disk: refused (\d+)", done.stdout)
@@ -76,3 +79,35 @@ def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path
     with open_map(path) as universal:
         assert universal.verify().sound
         assert len(universal.sessions()) == 13
+
+
+def test_damaged_maps_are_found_or_say_what_they_said(tmp_path: Path) -> None:
+    trial = Trial(tmp_path)
+    total = run_random(trial, 20, seed=4)
+    assert trial.failures == []
+    assert total.total() >= 18
+    cells = islice(in_cells(trial.whole), 0, 10_000, 1999)
+    assert all(trial.try_one(damaged) != "NOT AS ASKED" for damaged in cells)
+
+
+@pytest.mark.long
+def test_power_cuts_leave_old_or_new() -> None:
+    done = run_in_child("tests.crash.power", "130", "5")
+    assert "nothing acknowledged was lost" in done.stdout, done.stderr
+
+
+@pytest.mark.long
+def test_a_map_that_is_not_synced_does_not_pass_the_power_cuts() -> None:
+    done = run_in_child("tests.crash.power", "400", "5", "careless")
+    assert "AssertionError" in done.stderr or "Error" in done.stderr
+
+
+@pytest.mark.long
+def test_exports_that_are_killed_leave_old_or_new() -> None:
+    done = run_in_child("tests.crash.exports", "4", "5")
+    assert "exports of" in done.stdout, done.stderr
+
+
+@pytest.mark.long
+def test_many_writers_lose_nothing(tmp_path: Path) -> None:
+    assert run_writers(5, 4, tmp_path) > 0

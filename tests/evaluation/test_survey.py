@@ -217,3 +217,10 @@ def test_a_survey_in_metres_is_no_geojson(tmp_path: Path) -> None:
     (tmp_path / "s.geojson").write_text(json.dumps({"features": [feature]}))
     with pytest.raises(TruthError, match="export it in WGS84"):
         read_survey(tmp_path / "s.geojson", DATUM)
+
+
+def test_a_place_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "s.csv"
+    path.write_text("kind,id,east_m,north_m\nrow,r,inf,0\nrow,r,5,nan\n")
+    with pytest.raises(TruthError, match="is no place"):
+        read_survey(path, DATUM)

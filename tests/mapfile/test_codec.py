@@ -15,6 +15,7 @@ from fieldgrid.mapfile.codec import (
     EncodedChannel,
     cells_sha256,
     decode_cells,
+    decode_channel,
     encode_channels,
     inflate,
 )
@@ -122,3 +123,10 @@ def test_a_stream_that_unfolds_to_too_much_is_refused_without_unfolding_it() -> 
 def test_anything_but_the_expected_bytes_is_damage(blob: object) -> None:
     with pytest.raises(MapError, match="damaged"):
         inflate(blob, 100, "grid")
+
+
+@pytest.mark.parametrize("text", [",", "f4,", "f8(", "{'a': 1}", "", "O", "f4\n", "<f4x"])
+def test_a_type_that_is_none_is_damage(text: str) -> None:
+    """NumPy parses such texts as Python, and raises SyntaxError."""
+    with pytest.raises(MapError, match="damaged"):
+        decode_channel(GridSpec(width_m=1.0, length_m=1.0, cell_m=0.5), text, b"", "frame")

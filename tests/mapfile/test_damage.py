@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import DatumError, FieldgridError
+from fieldgrid.errors import DatumError, FieldgridError, MapError
 from fieldgrid.grids import GridSpec
-from fieldgrid.mapfile import MapFile, create_map, open_map
+from fieldgrid.mapfile import MapFile, Mark, MarkKind, create_map, open_map
 from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOMETRIES, OWN_TABLES
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, grid_of, pose_at, track
@@ -156,3 +156,108 @@ def test_no_height_can_overflow_the_sums(tmp_path: Path) -> None:
         for up_m in (1e300, -1e6, float("inf")):
             with pytest.raises(DatumError, match="m up is over 50 km"):
                 session.add(grid_of(1), replace(pose_at(0.0, 0.0, 0.0), up_m=up_m))
+
+
+def test_a_schema_that_is_no_text_is_a_sentence(sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "map.gpkg"
+    for spoilt in (b"CREATE TABLE traject\xffry", b"CREATE TABL\x9f trajectory"):
+        whole = sound.read_bytes()
+        path.write_bytes(whole.replace(b"CREATE TABLE trajectory", spoilt))
+        said = []
+        try:
+            with open_map(path) as universal:
+                said += universal.verify(jobs=1).problems
+        except MapError as error:
+            said.append(str(error))
+        assert said
+        assert all(one.endswith(".") and one.isprintable() for one in said)
+
+
+def test_what_sqlite_says_is_one_short_line(sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "map.gpkg"
+    path.write_bytes(sound.read_bytes().replace(b"<!DOCTYPE qgis", b"<!DOCTYPE \xffgis"))
+    with open_map(path) as universal:
+        problems = universal.verify(jobs=1).problems
+    assert problems
+    assert all(one.endswith(".") and one.isprintable() and len(one) < 400 for one in problems)
+
+
+def test_a_repair_that_would_not_verify_changes_nothing(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT")
+    before, keep = path.read_bytes(), tmp_path / "kept.gpkg"
+    with (
+        open_map(path, writable=True) as universal,
+        pytest.raises(MapError, match=r"cannot be repaired.*not laid out.*was changed"),
+    ):
+        universal.repair(keep=keep)
+    assert path.read_bytes() == before
+    assert not keep.exists()
+
+
+def test_the_map_as_it_was_is_kept(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("DELETE FROM density")
+    keep = tmp_path / "kept.gpkg"
+    with open_map(path, writable=True) as universal:
+        assert universal.repair(keep=keep) == ()
+    assert content(path) == content(sound)
+    assert content(keep)["pictures"] == []
+    assert content(keep, "tiles", "fixes") == content(sound, "tiles", "fixes")
+
+
+def test_the_list_of_marks_has_no_extent(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with open_map(path, writable=True) as universal:
+        universal.add_marks([Mark(MarkKind.KEEPOUT, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))])
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("UPDATE gpkg_contents SET max_x = 1e9 WHERE table_name = 'mark'")
+    with open_map(path, writable=True) as universal:
+        assert universal.verify(jobs=1).problems == (
+            "The layer mark is not listed as it should be; repair the map.",
+        )
+        universal.repair(jobs=1)
+        assert universal.verify(jobs=1).sound
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE fieldgrid_meta SET value = '[\"max\"]' WHERE key = 'channel_groups'",
+        "UPDATE fieldgrid_session SET source = CAST(x'41ff0a' AS TEXT)",
+    ],
+)
+def test_settings_and_texts_that_cannot_be_are_sentences(
+    sound: Path, tmp_path: Path, statement: str
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(statement)
+    for action in (MapFile.verify, MapFile.sessions, MapFile.read, MapFile.repair):
+        try:
+            with open_map(path, writable=True) as universal:
+                found = action(universal)
+                said = list(getattr(found, "problems", ()))
+        except MapError as error:
+            said = [str(error)]
+        assert all(one.endswith(".") and one.isprintable() for one in said)
+        assert said or action is MapFile.read
+
+
+def test_a_session_that_an_index_has_lost_is_a_sentence(sound: Path, tmp_path: Path) -> None:
+    """Its rows are listed, and none is found by its name."""
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        (page,) = database.execute(
+            "SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex_fieldgrid_session_1'"
+        ).fetchone()
+    data = bytearray(path.read_bytes())
+    start = 4096 * (page - 1)
+    data[start + 3 : start + 5] = b"\0\0"  # the index has no entry any more
+    path.write_bytes(data)
+    with open_map(path) as universal:
+        assert universal.verify(jobs=1).problems
+        with pytest.raises(MapError, match="is listed and cannot be"):
+            universal.trajectory("a")

@@ -33,3 +33,13 @@ def test_a_picture_reads_back_and_anything_else_is_damage() -> None:
     for other in (b"", png[:90], png[:-3000], b"x" + png, "text", None):
         with pytest.raises(MapError, match="damaged"):
             decode_png(other, "picture")
+
+
+def test_a_sum_or_an_end_that_is_wrong_is_damage() -> None:
+    """A GIS shows nothing of such a picture, although its pixels can be inflated."""
+    png = encode_png(np.full((256, 256), 7, np.uint8), np.full((256, 256), True))
+    for at in (29, len(png) - 13, len(png) - 1):  # sums of head and pixels, the end
+        broken = bytearray(png)
+        broken[at] ^= 1
+        with pytest.raises(MapError, match="damaged"):
+            decode_png(bytes(broken), "picture")

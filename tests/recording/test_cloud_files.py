@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -338,3 +339,41 @@ def test_a_missing_library_is_named(
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ConfigError, match=rf"takes {library}; .*fieldgrid\[clouds\]"):
         CloudFile(tmp_path / name).read()
+
+
+def test_packed_points_without_a_chunk_are_refused(tmp_path: Path) -> None:
+    """The library would make room for whatever stands where a chunk would be."""
+    path = write(tmp_path / "layered.laz")
+    data = bytearray(path.read_bytes())
+    (offset,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, offset)
+    struct.pack_into("<I", data, table + 4, 0)
+    data[offset + 8 : table] = b"\xff" * (table - offset - 8)
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="0 chunks hold fewer than its points"):
+        CloudFile(path).read()
+
+
+def test_a_number_that_signals_is_no_place(tmp_path: Path) -> None:
+    path = write(tmp_path / "binary.ply", POINTS[:3])
+    start = path.read_bytes().index(b"end_header\n") + len(b"end_header\n")
+    data = bytearray(path.read_bytes())
+    data[start : start + 4] = b"\x01\x00\x80\x7f"
+    path.write_bytes(data)
+    assert len(CloudFile(path).read()) == 2
+
+
+def test_an_array_that_python_2_wrote_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npy", POINTS[:3])
+    path.write_bytes(path.read_bytes().replace(b"(3, 3), ", b"(3L, 3),"))
+    assert CloudFile(path, "rdf").read() == pytest.approx(POINTS[:3])
+
+
+def test_a_small_file_takes_little_memory(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npy", POINTS[:3])
+    tracemalloc.start()
+    try:
+        CloudFile(path).read()
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()

@@ -193,3 +193,12 @@ def test_a_gyro_of_one_axis_is_no_inertial_unit(tmp_path: Path) -> None:
     motion = read_motion(tmp_path).motion
     assert motion.inertial is None
     assert motion.gyro is not None
+
+
+def test_samples_that_no_sensor_gives_are_none() -> None:
+    values = np.tile([0.0, 0.0, 0.1, 0.0, 0.0, 9.81], (5, 1))
+    values[2, 4], values[3, 0] = 1e300, -1e39
+    found = inertial_of(Series(np.arange(5, dtype=np.int64), values), [])
+    assert found is not None
+    assert found.time_ns.tolist() == [0, 1, 4]
+    assert np.isfinite(found.force_mps2).all()

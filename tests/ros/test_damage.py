@@ -439,3 +439,33 @@ def test_the_database_module_is_not_told_to_write(tmp_path: Path) -> None:
     with sqlite3.connect(path) as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     database.close()
+
+
+def test_messages_before_their_connection_are_lost_each_time(tmp_path: Path) -> None:
+    """A damaged bag: what the first run could not read, a later one does not give either."""
+
+    def record(header: dict[str, bytes], data: bytes) -> bytes:
+        fields = b"".join(
+            (len(name) + 1 + len(value)).to_bytes(4, "little") + name.encode() + b"=" + value
+            for name, value in header.items()
+        )
+        return len(fields).to_bytes(4, "little") + fields + len(data).to_bytes(4, "little") + data
+
+    def message(secs: int) -> bytes:
+        time = secs.to_bytes(4, "little") + bytes(4)
+        return record({"conn": bytes(4), "op": b"\x02", "time": time}, b"\2\0\0\0ab")
+
+    definition = record({"type": b"std_msgs/String", "message_definition": b"string data"}, b"")
+    length = int.from_bytes(definition[:4], "little")
+    connection = record(
+        {"conn": bytes(4), "op": b"\x07", "topic": b"/a"}, definition[4 : 4 + length]
+    )
+    head = record({"op": b"\x03", "chunk_count": bytes(4), "index_pos": bytes(8)}, b"")
+    path = tmp_path / "drive.bag"
+    start = b"#ROSBAG V2.0\n" + head
+    path.write_bytes(start + message(5) + message(6) + connection + message(7) + message(8))
+    with open_bag(path) as bag:
+        assert bag.topics["/a"].count == 2
+        for _ in range(2):
+            assert [one.receive_ns for one in bag.messages()] == [7 * 10**9, 8 * 10**9]
+        assert "2 unreadable messages" in bag.damage

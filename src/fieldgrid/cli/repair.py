@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain, count
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,12 +17,16 @@ def command(
         bool,
         typer.Option("--upgrade", help="Only bring a map of an older format to the present one."),
     ] = False,
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="Keep no copy of the map as it was.")
+    ] = False,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Rebuild the tiles, pictures and layers of a map from its stored frames.
 
-    The frames themselves, poses included, are not changed.
+    The frames themselves, poses included, are not changed, and the map only if it verifies
+    afterwards. As it was, it is kept beside itself as NAME.before-repair.gpkg.
 
     Examples:
 
@@ -30,15 +36,29 @@ def command(
     """
     from fieldgrid.mapfile import open_map
 
-    done = "repaired"
+    done, left = "repaired", tuple[str, ...]()
+    keep = None if upgrade or in_place else _unused(map_)
     with open_map(map_, writable=True) as universal:
         if not upgrade:
-            universal.repair(jobs)
+            left = universal.repair(jobs, keep=keep)
         elif universal.upgrade():
             done = "upgraded"
         else:
             done = "of the present format already:"
     if as_json:
-        output.print_json({"map": str(map_), "done": done.rstrip(":")})
+        kept = None if keep is None else str(keep)
+        document = {"map": str(map_), "done": done.rstrip(":"), "kept": kept, "problems": left}
+        output.print_json(document)
     else:
-        output.report_line(f"{done} {map_}")
+        for line in left:
+            output.print_line(line)
+        output.report_line(f"{done} {map_}" + (f"; as it was: {keep}" if keep else ""))
+    if left:
+        raise typer.Exit(1)
+
+
+def _unused(map_: Path) -> Path:
+    """A name beside the map for the map as it was."""
+    names = chain([""], (f"-{k}" for k in count(2)))
+    beside = (map_.with_name(f"{map_.stem}.before-repair{k}{map_.suffix}") for k in names)
+    return next(path for path in beside if not path.exists())

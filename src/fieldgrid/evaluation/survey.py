@@ -210,6 +210,8 @@ def _point(
                 raise ValueError(f"{first}, {second} is no latitude and longitude")
             shape = _in_plane(shapely.Point(second, first), datum)
         else:
+            if not (math.isfinite(first) and math.isfinite(second)):
+                raise ValueError(f"{first}, {second} is no place")
             shape = shapely.Point(first, second)
         return Surveyed(kind, name, shape, radius_m)
     except ValueError as error:

@@ -19,7 +19,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, FieldgridError, MapError
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile.codec import deflate, inflate
+from fieldgrid.mapfile.codec import deflate, inflate, stored_dtype
 from fieldgrid.trajectory import Status, Trajectory
 
 Array = AnyArray
@@ -88,7 +88,7 @@ def read_arrays(connection: sqlite3.Connection, session_id: int, kind: Kind) -> 
 def _array(name: str, parts: list[ArrayRow]) -> Array:
     what = f"array {name!r}"
     try:
-        dtype, shape = np.dtype(parts[0].dtype), tuple(map(int, json.loads(parts[0].shape)))
+        dtype, shape = stored_dtype(parts[0].dtype), tuple(map(int, json.loads(parts[0].shape)))
         if dtype.kind not in _KINDS or min(shape, default=0) < 0:
             raise ValueError(f"its type is {dtype}, its shape {shape}")
         size = int(np.prod(shape, dtype=np.int64))

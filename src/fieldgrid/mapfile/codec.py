@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import re
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.errors import ConfigError, MapError, quoted
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
 
@@ -25,6 +26,7 @@ from fieldgrid.layers import FrameCells
 _LEVEL = 1
 
 _KINDS = "buif"
+_DTYPE = re.compile(r"[<>|=]?[A-Za-z?][0-9]{0,9}(\[[0-9]{0,9}[A-Za-z]{1,2}\])?")
 """Kinds of NumPy values that a frame's channel may hold."""
 
 BITS = "bits"
@@ -97,6 +99,14 @@ def _encode(name: str, array: AnyArray, spec: GridSpec) -> EncodedChannel:
     return EncodedChannel(name, _little(array).str, deflate(data, zlib.Z_RLE))
 
 
+def stored_dtype(text: object) -> np.dtype[Any]:
+    """The type of a stored array. TypeError for a text that is none: NumPy would take whole
+    sentences for a type, and parse them as Python."""
+    if not _DTYPE.fullmatch(str(text)):
+        raise TypeError(f"its type is {quoted(str(text))}")
+    return np.dtype(str(text))
+
+
 def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> AnyArray:
     """The values of a stored channel [n_y, n_x]; `what` names it when it is damaged."""
     cells = spec.n_x * spec.n_y
@@ -104,7 +114,7 @@ def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> An
         bits = np.frombuffer(inflate(data, -(-cells // 8), what), dtype=np.uint8)
         return np.unpackbits(bits, count=cells).view(np.bool_).reshape(spec.shape)
     try:
-        kind = np.dtype(str(dtype))
+        kind = stored_dtype(dtype)
         if kind.kind not in _KINDS or kind.fields or kind.itemsize > 8:
             raise TypeError(f"its type is {kind}")
     except (TypeError, ValueError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.errors import MapError, MapWriteError
+from fieldgrid.errors import MapError, MapWriteError, shortened
 
 BUSY_TIMEOUT_S = 30.0
 """How long a writer waits for another one, or a reader for a commit to end."""
@@ -84,6 +85,18 @@ def _first_byte(file: Path) -> bytes:
         return opened.read(1)
 
 
+def copy_to(path: Path, copy: Path) -> None:
+    """Copy a map page by page, damaged ones too, to a new file that is on the disk afterwards.
+
+    By SQLite, which keeps the locks that a transaction of this process has on the file: whoever
+    opens and closes it otherwise lets go of them.
+    """
+    os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
+        target.execute("PRAGMA synchronous = EXTRA")
+        source.backup(target)
+
+
 class Patience(NamedTuple):
     """How long a writer waits for another one, seconds; `tell` hears each second how long it has
     waited."""
@@ -153,11 +166,16 @@ def explained(name: Path, *, writing: bool) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         raise _explanation(error, name, writing) from error
+    except UnicodeDecodeError as error:  # of SQLite's own message about a damaged schema
+        raise _damaged(name, error.reason) from error
 
 
 def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
     if isinstance(error, sqlite3.ProgrammingError):
         return MapError(f"{name} is closed ({error}); open it again.")
+    said = shortened(error)
+    if said.startswith("Could not decode to UTF-8"):  # sqlite3 raises it without a code
+        return _damaged(name, said)
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
         if not writing:
@@ -169,18 +187,25 @@ def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
     if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT):
         return MapError(f"{name} is not a fieldgrid map: it is not an SQLite file. Check the name.")
     if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG):
-        return MapError(f"{name} is damaged ({error}); restore it from a copy, or build it again.")
+        return _damaged(name, error)
     if not writing:
-        return MapError(f"{name} cannot be read ({error}); check the file.")
+        return MapError(f"{name} cannot be read ({said}); check the file.")
     if code == sqlite3.SQLITE_FULL:
         return MapWriteError(
             f"The disk is full and {name} was not changed; free some space and try again."
         )
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
         return MapWriteError(
-            f"{name} cannot be written ({error}); check the permissions of the file and its folder."
+            f"{name} cannot be written ({said}); check the permissions of the file and its folder."
         )
-    return MapWriteError(f"{name} could not be written ({error}) and was not changed.")
+    return MapWriteError(f"{name} could not be written ({said}) and was not changed.")
+
+
+def _damaged(name: Path, why: object) -> MapError:
+    return MapError(
+        f"{name} is damaged ({shortened(why)}); restore it from a copy, and remove "
+        f"{name.name}-journal before, if it is there, or build it again."
+    )
 
 
 def _roll_back(connection: sqlite3.Connection) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.errors import ConfigError, FieldgridError, MapError
+from fieldgrid.errors import ConfigError, FieldgridError, MapError, quoted
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, TileIndex, Window
 from fieldgrid.mapfile.arrays import Array, Kind, read_arrays, trajectory_of
@@ -171,7 +171,10 @@ class Evidence:
         """The names of sessions by their row ids, in the order in which they are given."""
         rows = self.connection.execute("SELECT name, id FROM fieldgrid_session")
         ids = dict(rows.fetchall())
-        return {int(ids[name]): name for name in names}
+        try:
+            return {int(ids[name]): name for name in names}
+        except (KeyError, TypeError, ValueError) as error:
+            raise self._lost_row(str(error)) from error
 
     def trajectory(self, session: str, datum: Datum) -> Trajectory:
         """The trajectory that was stored with a session, as driven."""
@@ -192,11 +195,21 @@ class Evidence:
 
     def _row_of(self, session: str) -> tuple[int, str, Transform]:
         self.check_sessions([session])
-        session_id, heading_source, transform = self.connection.execute(
+        row = self.connection.execute(
             "SELECT id, heading_source, transform FROM fieldgrid_session WHERE name = ?",
             (session,),
         ).fetchone()
+        if row is None:
+            raise self._lost_row(session)
+        session_id, heading_source, transform = row
         return int(session_id), str(heading_source), transform_of(transform)
+
+    def _lost_row(self, session: str) -> MapError:
+        """Of a session that is listed: the index of names and the rows of the table disagree."""
+        return MapError(
+            f"{self._path} is damaged: its session {quoted(session)} is listed and cannot be "
+            "found. Repair the map, or restore it from a copy."
+        )
 
     def _why_empty(self) -> str:
         frames, rejected, removed = self.connection.execute(

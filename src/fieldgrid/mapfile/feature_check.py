@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Iterator
 from typing import Any
 
+from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.derived import active, show_features
 from fieldgrid.mapfile.header import check_plane
@@ -51,7 +52,7 @@ def _differences(what: str, here: Iterator[Any], anew: Iterator[Any]) -> Iterato
 
 def _key(row: Any) -> str:
     shown = [value for value in row if not isinstance(value, bytes)][:4]
-    return " ".join(str(value) for value in shown)
+    return " ".join(shortened(value, 60) for value in shown)
 
 
 _OURS = ", ".join(repr(layer) for layer in schema.LAYERS)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
+from functools import lru_cache
+from typing import NamedTuple
 
+from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
+from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.marks import create_marks, has_marks
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -41,13 +46,13 @@ def check_file(subject: Subject) -> Iterator[str]:
 
 def check_layout(subject: Subject) -> Iterator[str]:
     """The tables, their indexes, and triggers that change them."""
-    connection, expected = subject.connection, _empty(subject)
-    try:
-        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
-        ours, known = set(connection.execute(query)), set(expected.execute(query))
-        tables = {row[2] for row in known}
-    finally:
-        expected.close()
+    connection, known = subject.connection, _layout(subject).schema
+    ours = set(
+        connection.execute(
+            "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        )
+    )
+    tables = {row[2] for row in known}
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
     for kind, name, table, _ in sorted(ours - known):
@@ -62,16 +67,8 @@ def check_layout(subject: Subject) -> Iterator[str]:
 
 def check_types(subject: Subject) -> Iterator[str]:
     """What each column of each table holds, which SQLite itself does not enforce."""
-    connection, expected = subject.connection, _empty(subject)
-    try:
-        columns = expected.execute(
-            'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '
-            "JOIN pragma_table_info(t.name) AS c WHERE t.type = 'table' "
-            "AND t.name NOT LIKE 'sqlite_%' ORDER BY 1, c.cid"
-        ).fetchall()
-    finally:
-        expected.close()
-    for table, column, declared, is_needed in columns:
+    connection = subject.connection
+    for table, column, declared, is_needed in _layout(subject).columns:
         held, called = _STORED.get(declared, ("blob", "a blob"))
         allowed = f"'{held}'" if is_needed else f"'{held}', 'null'"
         for row_id, found in connection.execute(
@@ -96,7 +93,7 @@ def damaged_pages(connection: sqlite3.Connection) -> Iterator[str]:
     """What SQLite finds wrong with its own file."""
     for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
         if line != "ok":
-            yield f"The file is damaged: {line}."
+            yield f"The file is damaged: {shortened(line)}."
 
 
 def orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
@@ -128,11 +125,28 @@ def renew_file(connection: sqlite3.Connection) -> None:
         )
 
 
-def _empty(subject: Subject) -> sqlite3.Connection:
-    """A new map without sessions or marks, with the tables that the map has; to be closed."""
-    made = sqlite3.connect("", isolation_level=None)
-    matrices = TileMatrixSet(subject.header.lattice)
-    schema.create(made, subject.header.datum, matrices, subject.header.transfer, ())
-    if has_marks(subject.connection):
-        create_marks(made)
-    return made
+class _Layout(NamedTuple):
+    """What a map has for tables, and for columns: table, column, type, and whether it is needed."""
+
+    schema: frozenset[tuple[str, str, str, str]]
+    columns: tuple[tuple[str, str, str, int], ...]
+
+
+def _layout(subject: Subject) -> _Layout:
+    """The layout of a new map with the tables that the map has."""
+    return _empty(subject.header._replace(groups=()), has_marks(subject.connection))
+
+
+@lru_cache(maxsize=8)
+def _empty(header: Header, marks: bool) -> _Layout:
+    with closing(sqlite3.connect("", isolation_level=None)) as made:
+        schema.create(made, header.datum, TileMatrixSet(header.lattice), header.transfer, ())
+        if marks:
+            create_marks(made)
+        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        columns = made.execute(
+            'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '
+            "JOIN pragma_table_info(t.name) AS c WHERE t.type = 'table' "
+            "AND t.name NOT LIKE 'sqlite_%' ORDER BY 1, c.cid"
+        )
+        return _Layout(frozenset(made.execute(query)), tuple(columns))

@@ -8,7 +8,13 @@ import sqlite3
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError
+from fieldgrid.errors import (
+    ConfigError,
+    DatumError,
+    FieldgridError,
+    MapError,
+    shortened,
+)
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import TILE_CELLS, Lattice
 from fieldgrid.layers import GROUPS, ChannelGroup
@@ -117,18 +123,21 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
         for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
             if meta[key] != str(value):
                 raise ValueError(f"{key} is {meta[key]!r}, not {value}")
+        groups = tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]")))
+        if version == schema.FORMAT_VERSION and "density" not in groups:
+            raise ValueError(f"its tiles hold {', '.join(groups) or 'nothing'}, and no density")
         return Header(
             Datum(*(float(meta[f"datum_{key}"]) for key in ("lat_deg", "lon_deg", "height_m"))),
             Lattice(float(meta["cell_m"])),
             Transfer(meta["transfer"]),
-            tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]"))),
+            groups,
             version,
         )
     except MapError:
         raise
     except (KeyError, TypeError, ValueError, FieldgridError) as error:
         raise MapError(
-            f"{path} is damaged: its settings cannot be read ({error}). Restore a copy."
+            f"{path} is damaged: its settings cannot be read ({shortened(error)}). Restore a copy."
         ) from error
 
 

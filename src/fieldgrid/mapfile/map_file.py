@@ -19,6 +19,7 @@ from fieldgrid.mapfile.database import (
     USUAL_PATIENCE,
     Patience,
     clear_journal,
+    copy_to,
     reading,
     writing,
 )
@@ -235,15 +236,24 @@ class MapFile(MapReader):
                 self._connection, self.path, self._header, name, poses, trajectory, config
             )
 
-    def repair(self, jobs: int | None = None) -> None:
-        """Rebuild the tiles, pictures and layers of features from the stored frames.
+    def repair(self, jobs: int | None = None, *, keep: Path | None = None) -> tuple[str, ...]:
+        """Rebuild the tiles, pictures and layers of features from the stored frames, and verify
+        them before they count.
 
-        The tiles hold all channel groups that are registered now, and no others. Raises MapError
-        when the evidence itself is damaged.
+        The tiles hold all channel groups that are registered now, and no others. `keep` is where
+        the map as it was is copied to before. Returns what is still wrong with the evidence of
+        sessions that were taken out. Raises MapError, and changes nothing, when other evidence is
+        damaged, or when the map would still not be sound.
         """
-        with self._changing(trusting=False):
-            groups = repair(self._connection, self.path, self._header, jobs)
-        self._header = self._header._replace(groups=groups)
+        try:
+            with self._changing(trusting=False, keep=keep):
+                repaired = repair(self._connection, self.path, self._header, jobs)
+        except BaseException:
+            if keep is not None:
+                keep.unlink(missing_ok=True)
+            raise
+        self._header = self._header._replace(groups=repaired.groups)
+        return repaired.problems
 
     def upgrade(self) -> bool:
         """Bring a map of an older format to the present one, at once or not at all; returns whether
@@ -257,22 +267,25 @@ class MapFile(MapReader):
         return is_old
 
     @contextmanager
-    def _changing(self, *, trusting: bool = True) -> Iterator[None]:
+    def _changing(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[None]:
         """A change of what the map has already; see `_transaction`."""
         self._require_writable()
-        with self._transaction(trusting=trusting):
+        with self._transaction(trusting=trusting, keep=keep):
             yield
         self._unsettled = True
 
     @contextmanager
-    def _transaction(self, *, trusting: bool = True) -> Iterator[None]:
+    def _transaction(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[None]:
         """One transaction in which the map is changed; `trusting` what its root digest covers.
+        `keep` is where it is copied to before.
 
         A map of an older format is upgraded in it: where the change is refused, it stays old.
         """
         before = self._header
         try:
             with writing(self._connection, self.path, self._patience):
+                if keep is not None:
+                    copy_to(self.path, keep)
                 if before.version < FORMAT_VERSION:
                     upgrade(self._connection, self.path, before)
                     seal(self._connection)

@@ -216,6 +216,24 @@ def create_marks(connection: sqlite3.Connection) -> None:
     announce_marks(connection)
 
 
+LISTED_MARKS = [
+    (
+        *("features", "mark", "What people said of places", None, None, None, None, schema.SRS_ID),
+        *("geom", "GEOMETRY", schema.SRS_ID, 0, 0),
+    )
+]
+"""What `listed_marks` gives of a map that is right."""
+
+
+def listed_marks(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
+    """What a GIS is told of the layer of marks."""
+    return connection.execute(
+        "SELECT data_type, identifier, description, min_x, min_y, max_x, max_y, c.srs_id, "
+        "column_name, geometry_type_name, g.srs_id, z, m FROM gpkg_contents AS c "
+        "JOIN gpkg_geometry_columns AS g USING (table_name) WHERE table_name = 'mark'"
+    ).fetchall()
+
+
 def announce_marks(connection: sqlite3.Connection) -> None:
     """List the marks for a GIS, in place of what was listed of them."""
     for table in ("gpkg_geometry_columns", "gpkg_contents"):

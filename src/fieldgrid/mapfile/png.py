@@ -56,6 +56,11 @@ def decode_png(blob: object, what: str) -> UInt8:
     data = blob[start + 25 : start + 25 + size]
     if (width, height) != (TILE_CELLS, TILE_CELLS) or kind != [_BIT_DEPTH, _GREY_ALPHA, 0, 0, 0]:
         raise damaged
+    # Sums and end, too: a GIS shows nothing of a picture in which one of them is wrong.
+    if blob[len(_SIGNATURE) :] != b"".join(
+        (_chunk(b"IHDR", blob[start : start + 13]), _chunk(b"IDAT", data), _chunk(b"IEND", b""))
+    ):
+        raise damaged
     rows = np.frombuffer(inflate(data, height * (1 + 2 * width), what), dtype=np.uint8)
     rows = rows.reshape(height, 1 + 2 * width)
     if rows[:, 0].any():

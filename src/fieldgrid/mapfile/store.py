@@ -20,6 +20,7 @@ from fieldgrid.mapfile.database import (
     writing,
 )
 from fieldgrid.mapfile.header import Header, read_header
+from fieldgrid.mapfile.hot_journal import check_journal
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.schema import FORMAT_VERSION
@@ -56,6 +57,7 @@ def open_map(
     if not path.is_file():
         raise MapError(f"There is no map {path}; check the name, or build it first.")
     writable = writable or datum is not None
+    check_journal(path.resolve())
     connection = connect(path, path, writable=writable)
     try:
         with reading(connection, path):

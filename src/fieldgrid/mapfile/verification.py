@@ -12,8 +12,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import FieldgridError, MapError, shortened
 from fieldgrid.layers import GROUPS, stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
@@ -31,14 +32,22 @@ from fieldgrid.mapfile.file_check import (
     renew_file,
 )
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.marks import announce_marks, has_marks, read_marks
+from fieldgrid.mapfile.marks import (
+    LISTED_MARKS,
+    announce_marks,
+    has_marks,
+    listed_marks,
+    read_marks,
+)
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import check_root, read_root
+from fieldgrid.mapfile.root import check_root, read_root, seal
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
 from fieldgrid.mapfile.workers import in_order
+
+_LONGEST_PROBLEM = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +96,17 @@ def verify(
         before = len(problems)
         try:
             problems += islice(check(subject), MAX_PROBLEMS - len(problems))
-        except (MapError, sqlite3.DatabaseError) as error:
+        except FieldgridError as error:
             problems.append(str(error))
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+            problems.append(f"The file is damaged: {shortened(error)}.")
         if check is check_types and len(problems) > before:
             notes.append("Nothing else was checked: the tables hold what they cannot.")
             break
         if len(problems) >= MAX_PROBLEMS:
             break
-    sessions, removed, frames, tiles = (
-        connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+    counts = (
+        _counted(connection, table)
         for table in (
             "fieldgrid_session",
             "fieldgrid_session WHERE removed IS NOT NULL",
@@ -103,9 +114,16 @@ def verify(
             "density",
         )
     )
-    return HealthReport(
-        tuple(dict.fromkeys(problems)), tuple(notes), sessions, removed, frames, tiles
-    )
+    said = dict.fromkeys(shortened(problem, _LONGEST_PROBLEM) for problem in problems)
+    return HealthReport(tuple(said), tuple(notes), *counts)
+
+
+def _counted(connection: sqlite3.Connection, table: str) -> int:
+    """The rows of a table; 0 where it is so damaged that they cannot be counted."""
+    try:
+        return int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
+    except sqlite3.DatabaseError:
+        return 0
 
 
 def _root(subject: Subject) -> Iterator[str]:
@@ -124,12 +142,7 @@ def _marks(subject: Subject) -> Iterator[str]:
     """Every mark, and whether a GIS is told of them."""
     connection = subject.connection
     read_marks(connection, removed=True)
-    listed = connection.execute(
-        "SELECT data_type, c.srs_id, column_name, geometry_type_name, g.srs_id FROM gpkg_contents "
-        "AS c JOIN gpkg_geometry_columns AS g USING (table_name) WHERE table_name = 'mark'"
-    ).fetchall()
-    srs_id = schema.SRS_ID
-    if has_marks(connection) and listed != [("features", srs_id, "geom", "GEOMETRY", srs_id)]:
+    if has_marks(connection) and listed_marks(connection) != LISTED_MARKS:
         yield "The layer mark is not listed as it should be; repair the map."
 
 
@@ -166,7 +179,7 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
         try:
             read_arrays(connection, session_id, Kind.INPUT)
             metadata = find(connection, path, header.datum, name).metadata
-        except MapError as error:
+        except FieldgridError as error:
             yield str(error)
             continue
         frames = [record.digest for record in records]
@@ -217,13 +230,21 @@ def _frame_problem(record: FrameRecord) -> str:
     return ""
 
 
+class Repaired(NamedTuple):
+    """The channel groups that the tiles hold now, and what is still wrong with the evidence of
+    sessions that were taken out, of which nothing is read."""
+
+    groups: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
 def repair(
     connection: sqlite3.Connection, path: Path, header: Header, jobs: int | None = None
-) -> tuple[str, ...]:
+) -> Repaired:
     """Rebuild everything that follows from the evidence, within the caller's transaction.
 
-    Returns the channel groups that the tiles hold now. Raises MapError when the evidence itself is
-    damaged: nothing can be made of that.
+    Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
+    `verify` would still find something else.
     """
     subject = Subject(connection, path, header, jobs)
     if not read_root(connection).trusted:
@@ -250,7 +271,26 @@ def repair(
         announce_marks(connection)
     derived.rebuild(connection, path, header, stored_groups(), jobs)
     renew_file(connection)
-    return stored_groups()
+    seal(connection)
+    return Repaired(stored_groups(), _left(subject._replace(header=_with_stored(header))))
+
+
+def _with_stored(header: Header) -> Header:
+    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+
+
+def _left(subject: Subject) -> tuple[str, ...]:
+    """What is wrong with the evidence of removed sessions. MapError for anything else."""
+    removed = set(_evidence(subject, "WHERE removed IS NOT NULL"))
+    removed.update(orphans(subject.connection, "fieldgrid_grid"))
+    found = verify(*subject).problems
+    for problem in found:
+        if problem not in {shortened(one, _LONGEST_PROBLEM) for one in removed}:
+            raise MapError(
+                f"{subject.path} cannot be repaired, because this does not follow from its "
+                f"evidence: {problem} Nothing was changed; restore a copy of the map."
+            )
+    return found
 
 
 def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import os
 import re
 import stat
 import zlib
@@ -55,7 +56,8 @@ def read_bytes(
     _check_size(path, max_bytes, error)
     try:
         with path.open("rb") as file:
-            return file.read(max_bytes)
+            # Python makes room for all that is asked for, before it reads.
+            return file.read(min(os.fstat(file.fileno()).st_size + 1, max_bytes))
     except OSError as problem:
         raise _unreadable(path, problem, error) from problem
 

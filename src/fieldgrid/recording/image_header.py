@@ -40,7 +40,7 @@ def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> Header | N
             return _jpeg(data)
         if data.startswith(b"BM"):
             width, height = struct.unpack("<ii", data[18:26])
-            return Header(width, abs(height))
+            return Header(width, abs(height)) if width >= 0 else None
         if data.startswith((b"II*\0", b"MM\0*")):
             return _tiff(data, tiff_bits)
     except struct.error:

@@ -169,6 +169,8 @@ def _check_packing(path: Path, header: Any, packing: bytes) -> None:
         file.seek(header.offset_to_point_data)
         chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(packing))
         at = header.offset_to_point_data + 8
+        if sum(points for points, _ in chunks) < header.point_count:
+            raise _damaged(path, f"its {len(chunks)} chunks hold fewer than its points")
         for _, chunk_bytes in chunks:
             before = header.point_format.size + 4
             file.seek(at + before)

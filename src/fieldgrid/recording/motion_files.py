@@ -41,6 +41,8 @@ _FORCES = (
 )  # fmt: skip
 _STANDARD_GRAVITY_MPS2 = 9.80665
 
+_MOST_SENSED = 1e9
+"""Beyond any rate or force: a sample with more is none."""
 _MOSTLY = 0.5
 """An accelerometer that says something in fewer of its rows than this says nothing."""
 _SPEEDS = (
@@ -109,6 +111,9 @@ def gravity_unit_mps2(usual: Float64) -> float | None:
 def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
     gravity, in m/s² or in g, and sees it above it. None without a sample."""
+    sane = ~(np.abs(sensed.values) > _MOST_SENSED).any(axis=1)
+    if not sane.all():
+        sensed = Series(sensed.time_ns[sane], sensed.values[sane])
     complete = np.isfinite(sensed.values).all(axis=1)
     count, felt = len(sensed.time_ns), int(complete.sum())
     if not count:

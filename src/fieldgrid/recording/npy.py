@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from tokenize import TokenError
 
 import numpy as np
@@ -25,7 +26,9 @@ def parse_npy(data: bytes, name: str) -> npt.NDArray[np.generic]:
             if version == (1, 0)
             else np.lib.format.read_array_header_2_0
         )
-        shape, by_column, dtype = header(stream)
+        with warnings.catch_warnings():  # of Python 2, whose headers are read all the same
+            warnings.simplefilter("ignore", UserWarning)
+            shape, by_column, dtype = header(stream)
     except (ValueError, SyntaxError, TypeError, EOFError, TokenError) as problem:
         raise RecordingError(f"{name} is no array of NumPy: {problem}; save it again.") from problem
     if dtype.kind not in "fiu" or dtype.itemsize > 8:

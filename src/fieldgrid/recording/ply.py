@@ -55,7 +55,8 @@ def parse_ply(data: bytes, name: str) -> RawSweep:
         raise _too_short(name, header.vertices, len(body))
     vertices = np.frombuffer(body, dtype=vertex, count=header.vertices)
     columns = [vertices[f"{places[key]}"] for key in wanted]
-    points = np.stack([column.astype(np.float64) for column in columns[:3]], axis=1)
+    with np.errstate(invalid="ignore"):  # a number that signals is no place either
+        points = np.stack([column.astype(np.float64) for column in columns[:3]], axis=1)
     return RawSweep(points, columns[3] if len(columns) > 3 else None)
 
 

@@ -26,6 +26,8 @@ class ChunkedFile:
     def __init__(self, path: Path, file: Path) -> None:
         self.path, self.file = path, file
         self.damage, self.connections = Damage(), Connections()
+        self.orphans: dict[tuple[int, int], int] = {}
+        """Messages, by place and number, that came before what their connection is."""
 
     def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
         """Every message that is readable, in the order of the file."""
@@ -46,6 +48,7 @@ class Run(ABC):
         self.source = source
         self.damage = part.damage
         self.connections = part.connections
+        self._orphans, self._passed = part.orphans, dict[tuple[int, int], int]()
         self.seen = 0
         self.at = 0
         self.has_ended = False
@@ -123,13 +126,30 @@ class Run(ABC):
     def record(self, number: int, time_ns: int, data: memoryview) -> Record | None:
         """A message of the connection of that number, if it is one that is asked for."""
         connection = self.connections.get(number)
-        if connection is None:
+        if connection is None or (self._orphans and self._is_orphan(number)):
             self.damage.messages += 1
+            if connection is None:
+                self._pass_orphan(number)
             return None
         self.seen += 1
         if self._topics is not None and connection.topic not in self._topics:
             return None
         return Record(connection, time_ns, data, self.at)
+
+    def _is_orphan(self, number: int) -> bool:
+        """Whether this message came too early in the first run, which is what counts: where the
+        file is damaged, a later run may know connections that the first one met only afterwards."""
+        place = self.at, number
+        passed = self._passed.get(place, 0)
+        if passed >= self._orphans.get(place, 0):
+            return False
+        self._passed[place] = passed + 1
+        return True
+
+    def _pass_orphan(self, number: int) -> None:
+        place = self.at, number
+        passed = self._passed[place] = self._passed.get(place, 0) + 1
+        self._orphans[place] = max(self._orphans.get(place, 0), passed)
 
     def _resume(self) -> bool:
         """Go on at the next chunk after damage; notes how much is lost."""
