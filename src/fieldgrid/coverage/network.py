@@ -38,7 +38,7 @@ none but those that were found: where a vehicle hardly turns, others take minute
 _LONGER = 1.02
 """An order that costs less may be so much longer than the shortest one."""
 
-_SHARES = (1.0, 0.5, 0.25, 0.125)
+_SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Of the costs, beside the lengths, in the search for such an order."""
 
 _DISTANCE_BYTES = 200_000_000
