@@ -165,3 +165,19 @@ def test_a_folder_changes_places_with_the_one_that_it_replaces(
     draft.publish()
     assert [path.name for path in target.iterdir()] == ["new"]
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_a_killed_program_made_on_the_way_is_swept(tmp_path: Path) -> None:
+    target = tmp_path / "map.dxf"
+    killed = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from fieldgrid.publish import replacing, working_beside\n"
+        "with replacing(Path(sys.argv[1])) as file, working_beside(file) as folder:\n"
+        "    (folder / 'half').touch()\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", killed, str(target)], check=False)
+    assert len(list(tmp_path.iterdir())) == 2
+    with replacing(target) as file:
+        file.write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == [target.name]

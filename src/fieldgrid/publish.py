@@ -10,7 +10,6 @@ import mmap
 import os
 import secrets
 import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -59,9 +58,21 @@ def replacing(
 def made_elsewhere(draft: Path, name: str) -> Iterator[Path]:
     """A path of this name, in a folder of its own beside a draft, for a library that makes its
     file itself, or locks it; what is there when the block ends well becomes the draft's content."""
-    with tempfile.TemporaryDirectory(prefix=draft.name, dir=draft.parent) as folder:
-        yield Path(folder) / name
-        shutil.copyfile(Path(folder) / name, draft)
+    with working_beside(draft) as folder:
+        yield folder / name
+        shutil.copyfile(folder / name, draft)
+
+
+@contextmanager
+def working_beside(draft: Path) -> Iterator[Path]:
+    """A folder for what is made on the way to a draft. It goes with the block, or, where the
+    program is killed in it, with the draft, when the next one of the same target is made."""
+    folder = _workshop(draft)
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
@@ -327,10 +338,15 @@ def _remove_orphans(place: Path) -> None:
                 if orphan.is_dir():
                     shutil.rmtree(orphan)
                     continue
+                shutil.rmtree(_workshop(orphan), ignore_errors=True)
                 for stray in (*_companions(orphan), orphan):
                     stray.unlink(missing_ok=True)
             finally:
                 os.close(held)
+
+
+def _workshop(draft: Path) -> Path:
+    return draft.with_name(f"{draft.name}.work")
 
 
 def _companions(file: Path) -> tuple[Path, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -25,7 +24,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.geodesy import Datum
-from fieldgrid.publish import made_elsewhere, mentions, replacing
+from fieldgrid.publish import made_elsewhere, mentions, replacing, working_beside
 
 _DECIMALS = 9
 _MOST_BYTES = 16 << 20
@@ -253,7 +252,7 @@ def _write_gpkg(path: Path, features: Sequence[Feature], datum: Datum, overwrite
 def _write_dxf(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
     with (
         _replacing(path, overwrite) as file,
-        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        working_beside(file) as folder,
     ):
         written = Path(folder) / "features.dxf"
         # The driver knows these two columns, and draws outlines of areas.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import shutil
-import tempfile
 import zipfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,7 +26,7 @@ from fieldgrid.export.tables import datum_values
 from fieldgrid.lattice import Window
 from fieldgrid.mapfile import LAYERS, MapView, Readable, cf_dataset, masked
 from fieldgrid.mapfile.view import empty_view
-from fieldgrid.publish import mentions, replacing, replacing_folder
+from fieldgrid.publish import mentions, replacing, replacing_folder, working_beside
 from fieldgrid.settings import Settings
 
 
@@ -41,7 +40,7 @@ def export_npz(
     """
     with (
         replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
-        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+        working_beside(file) as folder,
         selection.blocks(universal, ("count",)) as blocks,
     ):
         lattice, window, datum = blocks.lattice, blocks.window, universal.datum

@@ -8,7 +8,6 @@ ground, not of the land register.
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from decimal import Decimal
@@ -28,7 +27,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
-from fieldgrid.publish import replacing, replacing_folder
+from fieldgrid.publish import replacing, replacing_folder, working_beside
 from fieldgrid.trajectory import Status
 from fieldgrid.vectors import FeatureLayer
 
@@ -111,7 +110,7 @@ def export_taskdata(
     if path.suffix.lower() == ".zip":
         with (
             replacing(path, overwrite=overwrite, ours=_is_zipped, what=what) as file,
-            tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+            working_beside(file) as folder,
         ):
             _write(Path(folder), field, grid)
             with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:

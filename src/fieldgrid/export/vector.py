@@ -6,7 +6,6 @@ are written by GDAL.
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
@@ -24,7 +23,7 @@ from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
-from fieldgrid.publish import made_elsewhere, mentions, replacing, replacing_folder
+from fieldgrid.publish import made_elsewhere, mentions, replacing, replacing_folder, working_beside
 from fieldgrid.settings import Flag, setting
 from fieldgrid.vectors import Feature, FeatureLayer, in_degrees, write_features, write_layer
 
@@ -181,7 +180,7 @@ def export_shapefile(
     if path.suffix.lower() == ".zip":
         with (
             replacing(path, overwrite=overwrite, ours=_is_zipped, what="a zip") as file,
-            tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=file.parent) as folder,
+            working_beside(file) as folder,
         ):
             _write_shapefiles(Path(folder), path, layers, universal.datum)
             with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
