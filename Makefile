@@ -70,6 +70,7 @@ crash: .venv/installed ## Kill writers, cut the power, damage maps (COUNT=500: s
 	$(PY) -m tests.crash.exports $(shell expr $(or $(COUNT),500) / 50)
 	$(PY) -m tests.crash.writers $(shell expr $(or $(COUNT),500) / 200)
 	$(PY) -m tests.crash.builds 20
+	$(PY) -m tests.crash.live 100
 
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
 	$(PY) -m benchmarks.heading

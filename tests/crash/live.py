@@ -72,7 +72,7 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
         # Most meet it while it drives, after so many frames; some at its begin or its end.
         left = len(FRAMES) - len(had.frames)
         grids = int(random.integers(-1, left + 1)) if left else -1
-        longest_s = whole_s / (20.0 if 0 <= grids < left else 2.0)
+        longest_s = whole_s / (20.0 if 0 < grids < left else 2.0)
         doing, said = _one(drive, out, grids, float(random.uniform(0.0, longest_s)))
         hit[doing] += 1
         if live_folder(out).exists():

@@ -17,6 +17,7 @@ from fieldgrid.mapfile import open_map
 from tests.crash.damages import Trial, in_cells, run_random
 from tests.crash.failures import run_in_child
 from tests.crash.kills import run_kills
+from tests.crash.live import run_kills as kill_live
 from tests.crash.operations import make
 from tests.crash.writers import run_writers
 from tests.mapfile.content import ANONYMOUS, content
@@ -26,6 +27,12 @@ from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
     hit = run_kills(12, seed=5, folder=tmp_path)
     assert hit.total() == 12
+
+
+@pytest.mark.long
+def test_a_live_session_killed_at_random_loses_one_frame_at_most(tmp_path: Path) -> None:
+    hit = kill_live(6, seed=5, folder=tmp_path)
+    assert hit.total() >= 6
 
 
 @pytest.mark.long

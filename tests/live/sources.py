@@ -63,6 +63,9 @@ class Notes:
     def push_fix(self, fix: Fix) -> None:
         self._note(self.fixes, fix)
 
+    def push_rows(self, part: str, rows: Any) -> None:
+        assert part in ("gyro", "wheels")
+
     def push_frame(self, frame: Frame) -> bool:
         self._note(self.frames, frame)
         return True

@@ -78,6 +78,19 @@ def test_a_stage_file_is_appended_to_and_loses_no_whole_frame(tmp_path: Path) ->
         assert len(damaged) == 0
 
 
+def test_entries_that_were_forgotten_are_read_again(tmp_path: Path) -> None:
+    with StageFile(tmp_path / "frames.grids") as file:
+        assert [file.append(staged(k)) for k in range(2)] == [0, 1]
+        held = list(file.entries)
+        file.forget()
+        assert [file.append(staged(k)) for k in range(2, 4)] == [2, 3]
+        assert (file.entries, len(file)) == ([], 4)
+        file.recall()
+        assert file.entries[:2] == held
+        assert [one.frame_id for one in file] == [staged(k).frame_id for k in range(4)]
+        assert file.append(staged(4)) == 4
+
+
 def test_what_is_damaged_after_it_was_opened_is_told_of(tmp_path: Path) -> None:
     path = tmp_path / "drive.stage"
     with StageFile(path) as stage_file:

@@ -126,16 +126,19 @@ def command(
 
         fieldgrid live -o row.gpkg --camera 0 --rig zed --gnss gpsd://localhost
 
+        ssh robot record | fieldgrid live -o row.gpkg --mcap - --rig zed
+
         fieldgrid live -o row.gpkg --replay june --feed tcp://127.0.0.1:7007
 
         fieldgrid live -o row.gpkg --replay june --view 8080 --foxglove 8765
 
         fieldgrid live -o row.gpkg --finish --accept clock-offset
     """
-    driving = [replay is not None, sources.images is not None, sources.camera is not None]
+    driving = [one is not None for one in (replay, sources.images, sources.camera, sources.mcap)]
     if sum([*driving, finish, finish_from is not None, discard]) != 1:
         raise typer.BadParameter(
-            "give one of --images, --camera, --replay, --finish, --finish-from and --discard",
+            "give one of --images, --camera, --mcap, --replay, --finish, --finish-from and "
+            "--discard",
             param_hint="--images",
         )
     if discard:
@@ -170,8 +173,10 @@ def command(
 def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
     """A usage error for what would be ignored with this source."""
     every = {str(one.name) for one in ctx.command.params}
-    idle = {"rate", "topic"} if replay is None else {"gnss_log"}
-    idle |= {"camera_fps", "rig"} if sources.camera is None else set()
+    idle = {"rate"} if replay is None else {"gnss_log"}
+    idle |= {"topic"} if replay is None and sources.mcap is None else set()
+    idle |= {"camera_fps"} if sources.camera is None else set()
+    idle |= {"rig"} if sources.camera is None and sources.mcap is None else set()
     options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
 
 

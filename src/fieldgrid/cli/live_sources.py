@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from fieldgrid.geodesy import Datum
     from fieldgrid.live import Live
     from fieldgrid.recording import Recording
+    from fieldgrid.recording.growing import GrowingFolder
+    from fieldgrid.recording.stored import PairKind
     from fieldgrid.rig import Rig
 
 _PANEL = "Sources"
@@ -51,6 +53,16 @@ class SourceFlags(NamedTuple):
             rich_help_panel=_PANEL,
         ),
     ] = None
+    mcap: Annotated[
+        str | None,
+        typer.Option(
+            "--mcap",
+            metavar="-|FIFO|URL",
+            help="Take images, fixes, gyro and wheels of an MCAP as it comes: standard input, a "
+            "FIFO, or tcp://HOST:PORT.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
     camera_fps: Annotated[
         float,
         typer.Option(
@@ -65,7 +77,7 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--rig",
             metavar="FOLDER",
-            help="The folder of a recording whose calibration/ is that of --camera.",
+            help="The folder of a recording whose calibration/ is that of --camera or --mcap.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -141,40 +153,66 @@ def of_recording(found: Recording, rate: float | None) -> Driven:
 
 def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
     """A receiver and a folder or a camera; a usage error where one of them is not said."""
-    from fieldgrid.errors import ConfigError
-    from fieldgrid.live import ImageFolder, Receiver, Sources, StereoDevices, parse_devices
+    from fieldgrid.live import (
+        ImageFolder,
+        McapStream,
+        Receiver,
+        Sources,
+        StereoDevices,
+        parse_devices,
+    )
     from fieldgrid.live.intake import Source
+    from fieldgrid.recording.folder import mounting_path
     from fieldgrid.recording.growing import open_growing
-    from fieldgrid.recording.stored import PairKind
 
-    if drive.gnss is None:
+    if flags.mcap is None and drive.gnss is None:
         raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
-    receiver = Receiver(drive.gnss, flags.gnss_log)
+    receiver = None if drive.gnss is None else Receiver(drive.gnss, flags.gnss_log)
     images: Source
-    if flags.camera is None:
+    if flags.mcap is not None:
+        folder, kind = _camera_rig(flags, drive)
+        mounting = drive.options().find_mounting(mounting_path(folder.path), folder.path)
+        images = McapStream(
+            flags.mcap,
+            kind,
+            drive.options().topics,
+            imu_axes=mounting.imu_axes,
+            takes_fixes=receiver is None,
+        )
+    elif flags.camera is None:
         assert flags.images is not None
         folder = open_growing(flags.images, drive.options())
         images = ImageFolder(folder)
     else:
         devices = parse_devices(flags.camera)
-        if flags.rig is None:
-            raise typer.BadParameter(
-                "say which folder has the calibration/ of the camera", param_hint="--rig"
-            )
-        folder = open_growing(flags.rig, drive.options())
-        if not isinstance(folder.kind, PairKind):
-            raise ConfigError(f"{flags.rig} is of no stereo pair; give the rig of the camera.")
-        images = StereoDevices(
-            devices, folder.rig, folder.kind.rectifier, most_fps=flags.camera_fps
-        )
+        folder, kind = _camera_rig(flags, drive)
+        images = StereoDevices(devices, folder.rig, kind.rectifier, most_fps=flags.camera_fps)
+    all_of_them = (images,) if receiver is None else (receiver, images)
+    source = drive.gnss or flags.mcap or ""
 
     def run(live: Live, stop: threading.Event) -> bool:
-        with Sources(live, (receiver, images)) as sources:
+        with Sources(live, all_of_them) as sources:
             while not (stop.is_set() or sources.wait(_LOOK_S)):
                 pass
         return not stop.is_set()
 
-    return Driven(folder.rig, folder.name, folder.datum_hint, drive.gnss, "", folder.notes, run)
+    return Driven(folder.rig, folder.name, folder.datum_hint, source, "", folder.notes, run)
+
+
+def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, PairKind]:
+    """The folder of --rig, which must be that of a stereo camera, and what its pairs are."""
+    from fieldgrid.errors import ConfigError
+    from fieldgrid.recording.growing import open_growing
+    from fieldgrid.recording.stored import PairKind
+
+    if flags.rig is None:
+        raise typer.BadParameter(
+            "say which folder has the calibration/ of the camera", param_hint="--rig"
+        )
+    folder = open_growing(flags.rig, drive.options())
+    if not isinstance(folder.kind, PairKind):
+        raise ConfigError(f"{flags.rig} is of no stereo pair; give the rig of the camera.")
+    return folder, folder.kind
 
 
 _LOOK_S = 0.2

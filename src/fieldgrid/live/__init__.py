@@ -9,6 +9,7 @@ from fieldgrid.live.images import ImageFolder
 from fieldgrid.live.intake import Pauses, Sources
 from fieldgrid.live.kept import live_folder
 from fieldgrid.live.live import Counts, Live
+from fieldgrid.live.mcap_stream import McapStream
 from fieldgrid.live.posing import LiveOptions
 from fieldgrid.live.receiver import Receiver, ReceiverStream
 from fieldgrid.live.replay import replay
@@ -35,6 +36,7 @@ __all__ = [
     "LivePose",
     "LiveResult",
     "LiveWindow",
+    "McapStream",
     "Pauses",
     "Receiver",
     "ReceiverStream",

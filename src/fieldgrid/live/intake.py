@@ -15,6 +15,7 @@ from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.live.live import Live
 from fieldgrid.live.results import What
+from fieldgrid.live.sensed import Rows
 from fieldgrid.recording import Frame
 
 JOIN_S = 6.0
@@ -79,6 +80,10 @@ class Intake:
         """Take a frame that came just now."""
         self._live.push_frame(frame)
         self._compare(self._clocks.frame(frame.time_ns + self._live.rig.image_time_offset_ns))
+
+    def push_rows(self, part: str, rows: Rows) -> None:
+        """Take rows of a sensor that came just now."""
+        self._live.push_rows(part, rows)
 
     def _compare(self, problem: str) -> None:
         if problem:

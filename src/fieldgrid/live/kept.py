@@ -272,9 +272,13 @@ class Kept(Closing):
             return False
         return self.journal.sync()
 
+    def _read(self) -> Drive:
+        self.stage.recall()
+        return read_drive(self.folder, self.stage.entries) or self.drive
+
     def staged(self) -> Staged:
         """The frames, as a build has them of its drive."""
-        drive = read_drive(self.folder, self.stage.entries) or self.drive
+        drive = self._read()
         numbers = [number for number, _ in drive.frames]
         found = [one for _, one in drive.frames]
         # No step leads to a frame before which the program was started again.
@@ -291,7 +295,7 @@ class Kept(Closing):
 
     def recording(self) -> Recording:
         """The drive as a recording, with the pairs that were kept for its frames."""
-        drive = read_drive(self.folder, self.stage.entries) or self.drive
+        drive = self._read()
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
         staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, _ in drive.frames]
@@ -313,8 +317,9 @@ class Kept(Closing):
         )
 
     def forget(self) -> None:
-        """Hold no more in memory than what the session was begun with."""
+        """Hold no more in memory than what the session was begun with, however long it lasts."""
         self.drive = Drive(self.drive.about)
+        self.stage.forget()
 
     def remove(self) -> None:
         """Remove all of it: the drive is in the map, or is given up."""

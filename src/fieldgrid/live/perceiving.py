@@ -10,8 +10,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import cv2
-
 from fieldgrid.build import BadFrame
 from fieldgrid.build.perception import Perceived
 from fieldgrid.build.report import StageTimes
@@ -84,10 +82,6 @@ class Perceiver:
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
-        # Frames beside each other use the cores better than OpenCV's stripes of one frame, whose
-        # threads wait for each other by spinning.
-        self._cv_threads = cv2.getNumThreads()
-        cv2.setNumThreads(1)
         self._threads = [
             threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
             for _ in range(WORKERS)
@@ -143,7 +137,6 @@ class Perceiver:
             self._changed.notify_all()
         for thread in self._threads:
             thread.join()
-        cv2.setNumThreads(self._cv_threads)
 
     def _run(self) -> None:
         """Stage frames beside the other threads, and do what follows when it is their turn."""

@@ -112,6 +112,9 @@ class StageFile(Closing):
     `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
     """
 
+    _count = 0
+    _holds_entries = True
+
     def __init__(self, path: str | Path, target: Path | None = None) -> None:
         """Open a stage file to read it and append to it, or make it. MapError for another file.
         Where the disk is full, the error names the `target`, the map that the frames are for."""
@@ -148,12 +151,30 @@ class StageFile(Closing):
         entry = StageEntry(
             frame.frame_id, frame.time_ns, frame.ground_found, self._end, len(record)
         )
-        self.entries.append(entry)
+        self._add(entry)
         self._end += len(record)
-        return len(self.entries) - 1
+        return self._count - 1
+
+    def forget(self) -> None:
+        """Hold no entries in memory, those of frames to come neither, until `recall`. Only of a
+        file with a name."""
+        self._holds_entries, self.entries = False, []
+
+    def recall(self) -> None:
+        """Hold the entries of all frames again, read from the file."""
+        if self._holds_entries:
+            return
+        assert self._file is not None, "the stage file is closed"
+        self._holds_entries, self._count, self.entries = True, 0, []
+        self._end = self._scan(self._file)
+
+    def _add(self, entry: StageEntry) -> None:
+        self._count += 1
+        if self._holds_entries:
+            self.entries.append(entry)
 
     def __len__(self) -> int:
-        return len(self.entries)
+        return self._count
 
     def __getitem__(self, index: int) -> StagedFrame:
         """A frame; MapError when it was damaged since it was written."""
@@ -166,7 +187,7 @@ class StageFile(Closing):
         return _whole(record, entry)
 
     def __iter__(self) -> Iterator[StagedFrame]:
-        return (self[k] for k in range(len(self.entries)))
+        return (self[k] for k in range(len(self)))
 
     def sync(self) -> None:
         """Return when what was appended is on the disk, and not only with the system."""
@@ -228,9 +249,7 @@ class StageFile(Closing):
             frame = _unpacked(os.pread(file, size, offset))
             if frame is None:
                 return offset
-            self.entries.append(
-                StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size)
-            )
+            self._add(StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size))
             offset += size
 
     def _unwritable(self, error: OSError) -> MapWriteError:

@@ -1,0 +1,279 @@
+"""Messages of an MCAP as they come through a pipe: a source of frames, fixes, gyro and wheels.
+
+Messages are decoded by what reads bags. Nothing is known of a stream beforehand, so a topic is
+taken for a role by its type and its name as soon as it is announced, or because it was said to be.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.fixes import Fix
+from fieldgrid.live.intake import Intake, SourceEndedError
+from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
+from fieldgrid.live.receiver import ReceiverStream
+from fieldgrid.live.sensed import rows_of
+from fieldgrid.recording.bag.frames import PairMaker, Taken
+from fieldgrid.recording.bag.heard import Fixes
+from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
+from fieldgrid.recording.motion_files import AXES, directions
+from fieldgrid.recording.stored import PairKind
+from fieldgrid.ros import Message, decode
+from fieldgrid.ros.gnss import DATUM
+from fieldgrid.ros.model import Connection, Definition, ros2_name
+from fieldgrid.ros.stamps import stamp_ns
+
+POLL_S = 0.25
+MOST_RECORD_BYTES = 1 << 28
+MOST_WAITING = 16
+"""Images of one side that wait for their partner; the oldest of more is left out."""
+
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_BY_TYPE = {
+    "sensor_msgs/msg/NavSatFix": "fix",
+    "nmea_msgs/msg/Sentence": "nmea",
+    "sensor_msgs/msg/Imu": "imu",
+    "nav_msgs/msg/Odometry": "odometry",
+}
+ROLES = ("left", "right", *_BY_TYPE.values())
+FIXES = ("fix", "nmea")
+_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
+
+
+class _Ended(Exception):  # noqa: N818 - a way of ending
+    """The session ends, or the stream does."""
+
+
+class _Bytes:
+    """The bytes of a link, as many as are asked for."""
+
+    def __init__(self, link: Link, intake: Intake) -> None:
+        self._link, self._intake = link, intake
+        self._held = bytearray()
+        self.has_ended = False
+
+    def read(self, count: int) -> bytes:
+        """The next bytes, so many; _Ended where there are no more."""
+        while len(self._held) < count:
+            if self._intake.stop.is_set():
+                raise _Ended
+            try:
+                data = self._link.read(POLL_S)
+            except LinkEndedError:
+                self.has_ended = True
+                raise _Ended from None
+            if data:
+                self._intake.arrived()
+            self._held += data
+        taken = bytes(self._held[:count])
+        del self._held[:count]
+        return taken
+
+
+class _Channel(NamedTuple):
+    connection: Connection
+    role: str
+
+
+class McapStream:
+    """An MCAP out of standard input (`-`), a FIFO or tcp://HOST:PORT, with the pairs of a camera
+    whose calibration is known: `kind` says of what they are.
+
+    `topics` are those of roles (`ROLES`) that are not to be told by type and name, `imu_axes` how
+    an IMU sits. Without `takes_fixes` they are left to a receiver. ConfigError for another address
+    or role.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        kind: PairKind,
+        topics: Mapping[str, str] | None = None,
+        *,
+        imu_axes: str = AXES,
+        takes_fixes: bool = True,
+    ) -> None:
+        self._address = parse_address(address)
+        if self._address.kind not in ("stdin", "fifo", "tcp"):
+            raise ConfigError(
+                f"No MCAP is read from {address!r}; give -, the path of a FIFO or tcp://HOST:PORT."
+            )
+        self._given = dict(topics or {})
+        for role in self._given:
+            if role not in ROLES:
+                raise ConfigError(
+                    f"No topic of a stream is {role!r}; give one of {', '.join(ROLES)}."
+                )
+        self._kind, self._upward = kind, np.array(directions(imu_axes), dtype=np.float64).T[2]
+        self._takes_fixes = takes_fixes
+        self._roles: dict[str, str] = {}
+        self._told: set[str] = set()
+        self._nmea = ReceiverStream()
+        self._waiting: tuple[deque[Taken], deque[Taken]] = deque(), deque()
+        self._frames = 0
+        self._fixes_of = ""
+
+    @property
+    def name(self) -> str:
+        """Where it comes from."""
+        return f"The MCAP of {self._address.text}"
+
+    def run(self, intake: Intake) -> None:
+        """Give what comes; see `Source`."""
+        from mcap.exceptions import McapError
+        from mcap.stream_reader import StreamReader
+
+        with closing(open_link(self._address)) as link:
+            stream = _Bytes(link, intake)
+            try:
+                while True:  # a FIFO may carry one after the other
+                    reader = StreamReader(
+                        stream,  # type: ignore[arg-type]
+                        record_size_limit=MOST_RECORD_BYTES,
+                    )
+                    self._read(reader.records, intake)
+            except _Ended:
+                if stream.has_ended:
+                    raise SourceEndedError("has ended.") from None
+            except (McapError, ValueError, RuntimeError) as error:
+                raise RecordingError(f"what comes is no MCAP: {error!r}") from error
+
+    def finish(self, intake: Intake) -> None:
+        """Give the fixes that are still open."""
+        for fix in self._nmea.finish():
+            intake.push_fix(fix)
+
+    def _read(self, records: Any, intake: Intake) -> None:
+        from mcap.records import Channel, Schema
+        from mcap.records import Message as Record
+
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, _Channel] = {}
+        for record in records:
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.id not in channels:
+                connection = _connection(record, schemas.get(record.schema_id))
+                channels[record.id] = _Channel(connection, self._role(connection, intake))
+            elif isinstance(record, Record) and record.channel_id in channels:
+                channel = channels[record.channel_id]
+                if channel.role and (self._takes_fixes or channel.role not in FIXES):
+                    message = Message(channel.connection, record.log_time, record.data)
+                    self._take(channel.role, message, intake)
+
+    def _role(self, connection: Connection, intake: Intake) -> str:
+        """What the messages of a topic are for; empty for nothing."""
+        topic = connection.topic
+        for role, name in self._given.items():
+            if name == topic:
+                return role
+        role = "" if topic == DATUM else _BY_TYPE.get(connection.type, "")
+        if connection.type in _IMAGES:
+            role = next((side for side in ("left", "right") if side in topic.lower()), "")
+        if not role or role in self._given:
+            return ""
+        if self._roles.setdefault(role, topic) != topic:
+            self._say(
+                intake,
+                f"has {topic} beside {self._roles[role]}, which is taken as {role}; "
+                f"--topic {role}=NAME takes another.",
+            )
+            return ""
+        return role
+
+    def _take(self, role: str, message: Message, intake: Intake) -> None:
+        takers: dict[str, Callable[[Message, int, Intake], None]] = {
+            "fix": self._fix,
+            "nmea": self._sentence,
+            "imu": self._turn,
+            "odometry": self._speed,
+        }
+        stamped = stamp_ns(message.connection.encoding, message.data)
+        time_ns = stamped if is_utc(np.array([stamped]))[0] else message.receive_ns
+        if time_ns != stamped:
+            self._say(
+                intake,
+                f"has no UTC in the stamps of {message.topic}; the recorder's times are taken.",
+            )
+        try:
+            if role in ("left", "right"):
+                self._image(role, Taken(message, time_ns), intake)
+            else:
+                takers[role](message, time_ns, intake)
+        except RecordingError as problem:
+            self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
+
+    def _image(self, role: str, taken: Taken, intake: Intake) -> None:
+        """Hold an image until its partner comes, and give the pair."""
+        left, right = self._waiting
+        (left if role == "left" else right).append(taken)
+        while left and right:
+            apart_ns = left[0].time_ns - right[0].time_ns
+            if apart_ns > MAX_APART_NS:
+                right.popleft()
+            elif apart_ns < -MAX_APART_NS:
+                left.popleft()
+            else:
+                pair = left.popleft(), right.popleft()
+                packed = tuple(one.message.connection.type == _IMAGES[1] for one in pair)
+                kind = self._kind
+                bits = kind.image_format.bits or 16
+                maker = PairMaker(kind.size_px, kind.rectifier, packed, bits)
+                intake.push_frame(maker.frame(self._frames, pair[0].time_ns, pair))
+                self._frames += 1
+        for waiting in self._waiting:
+            while len(waiting) > MOST_WAITING:
+                waiting.popleft()
+
+    def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
+        one = Fixes()
+        one.take(message, 0)
+        self._push(list(one.columns(np.array([time_ns]))), "fix", intake)
+
+    def _sentence(self, message: Message, time_ns: int, intake: Intake) -> None:
+        text = decode(message).sentence.encode("utf-8", "replace").strip()
+        self._push(self._nmea.feed(text + b"\r\n"), "nmea", intake)
+
+    def _push(self, fixes: list[Fix], role: str, intake: Intake) -> None:
+        """Take fixes of the kind that gave the first one: both tell the same positions."""
+        self._fixes_of = self._fixes_of or (role if fixes else "")
+        for fix in fixes if role == self._fixes_of else ():
+            intake.push_fix(fix)
+
+    def _turn(self, message: Message, time_ns: int, intake: Intake) -> None:
+        found = decode(message)
+        if found.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition: no gyro
+            return
+        rates = found.angular_velocity
+        rate_rad_s = -float(np.array([rates.x, rates.y, rates.z]) @ self._upward)
+        if np.isfinite(rate_rad_s):
+            intake.push_rows("gyro", rows_of("gyro", time_ns, rate_rad_s))
+
+    def _speed(self, message: Message, time_ns: int, intake: Intake) -> None:
+        speed_mps = float(decode(message).twist.twist.linear.x)
+        if np.isfinite(speed_mps):
+            intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
+
+    def _say(self, intake: Intake, text: str) -> None:
+        """Tell something, each thing once."""
+        if text not in self._told and len(self._told) < 100:
+            self._told.add(text)
+            intake.tell(text)
+
+
+def _connection(channel: Any, schema: Any) -> Connection:
+    """What the messages of a channel are, as readers of bags have it."""
+    definition = None
+    if schema is not None and schema.encoding in _SYNTAX and schema.data.strip():
+        text = schema.data.decode("utf-8", "replace")
+        definition = Definition(_SYNTAX[schema.encoding], text)
+    name, encoding = "" if schema is None else schema.name, channel.message_encoding
+    if encoding in ("cdr", "ros1"):
+        name = ros2_name(name)
+    return Connection(channel.topic, name, encoding, definition)
