@@ -94,7 +94,7 @@ def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
 
 def test_wrong_uses(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:
     out = tmp_path / "m.gpkg"
-    assert "--images, --camera, --replay" in fieldgrid("live", "-o", out).usage()
+    assert "--images, --camera, --mcap, --replay" in fieldgrid("live", "-o", out).usage()
     assert "one of" in fieldgrid("live", "-o", out, "--replay", drive, "--finish").usage()
     for rate in ("0", "fast", "nan", "-1"):
         assert "--rate" in fieldgrid("live", "-o", out, "--replay", drive, "--rate", rate).usage()
@@ -170,6 +170,8 @@ def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> N
     for idle in (("--rate", "2"), ("--topic", "left=/a"), ("--rig", drive), ("--camera-fps", "3")):
         assert "does not take it" in fieldgrid(*live, *images, *gnss, *idle).usage()
     assert "--rig" in fieldgrid(*live, "--camera", "0", *gnss).usage()
+    assert "--rig" in fieldgrid(*live, "--mcap", "-").usage()
+    assert "--camera-fps" in fieldgrid(*live, "--mcap", "-", "--camera-fps", "3").usage()
     assert "does not exist" in fieldgrid(*live, "--images", "nowhere", *gnss).sentence()
     assert "is no camera" in fieldgrid(*live, "--camera", "x", "--rig", drive, *gnss).sentence()
     assert "is no source" in fieldgrid(*live, *images, "--gnss", "http://a:1").sentence()
