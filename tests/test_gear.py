@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.gear import Gears, Track, gears, turning_deg
+from fieldgrid.gear.holes import tight_nats
 from tests.simulated import K_TURN, Command, Drive, simulate
 
 _Float64 = npt.NDArray[np.float64]
@@ -393,3 +394,12 @@ def test_a_cusp_in_a_hole_leaves_doubt(commands: list[Command], accepted: float)
     is_sure = np.concatenate(sure)
     assert is_sure.mean() > accepted
     assert np.concatenate(right)[is_sure].mean() > 0.985
+
+
+def test_a_distance_that_no_speed_makes_says_nothing_of_turns() -> None:
+    """Beside a hole of two seconds at 1.5 m/s: 2 m back where it came from takes a turn, and 12 m
+    a jump of the positions; in eight seconds a vehicle may have sped up."""
+    near, far = (np.array([0.0, -way_m]) for way_m in (2.0, 12.0))
+    assert tight_nats(near, (0.0, 0.0), 2.0, 3.0, 2.0, 0.02) > 10.0
+    assert tight_nats(far, (0.0, 0.0), 2.0, 3.0, 2.0, 0.02) == 0.0
+    assert tight_nats(far, (0.0, 0.0), 2.0, 3.0, 8.0, 0.02) > 10.0

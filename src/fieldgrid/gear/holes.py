@@ -23,6 +23,10 @@ STANDING_M, DRIVEN_SHARE = 0.5, 0.2
 """Who comes less far in a hole need not have turned; and by what share the way that its speed makes
 may be longer."""
 
+JUMPED_SPREADS, JUMPED_MPS2 = 4.0, 1.0
+"""Who comes farther than its speed makes by so many times that, and by what it can gain by speeding
+up, did not drive there: the positions have jumped, and their distance tells nothing."""
+
 EDGE_S, EDGE_SHARE = 0.5, 0.2
 """A vehicle that is slower than this share of its speed at the edge of a hole may turn back
 right there."""
@@ -63,12 +67,16 @@ def tight_nats(
     bearings_deg: tuple[float, float],
     radius_m: float,
     most_m: float,
+    gap_s: float,
     sigma_m: float,
 ) -> float:
     """What it costs, in nats, to say that a vehicle came this far across a hole without turning
     back, from one bearing to another: the shortest way that turns no tighter than the radius may be
-    longer than `most_m`, which its speed makes."""
-    if float(np.hypot(*step_m)) < STANDING_M:
+    longer than `most_m`, which its speed makes in `gap_s`."""
+    spread_m = float(np.hypot(DRIVEN_SHARE * most_m, 2.0 * sigma_m))
+    moved_m = float(np.hypot(*step_m))
+    drivable_m = most_m + JUMPED_SPREADS * spread_m + JUMPED_MPS2 * gap_s**2 / 4.0
+    if moved_m < STANDING_M or moved_m > drivable_m:
         return 0.0
     out, into = (np.radians(90.0 - bearing) for bearing in bearings_deg)
     needed_m = np.inf
@@ -77,5 +85,4 @@ def tight_nats(
         x, y = (step_m @ [cos, sin]) / radius_m, (step_m @ [-sin, cos]) / radius_m
         ways = words(float(x), float(y), float(into + last - out - first), reverse=False)
         needed_m = min(needed_m, *(radius_m * sum(abs(part) for _, part in way) for way in ways))
-    spread_m = float(np.hypot(DRIVEN_SHARE * most_m, 2.0 * sigma_m))
     return float(0.5 * (max(needed_m - most_m, 0.0) / spread_m) ** 2)

@@ -263,7 +263,9 @@ def _turn_costs(
             carried = min(carried, 0.0)
         if min(out_m, into_m) > 0.0:
             bearings, most_m = (out + 180.0, into), max(speeds_mps) * gap_s
-            tight = tight_nats(step_m, bearings, seen.radius_m, most_m, float(sigma_m))
+            tight = tight_nats(
+                step_m, bearings, seen.radius_m, most_m, float(gap_s), float(sigma_m)
+            )
             # Or it came in the same gear since it turned back twice.
             carried = float(np.logaddexp(carried - tight, -switch - TURNED_TWICE_COST))
         stay = -carried

@@ -1,6 +1,6 @@
 """GNSS: logs to fixes, and a verdict with a written reason on every fix."""
 
-from fieldgrid.gnss.conditioning import condition
+from fieldgrid.gnss.conditioning import NO_STRAYS, condition
 from fieldgrid.gnss.gps_time import leap_seconds
 from fieldgrid.gnss.nmea import NmeaLog, NmeaStream, parse_nmea
 from fieldgrid.gnss.scatter import FixNoise, fix_noise, quantum_m, short_term_sigma_m
@@ -10,6 +10,7 @@ from fieldgrid.gnss.verdict import DEFAULT_LIMITS, Gate, Verdicts
 
 __all__ = [
     "DEFAULT_LIMITS",
+    "NO_STRAYS",
     "ConditioningSummary",
     "FixNoise",
     "Gate",

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,14 +32,21 @@ from fieldgrid.quality import CARRIER, CODE, Quality
 from fieldgrid.settings import GateLimits
 
 _LAST_NS = 2**62  # differences of such times still fit into 64 bits
+NO_STRAYS: Mapping[int, str] = MappingProxyType({})
 _LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
 
 
-def condition(fixes: FixColumns, limits: GateLimits = DEFAULT_LIMITS) -> Verdicts:
+def condition(
+    fixes: FixColumns,
+    limits: GateLimits = DEFAULT_LIMITS,
+    strays: Mapping[int, str] = NO_STRAYS,
+) -> Verdicts:
     """The verdicts on fixes, in their order. Accepted fixes increase strictly in time.
 
     The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
     solution has moved, the fix from which it is followed is accepted with a reason: the seam.
+    `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
+    judged without them.
     """
     log = _Judged(fixes, limits)
     _check_place(log)
@@ -46,6 +54,9 @@ def condition(fixes: FixColumns, limits: GateLimits = DEFAULT_LIMITS) -> Verdict
     _check_time(log)
     _check_repeats(log)
     _check_climb(log)
+    for row, reason in strays.items():
+        if log.ok[row]:
+            log.reject(row, Gate.STRAY, reason)
     _check_motion(log)
     return Verdicts(log.ok, tuple(log.gate), tuple(log.reason))
 

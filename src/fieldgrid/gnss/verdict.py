@@ -12,8 +12,8 @@ from fieldgrid.settings import GateLimits
 class Gate(StrEnum):
     """Which gate a fix failed, for programs; the sentence beside it is for people.
 
-    `SEAM` belongs to an accepted fix: the solution has moved there. `NONE` is a fix without
-    anything to say about it.
+    `SEAM` belongs to an accepted fix: the solution has moved there. `STRAY` is what the estimate
+    of the whole drive denies. `NONE` is a fix without anything to say about it.
     """
 
     NONE = ""
@@ -25,6 +25,7 @@ class Gate(StrEnum):
     TIME = "time"
     REPEAT = "repeat"
     JUMP = "jump"
+    STRAY = "stray"
     ACCELERATION = "acceleration"
     TURN_RATE = "turn_rate"
     CLIMB = "climb"

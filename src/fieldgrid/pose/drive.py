@@ -12,12 +12,11 @@ from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle, unsure_heading_rad
 from fieldgrid.pose.gears import (
-    HOLE_PERIODS,
-    HOLE_S,
     NO_HINTS,
     GearHints,
     StationGears,
     first_guess,
+    holes,
     station_gears,
 )
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
@@ -245,7 +244,7 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     denied = np.zeros(len(assigned), dtype=np.bool_)
     if len(gap_s) == 0:
         return denied
-    hole = gap_s > max(HOLE_S, HOLE_PERIODS * float(np.median(gap_s)))
+    hole = holes(gap_s)
     against_m = np.maximum(-(speed_mps * assigned)[:-1], 0.0) * np.diff(at.time_ns) / 1e9
     back_m = np.diff(np.concatenate([[0.0], np.cumsum(against_m)])[node])
     wrong = np.flatnonzero(hole & (back_m > BACK_M) & (np.diff(assigned[node]) == 0))

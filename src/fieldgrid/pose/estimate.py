@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import condition, summarise
+from fieldgrid.gnss import NO_STRAYS, condition, summarise
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
@@ -32,6 +33,7 @@ from fieldgrid.pose.levelled import (
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
+from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned, PoseTable, pose_table
 from fieldgrid.pose.verdict import Budget, judged
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
@@ -83,6 +85,13 @@ def estimate_poses(
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    denied: dict[int, str] = {}
+    for _ in range(MOST_ROUNDS):
+        if not (more := stray_fixes(drive, log)):
+            break
+        denied |= more
+        log = conditioned(log.fixes, settings, log.datum, denied)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     drive, motion, unfit_gyro = with_trusted_gyro(
         drive, log.accepted, log.fixes.time_ns, motion, axle, hints
     )
@@ -188,16 +197,19 @@ def _of_given(
 
 
 def conditioned(
-    fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
+    fixes: FixColumns,
+    settings: PoseSettings,
+    datum: Datum | None = None,
+    strays: Mapping[int, str] = NO_STRAYS,
 ) -> Conditioned:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
-    ones in the plane. Raises GnssError when none can be used."""
+    ones in the plane; `strays` as in `condition`. Raises GnssError when none can be used."""
     fixes = fixes.in_order()
     if settings.quality is not None:
         fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
     if settings.accuracy_m is not None:
         fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
-    verdicts = condition(fixes, settings.gnss)
+    verdicts = condition(fixes, settings.gnss, strays)
     if not verdicts.ok.any():
         raise GnssError(no_fix_sentence(fixes, verdicts))
     datum = datum or datum_of(fixes, verdicts)

@@ -24,6 +24,10 @@ HOLE_S, HOLE_PERIODS = 2.0, 2.5
 """Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
 turned back unseen."""
 
+TORN_S, TORN_M, TORN_SIGMAS, TORN_SHARE = 2.0, 0.5, 10.0, 0.6
+"""Between two fixes the positions have jumped when the step differs by this much, beyond the noise
+and this share of what the pace makes, from the velocities over so long before and after it."""
+
 GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
 """The first guess of the heading is the course over at least this."""
 
@@ -73,24 +77,64 @@ def station_gears(
     """Stations and gears of accepted fixes; `resting` marks those at rest, `recorded_deg` are
     headings that were recorded, NaN where there is none."""
     points, time_ns = fixes.points_m(), fixes.time_ns
-    steps_s = np.diff(time_ns) / 1e9
-    period_s = float(np.median(steps_s)) if len(steps_s) else 1.0
-    part = np.concatenate([[0], np.cumsum(steps_s > max(HOLE_S, HOLE_PERIODS * period_s))])
-    noise_m = fixes.noise.across_m
+    noise_m, steps_s = fixes.noise.across_m, np.diff(time_ns) / 1e9
+    hole, torn = breaks(fixes)
+    part = np.concatenate([[0], np.cumsum(hole | torn)])
     station = stations(
         points, part, resting, max(STATION_M, STATION_SIGMAS * float(np.median(noise_m)))
     )
     at_ns = time_ns[station]
-    hole_s = np.concatenate([[np.inf], np.diff(at_ns) / 1e9])
+    # A hole lasts from station to station, a jump only between its two fixes.
+    holes, torn_s = (
+        np.diff(np.concatenate([[0.0], np.cumsum(column)])[station])
+        for column in (hole, np.where(torn, steps_s, 0.0))
+    )
+    gap_s = np.concatenate([[np.inf], np.where(holes > 0.0, np.diff(at_ns) / 1e9, torn_s)])
     track = Track(
         points[station],
         seconds(at_ns),
-        np.where(np.diff(part[station], prepend=-1) > 0, hole_s, 0.0),
+        gap_s,
         noise_m[station],
         _turned_deg(at, at_ns, time_ns[resting]),
         _forward_nats(points[station], at_ns, motion, recorded_deg[station], hints),
     )
     return StationGears(station, gears(track))
+
+
+def usual_period_s(step_s: Float64) -> float:
+    """The period of a receiver that took fixes at such steps; where many are missing, half of the
+    steps may be holes."""
+    return float(np.percentile(step_s, 25)) if len(step_s) else 1.0
+
+
+def holes(step_s: Float64) -> Bool:
+    """Which steps between fixes are so long that a vehicle may have turned back unseen."""
+    return np.asarray(step_s > max(HOLE_S, HOLE_PERIODS * usual_period_s(step_s)))
+
+
+def breaks(fixes: AcceptedFixes) -> tuple[Bool, Bool]:
+    """Which steps [n - 1] between fixes are holes, and which of the others the motion before and
+    after them does not make: of these one side is a jump that conditioning has let pass, or the
+    solution has moved."""
+    points, time_s, noise_m = fixes.points_m(), seconds(fixes.time_ns), fixes.noise.across_m
+    n, step_s = len(points), np.diff(time_s)
+    if n < 2:
+        return np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
+    hole = holes(step_s)
+    row = np.arange(n)
+    before = np.minimum(np.searchsorted(time_s, time_s - TORN_S), np.maximum(row - 1, 0))
+    after = np.maximum(
+        np.searchsorted(time_s, time_s + TORN_S, side="right") - 1, np.minimum(row + 1, n - 1)
+    )
+    came, left = (
+        (points[to] - points[of]) / np.maximum(time_s[to] - time_s[of], 1e-3)[:, None]
+        for of, to in ((before, row), (row, after))
+    )
+    way_m = (came[:-1] + left[1:]) / 2.0 * step_s[:, None]
+    off_m = np.hypot(*(np.diff(points, axis=0) - way_m).T)
+    pace_mps = np.maximum(np.hypot(*came[:-1].T), np.hypot(*left[1:].T))
+    free_m = np.maximum(TORN_M, TORN_SIGMAS * np.maximum(noise_m[1:], noise_m[:-1]))
+    return hole, (off_m > TORN_SHARE * pace_mps * step_s + free_m) & ~hole
 
 
 def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:

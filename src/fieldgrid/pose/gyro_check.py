@@ -12,7 +12,7 @@ from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import Drive, smooth_drive
-from fieldgrid.pose.gears import GearHints
+from fieldgrid.pose.gears import GearHints, usual_period_s
 from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.smoother import MOST_MISFIT
 
@@ -79,7 +79,7 @@ def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
     use &= (start_s >= 0.0) & (stop_s <= gyro_s[-1])
     # What the path did in a hole of the fixes, a cusp say, no chord tells.
     step_s = np.diff(time_s)
-    holes = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * np.median(step_s))])
+    holes = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * usual_period_s(step_s))])
     use &= holes[after[at]] == holes[before[at]]
     overlap = float(np.median((after - before)[at])) if len(at) else 1.0
     if use.sum() < FEWEST_TURNS * max(overlap / 2.0, 1.0):

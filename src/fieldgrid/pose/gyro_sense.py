@@ -15,6 +15,7 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.gears import usual_period_s
 from fieldgrid.pose.nodes import GYRO_HOLE_NS
 
 LEAST_CHORD_M, CHORD_NOISES, MOST_CHORD_S = 1.0, 6.0, 10.0
@@ -162,8 +163,7 @@ def _most(off: Float64, variance: Float64, bias: Float64) -> float:
 def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Int64, Int64]:
     """The first and the last fix of lines that follow each other, none of them across a hole."""
     step_s = np.diff(time_s)
-    period_s = float(np.median(step_s)) if len(step_s) else 0.0
-    part = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * period_s)])
+    part = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * usual_period_s(step_s))])
     ends = np.searchsorted(part, part, side="right").tolist()
     far = first_beyond(points, reach_m, 1).tolist()
     found, at = [], 0
