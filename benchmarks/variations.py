@@ -269,11 +269,18 @@ HEAD = (
 )
 
 
+def shares_inside(one: Score) -> tuple[float, float]:
+    """Of the used poses, how many positions and headings are within three of their sigmas."""
+    return (
+        float(np.mean(one.off_m <= THREE_SIGMA_2D * one.sigma_m)),
+        float(np.mean(one.off_deg <= 3.0 * one.sigma_deg)),
+    )
+
+
 def _line(name: str, one: Score) -> str:
     if not len(one.off_m):
         return f"{name:<52}{percent(one.used, 1):>8}"
-    inside = np.mean(one.off_m <= THREE_SIGMA_2D * one.sigma_m)
-    turned = np.mean(one.off_deg <= 3.0 * one.sigma_deg)
+    inside, turned = shares_inside(one)
     return (
         f"{name:<52}{percent(one.used, 1):>8}{np.median(one.off_m):>7.3f}m"
         f"{np.percentile(one.off_m, 95):>7.3f}m{np.median(one.sigma_m):>7.3f}m"
@@ -283,9 +290,25 @@ def _line(name: str, one: Score) -> str:
     )
 
 
+def _summary(scores: list[Score]) -> str:
+    """The worst and the median of drives that state their errors as they are."""
+    used = [one.used for one in scores]
+    inside = [shares_inside(one) for one in scores if len(one.off_m)]
+    positions, headings = (np.array(column) for column in zip(*inside, strict=True))
+    gears = [one.gear for one in scores if not np.isnan(one.gear)]
+    return (
+        f"{len(scores)} drives that state their errors, median and worst: "
+        f"used {percent(np.median(used), 1)}, {percent(min(used), 1)}; "
+        f"positions inside {percent(np.median(positions), 1)}, {percent(positions.min(), 1)}; "
+        f"headings inside {percent(np.median(headings), 1)}, {percent(headings.min(), 1)}; "
+        f"gear {percent(np.median(gears), 1)}, {percent(min(gears), 1)}"
+    )
+
+
 def report(words: list[str]) -> Iterator[str]:
-    """A line for each drive, log and variation."""
+    """A line for each drive, log and variation, and one for all that state their errors."""
     yield HEAD
+    honest = []
     for variation in VARIATIONS:
         if words and not any(word in variation.name for word in words):
             continue
@@ -301,11 +324,15 @@ def report(words: list[str]) -> Iterator[str]:
                 line = f"{variation.name}: {name.removeprefix('vineyard_')} {log[5:-5]}"
                 random = np.random.default_rng(SEED)
                 try:
-                    yield _line(
-                        line, score(variation.change(recorded, datum, random), datum, truth)
-                    )
+                    found = score(variation.change(recorded, datum, random), datum, truth)
                 except FieldgridError as problem:
                     yield f"{line:<52}{problem!s:.100}"
+                    continue
+                yield _line(line, found)
+                if not variation.lie:
+                    honest.append(found)
+    if honest:
+        yield _summary(honest)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from fieldgrid.pose.levelled import (
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
+from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned, PoseTable, pose_table
 from fieldgrid.pose.verdict import Budget, judged
@@ -118,8 +119,12 @@ def estimate_poses(
         drive = with_recorded(drive, log.accepted, motion, axle, recorded, hints)
     # A row for each fix and each instant between, carried to the grid origin and judged.
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
+    slope = FLAT
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
+    elif rig is not None:
+        slope = slope_seen(log.accepted)
+        table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
     table = _carried(table, rig, source)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
@@ -137,6 +142,7 @@ def estimate_poses(
         notes=(
             *(note for note in (wrong_gyro, unfit_gyro) if note is not None),
             *notes,
+            *slope_notes(slope, rig),
             *drive_notes(drive, log.accepted, declared, axle, source, settings, clock, trajectory),
         ),
     )

@@ -24,7 +24,7 @@ HOLE_S, HOLE_PERIODS = 2.0, 2.5
 """Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
 turned back unseen."""
 
-TORN_S, TORN_M, TORN_SIGMAS, TORN_SHARE = 2.0, 0.5, 10.0, 0.6
+TORN_S, TORN_M, TORN_SIGMAS, TORN_SHARE = 2.0, 0.5, 15.0, 0.6
 """Between two fixes the positions have jumped when the step differs by this much, beyond the noise
 and this share of what the pace makes, from the velocities over so long before and after it."""
 

@@ -12,14 +12,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from fieldgrid.array_types import Bool
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.gears import breaks
 from fieldgrid.pose.nodes import seconds
 from fieldgrid.pose.table import Conditioned
 
 STRAY_SIGMAS, STRAY_M = 10.0, 0.3
-"""A fix lies beside the drive when it is off by so many sigmas of its noise, and by so much."""
+"""A fix lies beside the drive when it is off by so many sigmas of its noise, and by so much; by so
+much it also leaves it, and comes back."""
 
 LONGEST_S = 3.0
 """Of fixes that are off for longer it is not known who is wrong."""
@@ -41,7 +42,9 @@ def stray_fixes(drive: Drive, log: Conditioned) -> dict[int, str]:
     has = drive.fix >= 0
     off_m, sigma_m = drive.smoothed.fix_off_m[has], drive.measured.fix_sigma_m[has]
     away_m = np.hypot(*off_m.T)
-    beside = (np.hypot(*(off_m / sigma_m).T) > STRAY_SIGMAS) & (away_m > STRAY_M)
+    beside = _far(off_m, sigma_m)
+    # An antenna elsewhere than declared leaves its drive, too, but bit by bit.
+    leaps = np.concatenate([[False], _far(np.diff(off_m, axis=0), sigma_m[1:]), [False]])
     time_s = seconds(log.accepted.time_ns)
     rows = np.flatnonzero(log.verdicts.ok)
     found: dict[int, str] = {}
@@ -52,6 +55,8 @@ def stray_fixes(drive: Drive, log: Conditioned) -> dict[int, str]:
         known = min(sides_s) <= NEAR_S and max(sides_s) <= FAR_S
         if not known or time_s[stop - 1] - time_s[first] > LONGEST_S:
             continue
+        if not jumped and not (leaps[first] and leaps[stop]):
+            continue
         for k in range(first, stop):
             found[int(rows[k])] = (
                 "lies between jumps of the position: no motion leads there"
@@ -60,6 +65,13 @@ def stray_fixes(drive: Drive, log: Conditioned) -> dict[int, str]:
                 f"fixes scatter by {sigma_m[k, 1]:.2f} m"
             )
     return found if len(found) <= MOST_SHARE * len(beside) else {}
+
+
+def _far(off_m: Float64, sigma_m: Float64) -> Bool:
+    """Which of the offsets [n, 2] are no noise."""
+    return np.asarray(
+        (np.hypot(*(off_m / sigma_m).T) > STRAY_SIGMAS) & (np.hypot(*off_m.T) > STRAY_M)
+    )
 
 
 def _excursions(beside: Bool, log: Conditioned) -> Iterator[tuple[int, int, bool]]:

@@ -1,0 +1,127 @@
+"""What a slope could do to a drive that does not tell how its vehicle leans.
+
+On a slope the antenna leans downhill by its height times the slope, and where the slope changes its
+track turns otherwise than the vehicle. Nothing here is corrected: the heights of the fixes tell how
+steep the ground is, and sigmas grow by what that can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.plane_fit import robust_plane
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.table import PoseTable
+from fieldgrid.rig import Vehicle
+
+CLIMB_SIGMA_RAD, LEAST_CHORD_M, MOST_CHORD_M = 0.01, 3.0, 30.0
+"""The path's climb is that between fixes so far apart that their noise makes no more than this."""
+
+BENT_SHARE = 0.6
+"""Roll changes along the path by this share of what the climb changes: on a crest that is crossed
+at any angle, the second derivative along the path and the mixed one are to each other as 0.61 to
+0.35."""
+
+FEWEST_CHORDS = 10
+NORMAL_MAD = 1.4826
+
+TOLD_DEG = 3.0
+"""A steeper slope, of which nothing tells how the vehicle leans, is worth a word."""
+
+_UNSEEN_SLOPE = 0.15
+"""The prior of a plane's slopes, as a sigma: a single row does not tell how steep it is across."""
+
+
+class Slope(NamedTuple):
+    """How steep the ground of a drive is, `lean_rad`, and how fast that changes along the path,
+    `bent_rad_m`, radians a metre. Both are 1-sigma, in no known direction."""
+
+    lean_rad: float
+    bent_rad_m: float
+
+
+FLAT = Slope(0.0, 0.0)
+
+
+def slope_seen(fixes: AcceptedFixes) -> Slope:
+    """The slope by the heights of accepted fixes; what their noise makes is taken out."""
+    steps_m = np.hypot(np.diff(fixes.east_m), np.diff(fixes.north_m))
+    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    if len(way_m) < FEWEST_CHORDS:
+        return FLAT
+    noise_m = NORMAL_MAD * float(np.median(np.abs(np.diff(fixes.up_m, 2)))) / np.sqrt(6.0)
+    noise_m = max(noise_m, 1e-3)
+    chord_m = float(np.clip(np.sqrt(2.0) * noise_m / CLIMB_SIGMA_RAD, LEAST_CHORD_M, MOST_CHORD_M))
+    climb = np.diff(np.interp(np.arange(0.0, way_m[-1], chord_m), way_m, fixes.up_m)) / chord_m
+    if len(climb) < FEWEST_CHORDS:
+        return FLAT
+    climb_noise = np.sqrt(2.0) * noise_m / chord_m
+    along = _beyond(climb, climb_noise)
+    bends = np.diff(climb) / chord_m
+    # In the turns of a plane the climb changes, too, and elsewhere not.
+    usual = NORMAL_MAD * float(np.median(np.abs(bends)))
+    bent = _beyond(np.minimum(np.abs(bends), usual), np.sqrt(3.0) * climb_noise / chord_m)
+    across = _plane_slope(fixes, max(noise_m, 0.05))
+    return Slope(max(along, across), BENT_SHARE * bent)
+
+
+def _beyond(values: Float64, noise: float) -> float:
+    """How large values are beyond their noise (root mean square, outliers cut down to three times
+    what is usual)."""
+    size = np.abs(values)
+    most = 3.0 * max(NORMAL_MAD * float(np.median(size)), noise)
+    return float(np.sqrt(max(np.mean(np.minimum(size, most) ** 2) - noise**2, 0.0)))
+
+
+def _plane_slope(fixes: AcceptedFixes, sigma_m: float) -> float:
+    """How steep the plane through all fixes is, as far as they lie beside each other."""
+    east, north, up = (
+        axis - float(np.median(axis)) for axis in (fixes.east_m, fixes.north_m, fixes.up_m)
+    )
+    prior = (1e3, _UNSEEN_SLOPE, _UNSEEN_SLOPE)
+    # Of one stretch of the way counts one height, however long the vehicle stood there.
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))])
+    rows = np.unique(np.searchsorted(way_m, np.arange(0.0, way_m[-1], 0.5)))
+    plane, _ = robust_plane(
+        east[rows], north[rows], up[rows], np.full(len(rows), sigma_m), _wide, prior_sigma=prior
+    )
+    return float(np.hypot(plane[1], plane[2]))
+
+
+def _wide(round_: int, residuals: Float64) -> float:
+    """The ground is no plane: what is left out is what lies far beyond the usual."""
+    if round_ == 0:
+        return np.inf
+    return 6.0 * max(NORMAL_MAD * float(np.median(np.abs(residuals))), 0.05)
+
+
+def unsure_slope(table: PoseTable, slope: Slope, rig: Vehicle, *, turns_seen: bool) -> PoseTable:
+    """The same poses with what an unknown lean of the antenna above the ground adds to their
+    sigmas. Of their positions it is common to neighbours; a heading that gyro or camera saw turn
+    does not hang on the antenna's track."""
+    above_m = abs(rig.antenna.up_m)
+    turned_deg = 0.0 if turns_seen else np.degrees(above_m * slope.bent_rad_m)
+    return table._replace(
+        position_sigma_m=np.hypot(table.position_sigma_m, off_m(slope, rig)),
+        heading_sigma_deg=np.hypot(table.heading_sigma_deg, turned_deg),
+    )
+
+
+def off_m(slope: Slope, rig: Vehicle) -> float:
+    """How far the lean moves the antenna, 1-sigma along one axis."""
+    return float(abs(rig.antenna.up_m) * np.tan(slope.lean_rad) / np.sqrt(2.0))
+
+
+def slope_notes(slope: Slope, rig: Vehicle | None) -> Iterator[str]:
+    """A word on a slope that matters."""
+    slope_deg = float(np.degrees(slope.lean_rad))
+    if rig is not None and rig.antenna.up_m and slope_deg > TOLD_DEG:
+        yield (
+            f"The ground has slopes of about {slope_deg:.0f}°, and nothing tells how the vehicle "
+            f"leans: its positions may be {off_m(slope, rig):.2f} m off. Record an accelerometer "
+            "with the gyro, or map with images."
+        )
