@@ -187,8 +187,8 @@ def antenna(right_m: float, forward_m: float) -> Change:
 
     def make(drive: Recorded, _: Datum, __: np.random.Generator) -> Recorded:
         place = drive.rig.antenna
-        moved = place._replace(
-            right_m=place.right_m + right_m, forward_m=place.forward_m + forward_m
+        moved = replace(
+            place, right_m=place.right_m + right_m, forward_m=place.forward_m + forward_m
         )
         return drive._replace(rig=replace(drive.rig, antenna=moved))
 
@@ -226,7 +226,7 @@ VARIATIONS = (
     Variation("gyro + 1 deg/s", gyro(bias_dps=1.0)),
     Variation("gyro noise 2 deg/s", gyro(noise_dps=2.0)),
     Variation("gyro upside down", gyro(scale=-1.0)),
-    Variation("antenna 0.1 m aside", antenna(0.1, 0.0)),
+    Variation("antenna 0.1 m aside", antenna(0.1, 0.0), lie=True),
     Variation("antenna 0.5 m aside", antenna(0.5, 0.0), lie=True),
     Variation("antenna 1 m ahead", antenna(0.0, 1.0), lie=True),
 )

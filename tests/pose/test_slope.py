@@ -57,7 +57,7 @@ def test_a_slope_is_seen_whichever_way_the_lanes_lie(heading_deg: float, noise_m
     drive = simulate(LANES, heading_deg)
     found = seen(on_ground(drive, np.tan(np.radians(8.0)), 0.0, noise_m=noise_m))
     assert np.degrees(found.lean_rad) == pytest.approx(8.0, abs=2.5)
-    assert np.degrees(found.bent_rad_m) < 0.1
+    assert np.degrees(found.bent_rad_m) < 0.15
 
 
 def test_a_crest_bends_the_way() -> None:

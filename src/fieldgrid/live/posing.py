@@ -120,6 +120,7 @@ class Poser:
         self._before: Carried | None = None
         self._latest: Carried | None = None
         self._shown_s = -math.inf
+        self._is_asked = self._is_shown = True
         self._waiting: list[Seen] = []
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
@@ -168,15 +169,20 @@ class Poser:
     def _go_on(self, said: Sequence[object], *, closed: bool) -> None:
         """Let an estimate be made of what was said, and show the window if that is new."""
         still_s = 0.0 if said else time.monotonic() - self._heard_s
+        # What comes while an estimate is made, or just after a window, counts in the next one.
+        self._is_asked &= all(isinstance(one, Estimated) for one in said)
+        self._is_shown &= not said
         if closed:
             self._estimator.close()
             self._ask(estimated)
-        elif self._estimator.is_free and (said or still_s > SILENT_S):
+        elif self._estimator.is_free and (not self._is_asked or still_s > SILENT_S):
             self._ask(self._estimator.ask)
-        is_due = time.monotonic() - self._shown_s >= EVERY_S and (said or still_s > SILENT_S)
+            self._is_asked = True
+        is_due = time.monotonic() - self._shown_s >= EVERY_S
+        is_due &= not self._is_shown or still_s > SILENT_S
         if closed or is_due or any(isinstance(one, Seen) for one in said):
             self._tell_all(still_s)
-            self._shown_s = time.monotonic()
+            self._shown_s, self._is_shown = time.monotonic(), True
 
     def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
         """Ask for an estimate; one that is made at once is taken at once."""

@@ -61,20 +61,21 @@ def slope_seen(fixes: AcceptedFixes) -> Slope:
         return FLAT
     climb_noise = np.sqrt(2.0) * noise_m / chord_m
     along = _beyond(climb, climb_noise)
-    bends = np.diff(climb) / chord_m
-    # In the turns of a plane the climb changes, too, and elsewhere not.
-    usual = NORMAL_MAD * float(np.median(np.abs(bends)))
-    bent = _beyond(np.minimum(np.abs(bends), usual), np.sqrt(3.0) * climb_noise / chord_m)
+    bent = _beyond(np.diff(climb) / chord_m, np.sqrt(3.0) * climb_noise / chord_m, brief=False)
     across = _plane_slope(fixes, max(noise_m, 0.05))
     return Slope(max(along, across), BENT_SHARE * bent)
 
 
-def _beyond(values: Float64, noise: float) -> float:
+def _beyond(values: Float64, noise: float, *, brief: bool = True) -> float:
     """How large values are beyond their noise (root mean square, outliers cut down to three times
-    what is usual)."""
+    what is usual). What is large in less than half of the drive only, as changes of the climb are
+    in the turns on a plane, counts if `brief`."""
     size = np.abs(values)
-    most = 3.0 * max(NORMAL_MAD * float(np.median(size)), noise)
-    return float(np.sqrt(max(np.mean(np.minimum(size, most) ** 2) - noise**2, 0.0)))
+    usual = NORMAL_MAD * float(np.median(size))
+    spread = float(np.sqrt(np.mean(np.minimum(size, 3.0 * max(usual, noise)) ** 2)))
+    if not brief:
+        spread = min(spread, usual)
+    return float(np.sqrt(max(spread**2 - noise**2, 0.0)))
 
 
 def _plane_slope(fixes: AcceptedFixes, sigma_m: float) -> float:
