@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.lattice import Bounds, Window
 from fieldgrid.mapfile import MapFile, MapView, blocks, open_map
+from fieldgrid.mapfile.database import Patience
 from tests.mapfile.maps import drive, one_cell, write_map
 
 
@@ -99,9 +100,8 @@ def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:
     with open_map(path) as reader:
         with (
             reader.read_blocks() as cut,
-            open_map(path, writable=True) as writer,
+            open_map(path, writable=True, patience=Patience(0.05)) as writer,
         ):
-            writer._connection.execute("PRAGMA busy_timeout = 50")
             with pytest.raises(MapError, match="in use by another program"):
                 writer.remove_session("0")
             seen = sum(int(view.observed.sum()) for view in cut.views)

@@ -22,6 +22,7 @@ from fieldgrid import publish
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError, MapWriteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile, create_map, database, open_map, read_datum
+from fieldgrid.mapfile.database import Patience
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.transfer import Transfer
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
@@ -37,8 +38,13 @@ def session_names(path: Path) -> list[str]:
         return [info.name for info in universal.sessions()]
 
 
-def add(path: Path, name: str = "more", datum: Datum = DATUM) -> None:
-    with open_map(path, datum=datum) as universal:
+def add(
+    path: Path,
+    name: str = "more",
+    datum: Datum = DATUM,
+    patience: Patience = database.USUAL_PATIENCE,
+) -> None:
+    with open_map(path, datum=datum, patience=patience) as universal:
         write_session(universal, name, drive(4, heading_deg=120.0))
 
 
@@ -245,7 +251,7 @@ def test_a_writer_that_waited_in_vain_says_so(path: Path, monkeypatch: pytest.Mo
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(MapWriteError, match=r"in use by another program.*not changed"):
-        add(path)
+        add(path, patience=Patience(0.05))
     other.execute("COMMIT")
     other.execute("BEGIN EXCLUSIVE")
     with pytest.raises(MapError, match="being written by another program"):
