@@ -65,7 +65,7 @@ class LivePage {
   private readonly session = el("span", { class: "name" });
   private readonly following: HTMLButtonElement;
   private readonly cells = new ImageLayer<ImageCanvas>({ zIndex: 0 });
-  private readonly path = new Feature(new MultiLineString([]));
+  private readonly paths = new Map(["1", "-1", "0"].map((gear) => [gear, new Feature(new MultiLineString([]))]));
   private readonly rejected = new Feature(new MultiPoint([]));
   private readonly used = new Feature(new MultiPoint([]));
   private readonly unused = new Feature(new MultiPoint([]));
@@ -106,7 +106,7 @@ class LivePage {
           el("h2", {}, "Told"), this.events),
         el("div", { id: "stage" }, this.target, this.readout)),
     );
-    const vectors = new VectorLayer({ zIndex: 1, source: new VectorSource({ wrapX: false, features: [this.path, this.rejected, this.unused, this.used, this.sure, this.vehicle] }) });
+    const vectors = new VectorLayer({ zIndex: 1, source: new VectorSource({ wrapX: false, features: [...this.paths.values(), this.rejected, this.unused, this.used, this.sure, this.vehicle] }) });
     this.map = new OlMap({
       target: this.target,
       layers: [this.cells, vectors],
@@ -235,18 +235,22 @@ class LivePage {
   }
 
   private drawPath(): void {
-    const lines: [number, number][][] = [];
+    const lines = new Map<string, [number, number][][]>([...this.paths.keys()].map((gear) => [gear, []]));
     const bad: [number, number][] = [];
-    let line: [number, number][] = [];
-    for (const [east, north, , good] of this.steps) {
+    let [before, last] = ["", null as [number, number] | null];
+    for (const [east, north, gear, good] of this.steps) {
       if (!good) {
         bad.push([east, north]);
         continue;
       }
-      if (!line.length) lines.push(line);
-      line.push([east, north]);
+      const runs = lines.get(String(gear))!;
+      // On from the last point of the gear before, so that the line is whole.
+      if (String(gear) !== before) runs.push(last ? [last] : []);
+      last = [east, north];
+      runs[runs.length - 1].push(last);
+      before = String(gear);
     }
-    (this.path.getGeometry() as MultiLineString).setCoordinates(lines);
+    for (const [gear, feature] of this.paths) (feature.getGeometry() as MultiLineString).setCoordinates(lines.get(gear)!);
     (this.rejected.getGeometry() as MultiPoint).setCoordinates(bad);
   }
 
@@ -298,10 +302,12 @@ class LivePage {
 
   private styles(): void {
     const { gears, measured, rejected } = this.colours;
-    this.path.setStyle([
-      new Style({ stroke: new Stroke({ color: "#ffffffcc", width: 4 }) }),
-      new Style({ stroke: new Stroke({ color: gears["0"], width: 1.5 }) }),
-    ]);
+    for (const [gear, feature] of this.paths) {
+      feature.setStyle([
+        new Style({ stroke: new Stroke({ color: "#ffffffcc", width: 5 }) }),
+        new Style({ stroke: new Stroke({ color: gears[gear], width: 2.5 }) }),
+      ]);
+    }
     const cross = new Style({ image: new RegularShape({ points: 4, radius: 4, radius2: 0, angle: Math.PI / 4, stroke: new Stroke({ color: rejected, width: 1.5 }) }) });
     this.rejected.setStyle(cross);
     this.unused.setStyle(cross);

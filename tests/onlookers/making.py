@@ -89,8 +89,10 @@ def _window(
     return LiveWindow(time_ns, *cells, pose, doubt, 7, "000007", 0.1, code, gear, columns, used)
 
 
-def settled(east_m: float, north_m: float, status: Status = Status.OK) -> LivePose:
-    return LivePose("000007", pose_of(east_m, north_m, 90.0, status), 1, is_settled=True)
+def settled(
+    east_m: float, north_m: float, status: Status = Status.OK, *, gear: int = 1
+) -> LivePose:
+    return LivePose("000007", pose_of(east_m, north_m, 90.0, status), gear, is_settled=True)
 
 
 def event(text: str, what: What = What.POSE) -> LiveEvent:

@@ -207,6 +207,8 @@ def test_the_page_follows_the_vehicle_and_says_what_is_doubtful(look: Any) -> No
     with LivePage(session="row 3") as served:
         link = served.link
         served.take(settled(8.0, 5.0))
+        for east_m, gear in ((6.0, 1), (9.0, 1), (9.0, -1), (12.0, -1)):
+            served.take(settled(east_m, 2.0, gear=gear))
         fixes = [(8.0, 5.0), (9.0, 5.0)]
         served.take(window(pose_of(10.0, 5.0), gear=-1, fixes=fixes))
         seen = look(link)
@@ -219,6 +221,9 @@ def test_the_page_follows_the_vehicle_and_says_what_is_doubtful(look: Any) -> No
             assert part in facts
         # The vehicle is in the middle, in the colour of its gear; a wall is north of it.
         assert is_near(colour_at(seen, 10.0, 5.0), palette.GEARS[-1])
+        # Its path has the colours of the gears.
+        assert is_near(colour_at(seen, 7.5, 2.0), palette.GEARS[1])
+        assert is_near(colour_at(seen, 10.5, 2.0), palette.GEARS[-1])
         assert is_red(colour_at(seen, 12.05, 7.25))
         assert is_near(colour_at(seen, 12.05, 8.25), palette.COST[0].colour)
         assert not is_red(colour_at(seen, 8.05, 7.25))  # not seen
