@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -19,8 +20,9 @@ def write_together(
 ) -> tuple[Path, ...]:
     """Write files by their writers, which are given the file to write, then name all of them.
 
-    The last one is what a program opens, and which refers to the others: it is the last to get
-    its name, and what it replaces goes first, so that nobody opens it with the files of another.
+    The last one is what a program opens, and which refers to the others. Where these are there
+    already, byte by byte, it alone takes its name, at once. Else it is the last to get its name,
+    and what it replaces goes first, so that nobody opens it with the files of another.
     When one fails before the first is named, none is changed; later none is left. `ours` and `what`
     tell of the last file whether it may be replaced, as a :class:`Draft` has them. Raises
     MapExistsError when one exists and may not be overwritten, MapWriteError when one cannot be
@@ -46,6 +48,8 @@ def write_together(
 
 
 def _name(drafts: Sequence[Draft], targets: Sequence[Path]) -> None:
+    if all(_is_there(draft) for draft in drafts[:-1]):
+        drafts, targets = drafts[-1:], targets[-1:]
     ours = [_identity(draft.file) for draft in drafts]
     if len(drafts) > 1 and targets[-1].exists():
         targets[-1].unlink()
@@ -59,6 +63,10 @@ def _name(drafts: Sequence[Draft], targets: Sequence[Path]) -> None:
                 if _identity(target) == identity:
                     target.unlink()
         raise
+
+
+def _is_there(draft: Draft) -> bool:
+    return draft.target.is_file() and filecmp.cmp(draft.file, draft.target, shallow=False)
 
 
 def _identity(file: Path) -> tuple[int, int]:
