@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import FixNoise, Verdicts, fix_noise, quantum_m
+from fieldgrid.gnss import FixNoise, Gate, Verdicts, fix_noise, quantum_m
 from fieldgrid.reasons import commonest_reason
+
+_BY_MOTION = (Gate.JUMP, Gate.ACCELERATION, Gate.TURN_RATE)
 
 UNSTATED_HEADING_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
@@ -22,7 +24,9 @@ class AcceptedFixes(NamedTuple):
     """Accepted fixes in order of time, length n. Positions are the antenna's, LTP metres.
 
     `sigma_m` is the stated error of one axis, mostly slow, and `noise` what changes from fix to
-    fix. NaN stands for what a fix does not say; a recorded heading is as the source means it.
+    fix. `disputed` are those after fixes that were refused for how they lie: one of the two sides
+    may be the wrong one. NaN stands for what a fix does not say; a recorded heading is as the
+    source means it.
     """
 
     time_ns: Int64
@@ -35,6 +39,7 @@ class AcceptedFixes(NamedTuple):
     speed_mps: Float64
     recorded_deg: Float64
     recorded_sigma_deg: Float64
+    disputed: Bool
 
     def points_m(self) -> Float64:
         """East and north [n, 2]."""
@@ -67,7 +72,14 @@ def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Accep
         used.speed_mps,
         np.asarray(wrap_deg(used.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
+        _disputed(verdicts),
     )
+
+
+def _disputed(verdicts: Verdicts) -> Bool:
+    refused = np.array([gate in _BY_MOTION for gate in verdicts.gate], dtype=np.bool_)
+    before = np.concatenate([[0], np.cumsum(refused & ~verdicts.ok)])[:-1][verdicts.ok]
+    return np.diff(before, prepend=0) > 0
 
 
 OFFSET_S = 20.0

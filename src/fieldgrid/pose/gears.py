@@ -24,9 +24,13 @@ HOLE_S, HOLE_PERIODS = 2.0, 2.5
 """Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
 turned back unseen."""
 
-TORN_S, TORN_M, TORN_SIGMAS, TORN_SHARE = 2.0, 0.5, 15.0, 0.6
-"""Between two fixes the positions have jumped when the step differs by this much, beyond the noise
-and this share of what the pace makes, from the velocities over so long before and after it."""
+TORN_S, TORN_M, TORN_SIGMAS, TORN_MPS2 = 2.0, 0.5, 15.0, 1.0
+"""Between two fixes the positions have jumped when the step differs by this much, beyond the noise,
+the way that the pace makes in it, and what a vehicle gains by speeding up, from the velocities over
+so long before and after it."""
+
+DISPUTED_SHARE = 0.6
+"""Where fixes in between were refused for how they lie, this share of the pace's way is enough."""
 
 GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
 """The first guess of the heading is the course over at least this."""
@@ -130,11 +134,13 @@ def breaks(fixes: AcceptedFixes) -> tuple[Bool, Bool]:
         (points[to] - points[of]) / np.maximum(time_s[to] - time_s[of], 1e-3)[:, None]
         for of, to in ((before, row), (row, after))
     )
-    way_m = (came[:-1] + left[1:]) / 2.0 * step_s[:, None]
-    off_m = np.hypot(*(np.diff(points, axis=0) - way_m).T)
+    usual_m = (came[:-1] + left[1:]) / 2.0 * step_s[:, None]
+    off_m = np.hypot(*(np.diff(points, axis=0) - usual_m).T)
     pace_mps = np.maximum(np.hypot(*came[:-1].T), np.hypot(*left[1:].T))
     free_m = np.maximum(TORN_M, TORN_SIGMAS * np.maximum(noise_m[1:], noise_m[:-1]))
-    return hole, (off_m > TORN_SHARE * pace_mps * step_s + free_m) & ~hole
+    way_m = pace_mps * step_s
+    free_m += np.where(fixes.disputed[1:], DISPUTED_SHARE * way_m, way_m + TORN_MPS2 * step_s**2)
+    return hole, (off_m > free_m) & ~hole
 
 
 def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:
