@@ -38,7 +38,7 @@ from fieldgrid.live.sensed import (
 )
 from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile
 from fieldgrid.odometry import Refusal
-from fieldgrid.publish import holding
+from fieldgrid.publish import holding, replacing
 from fieldgrid.recording import FixLog, Frame, Image, ImageFile, Recording, StereoFrame
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -253,9 +253,10 @@ class Kept(Closing):
         """Keep a pair, and fewer of the others; one that the disk refuses is not kept."""
         fast = [cv2.IMWRITE_PNG_COMPRESSION, 1]
         with suppress(OSError):
-            for side, image in (("left", left), ("right", right)):
-                path = self.folder / f"{number:08d}-{side}.png"
-                path.write_bytes(cv2.imencode(".png", image, fast)[1].tobytes())
+            # Each whole or not there, and the left one last: it tells that there is a pair.
+            for side, image in (("right", right), ("left", left)):
+                with replacing(self.folder / f"{number:08d}-{side}.png") as draft:
+                    draft.write_bytes(cv2.imencode(".png", image, fast)[1].tobytes())
             kept = _pairs(self.folder)
             if len(kept) > MOST_PAIRS:
                 self._pairs_every *= 2
