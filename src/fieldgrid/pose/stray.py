@@ -33,7 +33,7 @@ MOST_ROUNDS = 3
 """Without strays other fixes are accepted, and may be strays in turn; so often at most."""
 
 MOST_SHARE = 0.1
-"""A drive that denies more of its fixes is itself in doubt, and denies none."""
+"""A drive that would deny more of its fixes at once is itself in doubt, and denies none of them."""
 
 
 def stray_fixes(drive: Drive, log: Conditioned) -> dict[int, str]:
