@@ -116,6 +116,17 @@ def test_poses_are_told_when_they_are_good_and_again_when_they_are_settled() -> 
     )
 
 
+def test_no_frame_is_given_up_before_an_estimate_was_made_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A machine so slow that no estimate is ready before the end: the one of the end has all.
+    monkeypatch.setattr("fieldgrid.live.posing.Estimator.ask", lambda _self, _asked: None)
+    monkeypatch.setattr("fieldgrid.live.posing.Estimator.is_free", property(lambda _self: False))
+    told = driven(20.0, 20.0, follows=True).of(LivePose)
+    assert len({pose.frame_id for pose in told}) == 76
+    assert all(pose.pose.status is Status.OK for pose in told)
+
+
 def test_grids_of_poses_that_are_not_good_enough_stay_out_of_the_window() -> None:
     told = Told()
     poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)

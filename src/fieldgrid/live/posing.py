@@ -116,7 +116,7 @@ class Poser:
         self._estimate: Estimate | None = None
         self._fixes = FixColumns.of([])
         self._why = "no pose was estimated yet"
-        self._estimated_ns = 0
+        self._estimated_ns = self._asked_ns = self._answered_ns = 0
         self._before: Carried | None = None
         self._latest: Carried | None = None
         self._shown_s = -math.inf
@@ -186,7 +186,7 @@ class Poser:
 
     def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
         """Ask for an estimate; one that is made at once is taken at once."""
-        newest_ns = self._trailing.newest_ns
+        newest_ns = self._asked_ns = self._trailing.newest_ns
         try:
             asked = self._trailing.asked(min((w.time_ns for w in self._waiting), default=newest_ns))
         except FieldgridError as error:
@@ -213,6 +213,7 @@ class Poser:
     def _take_estimate(self, made: Estimated) -> None:
         """Let an estimate, or that there is none, take the place of the one before."""
         self._estimate, self._why = made.estimate, made.why
+        self._answered_ns = self._asked_ns
         if made.problem:
             self._say(What.POSE, f"Poses could not be estimated: {made.problem}")
         if made.asked is not None:
@@ -283,11 +284,12 @@ class Poser:
         found = _Frames([], [])
         # It is the estimate that must have fixes after a frame, and the frame's own step.
         fix_ns = int(self._fixes.time_ns.max(initial=0))
-        newest_ns, before = self._trailing.newest_ns, self._before
+        # Nor is a frame given up before an estimate was made of what came while it waited.
+        answered_ns, before = self._answered_ns, self._before
         for seen in self._waiting:
             is_settled = (fix_ns - seen.time_ns) / 1e9 >= self._options.lag_s
             is_settled = is_settled and seen.time_ns <= self._estimated_ns
-            is_settled = is_settled or (newest_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
+            is_settled = is_settled or (answered_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
             at = self._pose_of(seen, before, doubt)
             if seen.is_kept:
                 before = at
