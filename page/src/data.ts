@@ -46,6 +46,16 @@ export interface Mark extends NewMark {
   holes: [east: number, north: number][][];
 }
 
+/** A map of a farm; one with a problem cannot be read, and has no bounds. */
+export interface Block {
+  name: string;
+  bounds: Bounds | null;
+  area_m2: number;
+  sessions: number[];
+  problem: string;
+  datum_away_m: number;
+}
+
 export interface MapAbout {
   number: number;
   name: string;
@@ -60,6 +70,8 @@ export interface MapAbout {
   marks: Mark[];
   sessions: Session[];
   order: number[];
+  /** The maps of a farm, which is shown like a map, and not changed; null for a map. */
+  blocks: Block[] | null;
 }
 
 export interface Scale {

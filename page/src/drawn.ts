@@ -2,11 +2,12 @@
 
 import Feature from "ol/Feature";
 import type OlMap from "ol/Map";
+import { intersects } from "ol/extent";
 import LineString from "ol/geom/LineString";
 import MultiLineString from "ol/geom/MultiLineString";
 import MultiPoint from "ol/geom/MultiPoint";
 import Point from "ol/geom/Point";
-import Polygon from "ol/geom/Polygon";
+import Polygon, { fromExtent } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Circle, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
@@ -20,19 +21,23 @@ import { type Row, type Tracks, isHole, usualStep } from "./tracks";
 const ARROW_PX = 48;
 const FOOTPRINTS_BELOW_M_PX = 0.35;
 const SURE = 0.9;
+const MOST_TRACKS = 60; // of a farm: more drives at once than these nobody tells apart
 
 export class Drawn {
   private readonly layers = new Map<string, VectorLayer<VectorSource>>();
   private frames: Frames | null = null;
+  private drawn: number[] = []; // drives of which tracks are drawn
   private tracks!: Tracks;
 
   constructor(private readonly map: OlMap, private readonly store: Store) {
-    for (const [k, name] of ["footprints", "features", "changes", "marks", "tracks", "headings", "frames", "selected", "hover"].entries()) {
-      const layer = new VectorLayer({ source: new VectorSource({ wrapX: false }), zIndex: 10 + k });
+    for (const [k, name] of ["blocks", "footprints", "features", "changes", "marks", "tracks", "headings", "frames", "selected", "hover"].entries()) {
+      const declutter = name === "blocks"; // small maps side by side: names that would overlap are left out
+      const layer = new VectorLayer({ source: new VectorSource({ wrapX: false }), zIndex: 10 + k, declutter });
       this.layers.set(name, layer);
       map.addLayer(layer);
     }
     map.on("moveend", () => {
+      this.loadTracks();
       this.drawHeadings();
       void this.loadFrames();
     });
@@ -47,15 +52,40 @@ export class Drawn {
     for (const layer of this.layers.values()) layer.getSource()!.clear();
     this.redraw();
     this.drawMarks();
-    for (const session of this.store.state.map.sessions) {
-      if (session.active) {
-        tracks.load(session.number).then(() => this.redraw(), (error) => announce(error.message, "error"));
-      }
-    }
+    this.drawBlocks();
+    this.drawn = [];
+    this.loadTracks();
     this.store.source.features(this.store.state.map).then(
       (tables) => this.drawFeatures(tables),
       (error) => announce(error.message, "error"),
     );
+  }
+
+  /** Loads the tracks of the drives in sight, and draws each once it is there. */
+  private loadTracks(): void {
+    const { tracks } = this;
+    const wanted = this.sessionsInSight();
+    if (wanted.join() === this.drawn.join()) return;
+    this.drawn = wanted;
+    const drawn = () => {
+      if (tracks === this.tracks) this.redraw();
+    };
+    for (const session of wanted) {
+      if (!tracks.ready.has(session)) tracks.load(session).then(drawn, (error) => announce(error.message, "error"));
+    }
+    this.drawTracks();
+  }
+
+  /** The drives of a map; of a farm those of the maps in sight, and none where these are many. */
+  private sessionsInSight(): number[] {
+    const { sessions, blocks } = this.store.state.map;
+    if (!blocks) return sessions.filter((session) => session.active).map((session) => session.number);
+    const size = this.map.getSize();
+    if (!size) return [];
+    const extent = this.map.getView().calculateExtent(size);
+    const near = blocks.filter((block) => block.bounds && intersects(block.bounds, extent));
+    const found = near.flatMap((block) => block.sessions);
+    return found.length > MOST_TRACKS ? [] : found;
   }
 
   visibleSessions(): number[] {
@@ -65,7 +95,7 @@ export class Drawn {
 
   private redraw(): void {
     const { visible } = this.store.state;
-    for (const name of ["tracks", "headings", "frames", "footprints", "features", "marks"] as Overlay[]) {
+    for (const name of ["tracks", "headings", "frames", "footprints", "features", "marks", "blocks"] as Overlay[]) {
       this.layers.get(name)!.setVisible(visible[name]);
     }
     this.drawTracks();
@@ -85,8 +115,8 @@ export class Drawn {
     const source = this.source("tracks");
     source.clear();
     for (const session of this.visibleSessions()) {
-      const track = this.tracks.ready.get(session);
-      if (track?.rows) source.addFeatures(this.trackFeatures(session, track));
+      const track = this.drawn.includes(session) && this.tracks.ready.get(session);
+      if (track && track.rows) source.addFeatures(this.trackFeatures(session, track));
     }
   }
 
@@ -230,6 +260,22 @@ export class Drawn {
       const feature = new Feature(outline(mark));
       feature.setStyle(markStyle(mark.kind, colours.marks[mark.kind], mark.name));
       this.source("marks").addFeature(feature);
+    }
+  }
+
+  private drawBlocks(): void {
+    const source = this.source("blocks");
+    for (const { name, bounds } of this.store.state.map.blocks ?? []) {
+      if (!bounds) continue;
+      const feature = new Feature(fromExtent(bounds));
+      feature.setStyle([
+        new Style({ stroke: new Stroke({ color: "#ffffffcc", width: 3 }) }),
+        new Style({
+          stroke: new Stroke({ color: "#333333", width: 1, lineDash: [6, 4] }),
+          text: new Text({ text: name, overflow: true, font: "bold 13px sans-serif", fill: new Fill({ color: "#000000" }), stroke: new Stroke({ color: "#ffffff", width: 4 }) }),
+        }),
+      ]);
+      source.addFeature(feature);
     }
   }
 

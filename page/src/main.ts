@@ -11,6 +11,7 @@ import { follow } from "./live";
 import { MapView } from "./mapview";
 import { Measure } from "./measure";
 import { EvidencePanel } from "./panels/evidence";
+import { blocksPanel } from "./panels/blocks";
 import { exportDialog } from "./panels/export";
 import { layersPanel } from "./panels/layers";
 import { Drawing, marksAt } from "./marks";
@@ -51,7 +52,7 @@ function build(about: About, source: Source): void {
   const readout = el("output", { id: "readout", "aria-label": "Position" });
   const target = el("div", { id: "map", tabindex: 0, role: "application", "aria-label": "Map. Arrow keys move it, plus and minus zoom, Enter asks why the cell in the middle has its value." });
   const tool = el("output", { id: "tool-says", "aria-live": "polite" });
-  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), sessionsPanel(store, about.writable ? again : null), marksPanel(store, about.writable ? again : null, draw, (bounds) => view.fit(bounds)), source.cell && comparePanel(store, () => view.extent(), (bounds) => view.fit(bounds)));
+  const panels = el("nav", { id: "panels", class: "panel", "aria-label": "What is shown" }, layersPanel(store), blocksPanel(store, (bounds) => view.fit(bounds)), sessionsPanel(store, about.writable ? again : null), marksPanel(store, about.writable ? again : null, draw, (bounds) => view.fit(bounds)), source.cell && comparePanel(store, () => view.extent(), (bounds) => view.fit(bounds)));
   const evidence = new EvidencePanel(store);
   let tracks: MapView;
   const timeline = new Timeline(store, () => tracks.tracks);

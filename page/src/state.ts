@@ -21,7 +21,7 @@ export interface State {
   visible: Record<Overlay, boolean>;
 }
 
-export type Overlay = "tracks" | "headings" | "frames" | "footprints" | "features" | "marks";
+export type Overlay = "tracks" | "headings" | "frames" | "footprints" | "features" | "marks" | "blocks";
 
 export type Topic = "map" | "layer" | "sessions" | "compare" | "changed" | "share" | "overlays";
 
@@ -70,6 +70,6 @@ export function initial(map: MapAbout): State {
     changed: [],
     share: 0.5,
     colourBy: map.order.length > 1 ? "session" : "gear",
-    visible: { tracks: true, headings: false, frames: false, footprints: false, features: true, marks: true },
+    visible: { tracks: true, headings: false, frames: false, footprints: false, features: true, marks: true, blocks: true },
   };
 }

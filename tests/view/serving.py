@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.view.app import Viewer, make_app
-from fieldgrid.view.maps import shown_maps
+from fieldgrid.view.farms import shown_at
 from fieldgrid.view.security import TOKEN_HEADER, loopback_access, network_access
 from fieldgrid.view.server import listen, make_server
 
@@ -93,7 +93,7 @@ def serving(
     listening = listen("127.0.0.1", 0)
     port = int(listening.getsockname()[1])
     access = network_access(TOKEN, port, "0.0.0.0") if network else loopback_access(TOKEN, port)
-    server = make_server(make_app(Viewer(shown_maps(maps), access, writable, recordings, routes)))
+    server = make_server(make_app(Viewer(shown_at(maps), access, writable, recordings, routes)))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()
     try:

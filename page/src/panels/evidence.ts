@@ -1,6 +1,8 @@
 // Why a cell has its value: what the layers say, and the frames that saw it with their images.
 
-import type { Bounds, Cell, Mark, SeenBy } from "../data";
+import { containsXY } from "ol/extent";
+
+import type { Block, Bounds, Cell, Mark, SeenBy } from "../data";
 import { el, moment, number, plural, swatch } from "../dom";
 import { described } from "../marks";
 import type { Store } from "../state";
@@ -83,9 +85,22 @@ export class EvidencePanel {
       frames.length
         ? el("p", {}, `Seen by ${plural(frames.length, "frame")} of ${plural(sessions.size, "session")}; ${frames.filter((f) => f.obstacle).length} of them saw an obstacle.`)
         : el("p", {}, "No frame that is switched on saw this cell."),
+      this.where(cell),
     );
     if (density !== undefined) this.element.append(...this.tables(values));
     if (frames.length) this.element.append(this.frames(cell));
+  }
+
+  /** Of a farm the maps that saw the cell, or else those in whose extent it lies. */
+  private where({ east_m, north_m, frames }: Cell): HTMLElement | false {
+    const { blocks } = this.store.state.map;
+    if (!blocks) return false;
+    const sessions = new Set(frames.map((frame) => frame.session));
+    const seen = blocks.filter((block) => block.sessions.some((number) => sessions.has(number)));
+    const around = blocks.filter(({ bounds }) => bounds && containsXY(bounds, east_m, north_m));
+    const names = (maps: Block[]) => `${maps.length > 1 ? "the maps" : "the map"} ${maps.map((map) => map.name).join(", ")}`;
+    const words = seen.length ? `In ${names(seen)}.` : around.length ? `Within the extent of ${names(around)}.` : "Outside every map.";
+    return el("p", { id: "of-maps" }, words);
   }
 
   private begin(...children: (HTMLElement | false)[]): void {

@@ -13,6 +13,7 @@ const OVERLAYS: Record<Overlay, string> = {
   footprints: "Footprints (when near)",
   features: "Rows, routes and other features",
   marks: "Keep-outs, corrections, places",
+  blocks: "Maps of the farm",
 };
 
 export function layersPanel(store: Store): HTMLElement {
@@ -37,7 +38,7 @@ export function layersPanel(store: Store): HTMLElement {
       change: () => store.change("overlays", { visible: { ...store.state.visible, [name]: box.checked } }),
     });
     box.checked = store.state.visible[name];
-    overlays.append(el("label", { class: "check" }, box, title));
+    overlays.append(el("label", { class: "check", id: `choice-${name}` }, box, title));
   }
   overlays.append(el("label", { class: "row" }, "Trajectories by", colours), gears);
 
@@ -53,6 +54,7 @@ export function layersPanel(store: Store): HTMLElement {
   function begin(): void {
     choice.replaceChildren(...store.state.map.layers.map((layer) => el("option", { value: layer.name }, layer.title)));
     choice.value = store.state.layer;
+    overlays.querySelector<HTMLElement>("#choice-blocks")!.hidden = !store.state.map.blocks;
     drawGears();
     void drawLegend();
   }

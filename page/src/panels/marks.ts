@@ -22,7 +22,8 @@ export function marksPanel(
   const none = el("p", { class: "says" }, "Nothing is marked.");
 
   function fill(): void {
-    const { marks, colours } = store.state.map;
+    const { marks, colours, blocks } = store.state.map;
+    buttons.hidden = !changed || blocks !== null;
     none.hidden = marks.length > 0;
     list.replaceChildren(
       ...marks.map((mark) =>
@@ -31,7 +32,7 @@ export function marksPanel(
           { class: mark.removed ? "removed" : "" },
           swatch(colours.marks[mark.kind]),
           el("button", { type: "button", class: "plain", title: "Show it", click: () => reveal(mark) }, el("strong", {}, mark.name || KINDS[mark.kind]), el("small", {}, mark.removed ? `${described(mark)} · removed` : described(mark))),
-          changed && el("button", { type: "button", click: () => void act(mark) }, mark.removed ? "Restore" : "Remove"),
+          changed && !blocks && el("button", { type: "button", click: () => void act(mark) }, mark.removed ? "Restore" : "Remove"),
         ),
       ),
     );
@@ -87,16 +88,16 @@ export function marksPanel(
     }
   }
 
+  const buttons = el("div", { class: "mark-buttons" },
+    el("button", { id: "mark-area", type: "button", click: () => void add("Polygon") }, "Draw an area"),
+    el("button", { id: "mark-point", type: "button", click: () => void add("Point") }, "Mark a point"));
   store.on(["map"], fill);
   fill();
   return el(
     "details",
     { id: "marks", open: true },
     el("summary", {}, "Marks"),
-    changed &&
-      el("div", { class: "mark-buttons" },
-        el("button", { id: "mark-area", type: "button", click: () => void add("Polygon") }, "Draw an area"),
-        el("button", { id: "mark-point", type: "button", click: () => void add("Point") }, "Mark a point")),
+    changed && buttons,
     none,
     list,
   );

@@ -10,6 +10,7 @@ export function sessionsPanel(store: Store, changed: (() => Promise<void>) | nul
 
   function draw(): void {
     const { map, hidden } = store.state;
+    const mapOf = new Map(map.blocks?.flatMap((block) => block.sessions.map((number) => [number, `map ${block.name}`] as const)));
     list.replaceChildren(
       ...map.sessions.map((session) => {
         const id = `session-${session.number}`;
@@ -24,8 +25,8 @@ export function sessionsPanel(store: Store, changed: (() => Promise<void>) | nul
           { class: session.active ? "" : "removed" },
           box,
           swatch(session.colour),
-          el("label", { for: id }, el("strong", {}, session.name), el("small", {}, facts), el("small", {}, session.source)),
-          changed && el("button", { type: "button", click: () => void act(session) }, session.active ? "Remove" : "Restore"),
+          el("label", { for: id }, el("strong", {}, session.name), el("small", {}, facts), el("small", {}, mapOf.get(session.number) ?? session.source)),
+          changed && !map.blocks && el("button", { type: "button", click: () => void act(session) }, session.active ? "Remove" : "Restore"),
         );
       }),
     );
@@ -141,6 +142,7 @@ export function comparePanel(store: Store, seen: () => Bounds, fit: (bounds: Bou
       );
       choice.value = String(chosen);
     }
+    mode.querySelector<HTMLOptionElement>("[value=change]")!.disabled = map.blocks !== null;
     mode.disabled = map.order.length < 2;
     note.textContent = map.order.length < 2 ? "A map of one session has one state; append a drive to compare." : "";
     mode.value = store.state.comparing;

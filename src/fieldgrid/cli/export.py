@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output
+from fieldgrid.cli.farms import MapOrFarm, opened
 from fieldgrid.cli.settings_flags import by_flag, flag_option, flag_values
 from fieldgrid.settings import Declared, Flag
 
 if TYPE_CHECKING:
     from fieldgrid.export import Exported, Format
-    from fieldgrid.mapfile import Readable
 
 _FORMAT = "Format"
 Given = dict[Flag, tuple[str, Any]]
@@ -49,12 +48,7 @@ class FormatFlags:
 
 
 def command(
-    map_: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP.gpkg", help="A map, or a folder of maps: a farm.", show_default=False
-        ),
-    ],
+    map_: MapOrFarm,
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="A file or folder; its ending says the format.")
     ],
@@ -82,15 +76,7 @@ def command(
     bounds: options.BoundsValues = None,
     cell: options.Cell = None,
     at: options.At = None,
-    datum_from: Annotated[
-        Path | None,
-        typer.Option(
-            "--datum-from",
-            metavar="MAP.gpkg",
-            help="The plane of a farm whose maps have several, as this map has it.",
-            rich_help_panel=options.PART,
-        ),
-    ] = None,
+    datum_from: options.DatumFrom = None,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -117,7 +103,7 @@ def command(
     chosen = format_of(out, format_)
     _refuse_others(chosen, given)
     selection = Selection(options.bounds(bounds), cell, layer or "density", at)
-    with _opened(map_, datum_from) as universal:
+    with opened(map_, datum_from) as universal:
         done = export_map(
             universal,
             out,
@@ -131,33 +117,6 @@ def command(
         return
     written = [(path.name, _size(_bytes(path))) for path in done.paths]
     output.report_table(("", ""), [("format", chosen.name), *done.rows, *written])
-
-
-@contextmanager
-def _opened(path: Path, datum_from: Path | None) -> Iterator[Readable]:
-    """A map, or the maps of a folder; what of them is left out or moved is said."""
-    from fieldgrid.farm import Farm
-    from fieldgrid.mapfile import open_map
-
-    if not path.is_dir():
-        if datum_from is not None:
-            raise typer.BadParameter(
-                f"{path} is no folder of maps, and keeps its own datum; `fieldgrid merge` makes a "
-                "map of another one",
-                param_hint="--datum-from",
-            )
-        with open_map(path) as universal:
-            yield universal
-        return
-    with Farm(path, datum=options.datum_or_from(None, datum_from)) as farm:
-        for block in farm.problems:
-            output.message(f"{block.path.name} is left out: {block.problem}")
-        for moved in farm.moved:
-            output.message(
-                f"{moved.block.path.name} comes from a datum {moved.distance_m:.0f} m away: its "
-                f"ground is up to {1e3 * moved.height_error_m:.1f} mm too high or low"
-            )
-        yield farm
 
 
 def help_text(text: str) -> str:

@@ -90,6 +90,15 @@ DatumText = Annotated[
         "fix].",
     ),
 ]
+DatumFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--datum-from",
+        metavar="MAP.gpkg",
+        help="The plane of a farm whose maps have several, as this map has it.",
+        rich_help_panel=PART,
+    ),
+]
 Config = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE.toml", help="A settings file; flags override it."),

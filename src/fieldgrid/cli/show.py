@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fieldgrid.cli import options, output
+from fieldgrid.cli.farms import MapOrFarm, opened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from fieldgrid.farm import Farm
     from fieldgrid.lattice import Bounds
     from fieldgrid.mapfile import MapFile, MapView
 
@@ -30,13 +32,13 @@ class Kind(StrEnum):
     HEADING = "heading"
 
 
-_OF_ALL = {"map_", "out", "figure", "at", "session", "as_json", "quiet", "verbose"}
+_OF_ALL = {"map_", "out", "figure", "at", "session", "datum_from", "as_json", "quiet", "verbose"}
 """The parameters that count for every figure; the others are of the universal grid."""
 
 
 def command(
     ctx: typer.Context,
-    map_: options.MapArgument,
+    map_: MapOrFarm,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png", help="PNG, PDF or SVG.")],
     figure: Annotated[Kind, typer.Option(help="Which of the paper's figures.")] = Kind.SHEET,
     cell: options.Cell = None,
@@ -60,6 +62,7 @@ def command(
             show_default=False,
         ),
     ] = "mean",
+    datum_from: options.DatumFrom = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Draw a map: universal grid, trajectory with grid positions, heading against time.
@@ -71,16 +74,18 @@ def command(
         fieldgrid show vineyard.gpkg -o row.png --figure grid --cell 0.25 --bounds -20 40 0 60
 
         fieldgrid show vineyard.gpkg -o all.pdf --figure grid --layer count
+
+        fieldgrid show maps -o farm.png --figure grid --cell 0.8
     """
     if figure in (Kind.TRAJECTORY, Kind.HEADING):
         why = f"the figure {figure} shows no cells; leave it out"
         options.refuse_given(ctx, _OF_ALL, why)
     from fieldgrid.figures import save
-    from fieldgrid.mapfile import open_map
 
-    with open_map(map_) as universal:
+    with opened(map_, datum_from) as universal:
         chosen = _sessions(universal, at, session)
-        asked = _Asked(cell, options.bounds(bounds), chosen, averaging, layer, route, map_.stem)
+        name = map_.stem or map_.resolve().name
+        asked = _Asked(cell, options.bounds(bounds), chosen, averaging, layer, route, name)
         drawn = _draw(universal, figure, asked)
     save(drawn, out)
     if as_json:
@@ -89,7 +94,7 @@ def command(
         output.report_line(f"figure {out}")
 
 
-def _sessions(universal: MapFile, at: str | None, session: str | None) -> list[str]:
+def _sessions(universal: MapFile | Farm, at: str | None, session: str | None) -> list[str]:
     """The sessions to draw, in the order of their drives."""
     from fieldgrid.errors import ConfigError
 
@@ -117,10 +122,10 @@ class _Asked(NamedTuple):
     stem: str
 
 
-def _draw(universal: MapFile, kind: Kind, asked: _Asked) -> Figure:
+def _draw(universal: MapFile | Farm, kind: Kind, asked: _Asked) -> Figure:
     from fieldgrid import figures
 
-    drives = figures.drives_of(universal, asked.sessions)
+    drives = figures.drives_of(universal, _in_sight(universal, asked))
     if kind is Kind.TRAJECTORY:
         return figures.trajectory(drives)
     if kind is Kind.HEADING:
@@ -133,9 +138,20 @@ def _draw(universal: MapFile, kind: Kind, asked: _Asked) -> Figure:
     return draw(view, drives, layer=asked.layer, route=route, title=title)
 
 
-def _view(universal: MapFile, asked: _Asked) -> MapView:
+def _in_sight(universal: MapFile | Farm, asked: _Asked) -> list[str]:
+    """The sessions to draw; of a farm those of the maps in the part that is drawn."""
+    from fieldgrid.farm import Farm
+
+    if asked.bounds is None or not isinstance(universal, Farm):
+        return asked.sessions
+    near = {name for name, one in universal.extents().items() if one.overlaps(asked.bounds)}
+    return [name for name in asked.sessions if universal.map_of(name).name in near]
+
+
+def _view(universal: MapFile | Farm, asked: _Asked) -> MapView:
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
     from fieldgrid.errors import ConfigError
+    from fieldgrid.farm import Farm
     from fieldgrid.geodesy import MAX_DISTANCE_M
     from fieldgrid.lattice import check_inside
     from fieldgrid.transfer import Averaging
@@ -153,11 +169,21 @@ def _view(universal: MapFile, asked: _Asked) -> MapView:
                 f"Bounds {tuple(extent)} are {side_m / 1000:.0f} km wide; give metres of the map, "
                 f"which reaches {MAX_DISTANCE_M / 1000:.0f} km from its datum at most."
             )
-        cell_m = universal.cell_m * max(1, math.ceil(side_m / universal.cell_m / MAX_PIXELS))
+        times = max(1, math.ceil(side_m / universal.cell_m / MAX_PIXELS))
+        if isinstance(universal, Farm):
+            times = 1 << (times - 1).bit_length()  # as each of the maps has stored them
+        cell_m = universal.cell_m * times
+    layers = () if asked.layer == "density" else (asked.layer,)
+    if isinstance(universal, Farm):
+        if Averaging(asked.averaging) is Averaging.PAPER:
+            raise typer.BadParameter(
+                "it is of one map; several are joined by the mean", param_hint="--averaging"
+            )
+        return universal.read(asked.bounds, cell_m, layers=layers, sessions=asked.sessions)
     return universal.read(
         asked.bounds,
         cell_m,
-        layers=() if asked.layer == "density" else (asked.layer,),
+        layers=layers,
         averaging=Averaging(asked.averaging),
         sessions=asked.sessions,
     )

@@ -12,7 +12,10 @@ from fieldgrid.cli import options, output
 
 
 def command(
-    maps: Annotated[list[Path], typer.Argument(metavar="MAP.gpkg...")],
+    maps: Annotated[
+        list[Path],
+        typer.Argument(metavar="MAP.gpkg...", help="Maps, or a folder of maps: a farm."),
+    ],
     recording: Annotated[
         list[Path] | None,
         typer.Option(metavar="FOLDER", help="Where images of frames are; may be given again."),
@@ -21,6 +24,7 @@ def command(
         list[Path] | None,
         typer.Option(metavar="FILE", help="A route to draw: .geojson or .csv; may be given again."),
     ] = None,
+    datum_from: options.DatumFrom = None,
     port: Annotated[
         int | None, typer.Option(metavar="N", min=1, max=65535, help="Any free one if not given.")
     ] = None,
@@ -54,7 +58,13 @@ def command(
         fieldgrid view vineyard.gpkg --route spraying.geojson
 
         fieldgrid view vineyard.gpkg --html vineyard.html
+
+        fieldgrid view maps
     """
+    if datum_from is not None and not any(path.is_dir() for path in maps):
+        raise typer.BadParameter(
+            "it is for a folder of maps; a map keeps its own datum", param_hint="--datum-from"
+        )
     if html is not None:
         from fieldgrid.view import write_report
 
@@ -78,6 +88,7 @@ def command(
 
     view_maps(
         maps,
+        datum=options.datum_or_from(None, datum_from),
         recordings=recording or (),
         routes=route or (),
         host=host,

@@ -77,10 +77,15 @@ def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) 
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder} does not exist; give the folder in which the maps are.")
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() == ENDING and f.is_file())
+    files = map_files(folder)
     if not files:
         raise ConfigError(f"{folder} has no file that ends in {ENDING}; build maps into it first.")
     return [_block(file, verify, jobs) for file in files]
+
+
+def map_files(folder: Path) -> list[Path]:
+    """The files of a folder that should be maps, by their names."""
+    return sorted(f for f in folder.iterdir() if f.suffix.lower() == ENDING and f.is_file())
 
 
 def _block(file: Path, verify: bool, jobs: int | None) -> Block:

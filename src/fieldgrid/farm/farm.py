@@ -14,6 +14,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, DatumError, MapError
 from fieldgrid.farm.catalogue import Block, find_blocks
 from fieldgrid.farm.content import FarmContent, Part, moved_bounds
+from fieldgrid.farm.drives import Drives
 from fieldgrid.farm.maps import Maps
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.lattice import Bounds
@@ -22,12 +23,15 @@ from fieldgrid.mapfile import (
     DECISION_LAYERS,
     DROP_LAYERS,
     Blocks,
+    FrameRecord,
     MapFile,
     MapView,
     Mark,
     OverviewBlock,
+    Provenance,
     SessionInfo,
 )
+from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import blocks_of
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.history import during
@@ -35,6 +39,7 @@ from fieldgrid.mapfile.merge import SAME_PLACE_M, free_name, marks_together
 from fieldgrid.mapfile.overviews import read_overviews
 from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.redatum import Redatum
+from fieldgrid.trajectory import Trajectory
 
 _EARTH_RADIUS_M = 6.37e6
 _REACH_M = 15.0
@@ -65,7 +70,9 @@ class Farm(Closing):
     `blocks` lists them, those that cannot be read included. `read`, `read_blocks`, `overviews` and
     `sessions` are those of a map with all their sessions: what `merge_maps` would make of them, bit
     for bit, without making it. So `Costmap.from_map` and `export_map` take a farm as they take a
-    map. Only maps that a window touches are opened.
+    map. `query`, `frames`, `trajectory` and `session_inputs` are those of a map, too, in the plane
+    of the farm, and `map_of` says which map has a session. Only maps that a window touches are
+    opened.
 
     Maps of one datum share their plane; with a `datum` others are laid into its plane, as `moved`
     says. The cells are the largest that a map has, by the rule of the first map; maps of other
@@ -141,6 +148,32 @@ class Farm(Closing):
             )
         return found
 
+    def map_of(self, session: str) -> Block:
+        """The map that has a session of `sessions`; ConfigError for another."""
+        return self._drives.part_of(session).block
+
+    def extents(self) -> dict[str, Bounds]:
+        """The extents of the maps that are read, by the names of their blocks, in metres of the
+        farm's plane."""
+        return {part.block.name: part.bounds for part in self._parts}
+
+    def trajectory(self, session: str) -> Trajectory:
+        """The trajectory of a session as it is placed; MapError where none was stored."""
+        return self._drives.trajectory(session)
+
+    def frames(self, session: str) -> Iterator[FrameRecord]:
+        """The frames of a session, rejected ones included, in time order, without their grids."""
+        return self._drives.frames(session)
+
+    def session_inputs(self, session: str) -> dict[str, Array]:
+        """As `MapFile.session_inputs`."""
+        return self._drives.inputs(session)
+
+    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
+        """As `MapFile.query`: which frames of which sessions observed the cell at a point."""
+        lattice = self._header.lattice_of(cell_m)
+        return self._drives.query(east_m, north_m, lattice, self._header.transfer)
+
     def marks(self) -> tuple[Mark, ...]:
         """The marks of all maps; what two of them have counts once."""
         return self._marks
@@ -160,9 +193,18 @@ class Farm(Closing):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        sessions: Collection[str] | None = None,
     ) -> MapView:
         """What all maps together have within bounds; values and errors as in `MapFile.read`."""
-        return read_view(self._content, self._request(bounds, cell_m, layers, at))
+        request = self._request(bounds, cell_m, layers, at)
+        if sessions is not None:
+            for name in sessions:
+                self._drives.part_of(name)
+            every = [info.name for info in self.sessions()]
+            known = every if request.sessions is None else request.sessions
+            chosen = tuple(name for name in known if name in set(sessions))
+            request = request._replace(sessions=None if len(chosen) == len(every) else chosen)
+        return read_view(self._content, request)
 
     @contextmanager
     def read_blocks(
@@ -300,6 +342,10 @@ class Farm(Closing):
 
         found = marks_together(maps(), self.datum)
         return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
+
+    @cached_property
+    def _drives(self) -> Drives:
+        return Drives(self.path, self._maps, self._parts)
 
     @cached_property
     def _content(self) -> FarmContent:

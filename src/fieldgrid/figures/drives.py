@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from fieldgrid import palette
 from fieldgrid.errors import MapError
 from fieldgrid.figures.page import add_scale_bar, name_axes, new_figure
-from fieldgrid.mapfile import FrameRecord, MapFile
+from fieldgrid.mapfile import Driven, FrameRecord
 from fieldgrid.trajectory import Status, Trajectory
 
 MOST_HEADINGS = 8
@@ -30,8 +30,8 @@ class Drive(NamedTuple):
     colour: str = palette.SESSIONS[0]
 
 
-def drives_of(universal: MapFile, names: Collection[str] | None = None) -> list[Drive]:
-    """The active sessions of a map, or those named, in the order in which they were added."""
+def drives_of(universal: Driven, names: Collection[str] | None = None) -> list[Drive]:
+    """The active sessions of a map or a farm, or those named, in the order of its list."""
     found = []
     for number, info in enumerate(universal.sessions()):
         if info.active if names is None else info.name in names:

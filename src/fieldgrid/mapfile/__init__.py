@@ -29,7 +29,7 @@ from fieldgrid.mapfile.merge import Merged, merge_maps
 from fieldgrid.mapfile.metadata import SessionMetadata
 from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Contribution, Provenance
-from fieldgrid.mapfile.readable import Readable
+from fieldgrid.mapfile.readable import Driven, Readable
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.staging import (
@@ -54,6 +54,7 @@ __all__ = [
     "Change",
     "ChangeView",
     "Contribution",
+    "Driven",
     "FrameRecord",
     "HealthReport",
     "MapFile",

@@ -1,4 +1,4 @@
-"""What cells can be read from: a map, or several maps as one."""
+"""What cells and drives can be read from: a map, or several maps as one."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import Protocol
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
+from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import Blocks
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.overviews import OverviewBlock
-from fieldgrid.mapfile.records import SessionInfo
+from fieldgrid.mapfile.provenance import Provenance
+from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.view import MapView
+from fieldgrid.trajectory import Trajectory
 
 
 class Readable(Protocol):
@@ -72,3 +75,30 @@ class Readable(Protocol):
         at: str | int | None = None,
     ) -> AbstractContextManager[Iterator[OverviewBlock]]:
         """The same with cells of 2, 4, ... 2^levels times the side."""
+
+
+class Driven(Readable, Protocol):
+    """What the viewer and figures need of a map, beside its cells: the drives that they are of."""
+
+    def read(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        sessions: Collection[str] | None = None,
+    ) -> MapView:
+        """The cells within bounds as arrays, of all sessions or some of them."""
+
+    def trajectory(self, session: str) -> Trajectory:
+        """The trajectory of a session as it is placed; MapError where none was stored."""
+
+    def frames(self, session: str) -> Iterator[FrameRecord]:
+        """The frames of a session, in time order."""
+
+    def session_inputs(self, session: str) -> dict[str, Array]:
+        """The arrays that were given with a session."""
+
+    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
+        """Which frames observed the cell at a point."""

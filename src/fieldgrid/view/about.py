@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from fieldgrid import palette
+from fieldgrid.farm import Farm
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MapFile, SessionInfo, in_drive_order
-from fieldgrid.view import layers, pyramid
-from fieldgrid.view.maps import ShownMap
+from fieldgrid.mapfile import Driven, SessionInfo, in_drive_order
+from fieldgrid.view import layers
+from fieldgrid.view.maps import Shown
 
 
-def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
-    """Name, datum, extent, zoom levels, layers, sessions and marks."""
+def describe_map(number: int, shown: Shown) -> dict[str, Any]:
+    """Name, datum, extent, zoom levels, layers, sessions and marks; of a farm its maps, too."""
     version = shown.version()
-    with pyramid.stored(shown.path) as connection:
-        levels = pyramid.read_levels(connection)
     with shown.open() as universal:
         shown.describe(universal)
         infos = universal.sessions()
@@ -29,7 +28,7 @@ def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
                 "height_m": universal.datum.height_m,
             },
             "cell_m": universal.cell_m,
-            "levels": levels.above,
+            "levels": shown.levels(),
             "bounds": _bounds(universal, infos),
             "layers": [layers.describe(name) for name in LAYERS],
             "changes": layers.describe_changes(),
@@ -39,13 +38,14 @@ def describe_map(number: int, shown: ShownMap) -> dict[str, Any]:
                 "rejected": palette.REJECTED,
                 "marks": palette.MARKS,
             },
-            "marks": [mark._asdict() for mark in universal.marks(removed=True)],
+            "marks": [mark._asdict() for mark in shown.marks()],
             "sessions": [_session(k, info) for k, info in enumerate(infos)],
             "order": [infos.index(info) for info in in_drive_order(infos)],
+            "blocks": _blocks(universal, infos) if isinstance(universal, Farm) else None,
         }
 
 
-def _bounds(universal: MapFile, infos: list[SessionInfo]) -> list[float] | None:
+def _bounds(universal: Driven, infos: list[SessionInfo]) -> list[float] | None:
     has_cells = any(info.active and info.accepted for info in infos)
     return list(universal.bounds) if has_cells else None
 
@@ -66,3 +66,24 @@ def _session(number: int, info: SessionInfo) -> dict[str, Any]:
         "first_ms": None if info.first_time_ns is None else info.first_time_ns / 1e6,
         "last_ms": None if info.last_time_ns is None else info.last_time_ns / 1e6,
     }
+
+
+def _blocks(farm: Farm, infos: list[SessionInfo]) -> list[dict[str, Any]]:
+    """The maps of a farm, each with the numbers of its sessions; those that cannot be read with
+    the reason."""
+    numbers: dict[str, list[int]] = {}
+    for k, info in enumerate(infos):
+        numbers.setdefault(farm.map_of(info.name).name, []).append(k)
+    extents = farm.extents()
+    away_m = {one.block.name: one.distance_m for one in farm.moved}
+    return [
+        {
+            "name": block.name,
+            "bounds": list(extents[block.name]) if block.name in extents else None,
+            "area_m2": round(block.area_m2, 1),
+            "sessions": numbers.get(block.name, []),
+            "problem": block.problem,
+            "datum_away_m": round(away_m.get(block.name, 0.0), 1),
+        }
+        for block in farm.blocks
+    ]

@@ -21,7 +21,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import Mark, MarkKind
 from fieldgrid.mapfile.marks import MAX_CORNERS, MAX_TEXT
 from fieldgrid.view.exports import write_export
-from fieldgrid.view.maps import ShownMap
+from fieldgrid.view.maps import Shown, ShownMap
 
 Asked = TypeVar("Asked", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=200)]
@@ -69,8 +69,9 @@ class Export(_Strict):
     cell_m: Annotated[float, Field(gt=0.0, lt=100.0)] | None = None
 
 
-def change_session(shown: ShownMap, asked: SessionChange) -> Response:
+def change_session(shown: Shown, asked: SessionChange) -> Response:
     """Remove or restore a session."""
+    shown = _changeable(shown)
     with shown.open(writable=True) as universal:
         shown.check_version(asked.version)
         if asked.action == "remove":
@@ -80,9 +81,10 @@ def change_session(shown: ShownMap, asked: SessionChange) -> Response:
     return JSONResponse({})
 
 
-def add_mark(shown: ShownMap, asked: MarkDrawn) -> Response:
+def add_mark(shown: Shown, asked: MarkDrawn) -> Response:
     """Add a mark; says its number."""
     texts = asked.name.strip(), asked.note.strip(), asked.author.strip()
+    shown = _changeable(shown)
     with shown.open(writable=True) as universal:
         shown.check_version(asked.version)
         mark = Mark(MarkKind(asked.kind), tuple(asked.corners), *texts)
@@ -90,8 +92,9 @@ def add_mark(shown: ShownMap, asked: MarkDrawn) -> Response:
     return JSONResponse({"id": number})
 
 
-def change_mark(shown: ShownMap, asked: MarkChange) -> Response:
+def change_mark(shown: Shown, asked: MarkChange) -> Response:
     """Remove or restore a mark."""
+    shown = _changeable(shown)
     with shown.open(writable=True) as universal:
         shown.check_version(asked.version)
         change = universal.remove_marks if asked.action == "remove" else universal.restore_marks
@@ -99,10 +102,10 @@ def change_mark(shown: ShownMap, asked: MarkChange) -> Response:
     return JSONResponse({})
 
 
-def export(shown: ShownMap, asked: Export) -> Response:
+def export(shown: Shown, asked: Export) -> Response:
     """Send a file, which is removed from the server's disk once it was sent."""
     bounds = None if asked.bounds is None else Bounds(*asked.bounds)
-    with shown.open() as universal:
+    with shown.open_alone() as universal:
         selection = Selection(bounds, asked.cell_m, asked.layer)
         written = write_export(universal, shown.name, selection, asked.format)
     return FileResponse(
@@ -113,10 +116,16 @@ def export(shown: ShownMap, asked: Export) -> Response:
     )
 
 
+def _changeable(shown: Shown) -> ShownMap:
+    if not isinstance(shown, ShownMap):
+        raise ConfigError(f"{shown.path} is a folder of maps, for looking; change its maps.")
+    return shown
+
+
 def handler(
     model: type[Asked],
-    act: Callable[[ShownMap, Asked], Response],
-    picked: Callable[[Request], ShownMap],
+    act: Callable[[Shown, Asked], Response],
+    picked: Callable[[Request], Shown],
 ) -> Callable[[Request], Awaitable[Response]]:
     """What answers a post: its JSON checked, then acted upon in a thread."""
 

@@ -22,12 +22,12 @@ from starlette.routing import Route
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
 from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MapFile
-from fieldgrid.view import actions, drives, exports, layers, page, pyramid
+from fieldgrid.mapfile import Driven
+from fieldgrid.view import actions, drives, exports, layers, page
 from fieldgrid.view.about import describe_map
 from fieldgrid.view.changes import changed_objects
-from fieldgrid.view.features import read_features, route_table
-from fieldgrid.view.maps import ShownMap
+from fieldgrid.view.features import route_table
+from fieldgrid.view.maps import Shown, ShownMap
 from fieldgrid.view.pictures import find_picture
 from fieldgrid.view.security import Access, Guard
 from fieldgrid.view.why import explain
@@ -46,13 +46,13 @@ Handler = Callable[[Request], Response]
 class Viewer(NamedTuple):
     """What is shown, and what may be done with it."""
 
-    maps: tuple[ShownMap, ...]
+    maps: tuple[Shown, ...]
     access: Access
     writable: bool
     recordings: tuple[Path, ...]
     routes: tuple[Path, ...] = ()
 
-    def picked(self, request: Request) -> ShownMap:
+    def picked(self, request: Request) -> Shown:
         """The map that a request is about, once it is sure that it is the one that its page was
         told of."""
         number = _whole(request.path_params["map"], 0, len(self.maps) - 1)
@@ -79,9 +79,7 @@ def make_app(viewer: Viewer) -> Starlette:
         if layer == "change":
             drawn = _change_tile(shown, level, place, query.get("from", ""), query.get("to", ""))
         elif layer == "density" and "sessions" not in query:
-            with pyramid.stored(shown.path) as connection:
-                levels = pyramid.read_levels(connection)
-                drawn = pyramid.read_picture(connection, levels, level, place)
+            drawn = shown.density(level, place)
         else:
             drawn = _layer_tile(shown, layer, level, place, query.get("sessions"))
         # The address has the version of the file, so that what is kept never gets old.
@@ -103,11 +101,10 @@ def make_app(viewer: Viewer) -> Starlette:
 
     def frames(request: Request) -> Response:
         shown = viewer.picked(request)
-        table = shown.kept(("frames",), lambda: _with(shown, drives.frame_table))
         chosen = request.query_params.get("sessions")
         sessions = None if chosen is None else set(_session_numbers(chosen))
         bounds = _bounds(request.query_params.get("bounds", ""))
-        return _json(drives.frames_within(table, bounds, sessions))
+        return _json(drives.frames_within(shown.frames(bounds), bounds, sessions))
 
     def cell(request: Request) -> Response:
         query = request.query_params
@@ -126,7 +123,7 @@ def make_app(viewer: Viewer) -> Starlette:
         number = _whole(query.get("image", ""), 0, max(len(names) - 1, 0))
         if not names:
             raise ConfigError("The map has no such frame, or no images of it.")
-        folders = (Path(), shown.path.parent, *viewer.recordings)
+        folders = (Path(), shown.folder, *viewer.recordings)
         sha256 = hashes[number] if number < len(hashes) else ""
         found = find_picture(names[number], sha256, folders)
         size = {"X-Image-Size": f"{found.width_px} {found.height_px}"}
@@ -134,18 +131,16 @@ def make_app(viewer: Viewer) -> Starlette:
 
     def features(request: Request) -> Response:
         shown = viewer.picked(request)
-        with pyramid.stored(shown.path) as connection:
-            tables = read_features(connection)
         with shown.open() as universal:
             routes = [route_table(path, universal.datum) for path in viewer.routes]
-        return _json({"tables": tables + routes})
+        return _json({"tables": shown.features() + routes})
 
     def changes(request: Request) -> Response:
         shown, query = viewer.picked(request), request.query_params
         between, part = (query.get("from", ""), query.get("to", "")), query.get("bounds", "")
 
         def find() -> list[dict[str, Any]]:
-            with shown.open() as universal:
+            with _single(shown).open() as universal:
                 before, after = (_session_name(universal, number) for number in between)
                 bounds = _bounds(part) if part else None
                 return changed_objects(universal, before, after, bounds)
@@ -188,7 +183,7 @@ def make_app(viewer: Viewer) -> Starlette:
 def _post(
     path: str,
     model: type[actions.Asked],
-    act: Callable[[ShownMap, actions.Asked], Response],
+    act: Callable[[Shown, actions.Asked], Response],
     viewer: Viewer,
 ) -> Route:
     return Route(path, actions.handler(model, act, viewer.picked), methods=["POST"])
@@ -207,12 +202,12 @@ def _json(value: Any) -> Response:
     return JSONResponse(value, headers=_FRESH)
 
 
-def _with(shown: ShownMap, make: Callable[..., Any], *arguments: Any) -> Any:
+def _with(shown: Shown, make: Callable[..., Any], *arguments: Any) -> Any:
     with shown.open() as universal:
         return make(universal, *arguments)
 
 
-def _scale(shown: ShownMap, layer: str) -> layers.Scale:
+def _scale(shown: Shown, layer: str) -> layers.Scale:
     def make() -> layers.Scale:
         with shown.open() as universal:
             return layers.scale_of(universal, layer)
@@ -221,7 +216,7 @@ def _scale(shown: ShownMap, layer: str) -> layers.Scale:
 
 
 def _layer_tile(
-    shown: ShownMap, layer: str, level: int, place: TileIndex, sessions: str | None
+    shown: Shown, layer: str, level: int, place: TileIndex, sessions: str | None
 ) -> bytes | None:
     scale = _scale(shown, _layer(layer))
     with shown.open() as universal:
@@ -234,16 +229,22 @@ def _layer_tile(
 
 
 def _change_tile(
-    shown: ShownMap, level: int, place: TileIndex, before: str, after: str
+    shown: Shown, level: int, place: TileIndex, before: str, after: str
 ) -> bytes | None:
-    with shown.open() as universal:
+    with _single(shown).open() as universal:
         names = [_session_name(universal, number) for number in (before, after)]
         bounds, cell_m = layers.tile_bounds(universal, level, place)
         change = universal.diff(names[0], names[1], bounds, cell_m).change
     return layers.encode(change, change > 0) if change.any() else None
 
 
-def _images(universal: MapFile, session: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+def _single(shown: Shown) -> ShownMap:
+    if not isinstance(shown, ShownMap):
+        raise ConfigError("What changed is told of one map; open that map alone.")
+    return shown
+
+
+def _images(universal: Driven, session: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     return {
         frame.frame_id: (frame.images, frame.images_sha256) for frame in universal.frames(session)
     }
@@ -255,7 +256,7 @@ def _layer(name: str) -> str:
     return name
 
 
-def _session_names(universal: MapFile, numbers: str) -> list[str]:
+def _session_names(universal: Driven, numbers: str) -> list[str]:
     """The names of sessions that a request counts, as in `0.2.3`; none for an empty text."""
     infos = universal.sessions()
     found = []
@@ -266,7 +267,7 @@ def _session_names(universal: MapFile, numbers: str) -> list[str]:
     return found
 
 
-def _session_name(universal: MapFile, number: str) -> str:
+def _session_name(universal: Driven, number: str) -> str:
     names = _session_names(universal, number)
     if len(names) != 1:
         raise ConfigError(f"{number[:40]!r} is no session; give the number of one.")

@@ -7,6 +7,7 @@ row at which gear or verdict changes.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, Float64, Index, Int64
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile
+from fieldgrid.mapfile import Driven
 from fieldgrid.rig import LeverArm
 from fieldgrid.trajectory import Trajectory
 
@@ -23,7 +24,7 @@ MOST_FRAMES = 1_500
 """What is drawn at once: more points than these no screen shows."""
 
 
-def track(universal: MapFile, session: str, most_rows: int = MOST_ROWS) -> dict[str, Any]:
+def track(universal: Driven, session: str, most_rows: int = MOST_ROWS) -> dict[str, Any]:
     """A drive in columns: positions, heading, sigmas, speed, gear, quality, verdict, residual.
 
     `time_ms` counts from `start_ms`, milliseconds of UTC; None is NaN. `reasons` are the texts
@@ -74,7 +75,7 @@ def _thinned(found: Trajectory, most_rows: int) -> Index:
     return np.flatnonzero(keep)
 
 
-def _residuals(universal: MapFile, session: str, found: Trajectory) -> Float64:
+def _residuals(universal: Driven, session: str, found: Trajectory) -> Float64:
     """Of each row the distance between its fix and the antenna of its pose, NaN without a fix."""
     distance = np.full(len(found), np.nan)
     info = next(info for info in universal.sessions() if info.name == session)
@@ -114,16 +115,21 @@ class FrameTable(NamedTuple):
     length_m: Float64
 
 
-def frame_table(universal: MapFile) -> FrameTable:
-    """The frames of a map, without their grids."""
-    number = {info.name: k for k, info in enumerate(universal.sessions())}
+def frame_table(universal: Driven, names: Collection[str] | None = None) -> FrameTable:
+    """The frames of the active sessions, or of some of them, without their grids."""
+    number = {
+        info.name: k
+        for k, info in enumerate(universal.sessions())
+        if (info.active if names is None else info.name in names)
+    }
     rows = [
         (
             number[frame.session], frame.frame_id, frame.reason, frame.accepted,
             frame.pose.time_ns, frame.pose.east_m, frame.pose.north_m, frame.pose.heading_deg,
             frame.spec.width_m, frame.spec.length_m,
         )
-        for frame in universal.frames()
+        for name in number
+        for frame in universal.frames(name)
     ]  # fmt: skip
     columns = list(zip(*rows, strict=True)) or [()] * len(FrameTable._fields)
     return FrameTable(
@@ -132,8 +138,24 @@ def frame_table(universal: MapFile) -> FrameTable:
     )  # fmt: skip
 
 
-def frames_within(table: FrameTable, bounds: Bounds, sessions: set[int] | None) -> dict[str, Any]:
+def frames_within(
+    tables: Sequence[FrameTable], bounds: Bounds, sessions: set[int] | None
+) -> dict[str, Any]:
     """The frames whose footprints may reach into bounds, evenly thinned where there are many."""
+    places = [
+        (table, row) for table in tables for row in _rows_within(table, bounds, sessions).tolist()
+    ]
+    shown = places[:: max(1, math.ceil(len(places) / MOST_FRAMES))]
+    found: dict[str, Any] = {"of": len(places)}
+    for name in ("session", "frame_id", "reason", "accepted"):
+        found[name] = [_plain(getattr(table, name)[row]) for table, row in shown]
+    found["time_ms"] = _listed(np.array([t.time_ns[k] / 1e6 for t, k in shown]), 0)
+    for name in ("east_m", "north_m", "heading_deg", "width_m", "length_m"):
+        found[name] = _listed(np.array([getattr(t, name)[k] for t, k in shown]), 3)
+    return found
+
+
+def _rows_within(table: FrameTable, bounds: Bounds, sessions: set[int] | None) -> Index:
     reach = table.width_m + table.length_m
     inside = (
         (table.east_m + reach >= bounds.west_m)
@@ -143,21 +165,12 @@ def frames_within(table: FrameTable, bounds: Bounds, sessions: set[int] | None) 
     )
     if sessions is not None:
         inside &= np.isin(table.session, list(sessions))
-    rows = np.flatnonzero(inside)
-    shown = rows[:: max(1, math.ceil(len(rows) / MOST_FRAMES))]
-    return {
-        "of": len(rows),
-        "session": table.session[shown].tolist(),
-        "frame_id": [table.frame_id[k] for k in shown],
-        "reason": [table.reason[k] for k in shown],
-        "accepted": table.accepted[shown].tolist(),
-        "time_ms": _listed(table.time_ns[shown] / 1e6, 0),
-        "east_m": _listed(table.east_m[shown], 3),
-        "north_m": _listed(table.north_m[shown], 3),
-        "heading_deg": _listed(table.heading_deg[shown], 2),
-        "width_m": _listed(table.width_m[shown], 3),
-        "length_m": _listed(table.length_m[shown], 3),
-    }
+    return np.flatnonzero(inside)
+
+
+def _plain(value: Any) -> Any:
+    """A number of NumPy as one that JSON has."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _listed(values: Float64, digits: int) -> list[float | None]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fieldgrid import export
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.mapfile import MapFile
+from fieldgrid.mapfile import Readable
 
 MOST_CELLS = 100_000_000
 """A larger part is for the command line, which says how far it is."""
@@ -33,7 +33,7 @@ def formats() -> list[dict[str, str]]:
     return [{"name": name, "says": known.says} for name, known in export.formats().items()]
 
 
-def write_export(universal: MapFile, name: str, selection: Selection, format_: str) -> Written:
+def write_export(universal: Readable, name: str, selection: Selection, format_: str) -> Written:
     """Export a part of a map into a folder of its own; several files come as one zip archive.
 
     `name` is what the file is called. Raises ConfigError for a part that is too large, and what

@@ -17,7 +17,7 @@ from fieldgrid.array_types import AnyArray, Bool, UInt8
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds, TileIndex, tile_window
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MEANING, Change, MapFile, MapView
+from fieldgrid.mapfile import MEANING, Change, MapView, Readable
 from fieldgrid.mapfile.png import encode_png
 
 _SAMPLE_CELLS = 1 << 18
@@ -67,7 +67,7 @@ def describe_changes() -> list[dict[str, Any]]:
     ]
 
 
-def scale_of(universal: MapFile, layer: str) -> Scale:
+def scale_of(universal: Readable, layer: str) -> Scale:
     """The range of a layer's values over the map, seen with coarse cells where it is large."""
     colours = LAYERS[layer].colours
     if colours.low is not None and colours.high is not None:
@@ -86,7 +86,7 @@ def scale_of(universal: MapFile, layer: str) -> Scale:
     return Scale(low, max(high, low + 1e-9))
 
 
-def tile_bounds(universal: MapFile, level: int, tile: TileIndex) -> tuple[Bounds, float]:
+def tile_bounds(universal: Readable, level: int, tile: TileIndex) -> tuple[Bounds, float]:
     """The ground of a tile and the side of its cells; `level` 0 has the map's own."""
     cell_m = universal.cell_m * 2**level
     window = tile_window(tile)

@@ -1,4 +1,4 @@
-"""The maps that a server shows: opened anew for each request, so that a reload shows what is there.
+"""What a server shows: maps, opened anew for each request, so that a reload shows what is there.
 
 A map may be appended to, or replaced by another build, while it is shown. Opening one takes about
 a millisecond, and what is dear to make is kept until the file has changed.
@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.lattice import Bounds, TileIndex
+from fieldgrid.mapfile import Driven, MapFile, Mark, open_map
+from fieldgrid.view import drives, pyramid
+from fieldgrid.view.features import read_features
 
 _Made = TypeVar("_Made")
 
@@ -34,7 +39,7 @@ class Identity(NamedTuple):
     sessions: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, universal: MapFile) -> Identity:
+    def of(cls, universal: Driven) -> Identity:
         """That of an open map."""
         sessions = tuple((info.name, info.created) for info in universal.sessions())
         return cls(universal.datum, universal.cell_m, sessions)
@@ -44,8 +49,8 @@ class Identity(NamedTuple):
         return self == other._replace(sessions=other.sessions[: len(self.sessions)])
 
 
-class ShownMap:
-    """One map file: its place, the version of what is in it, and what was made of it."""
+class Shown(ABC):
+    """A map or a farm: its place, the version of what is in it, and what was made of it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -55,33 +60,53 @@ class ShownMap:
         self._described: Identity | None = None
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """What the page calls it."""
-        return self.path.stem
 
+    @property
+    @abstractmethod
+    def folder(self) -> Path:
+        """Where its maps lie, and perhaps the images that they name."""
+
+    @abstractmethod
     def version(self) -> str:
-        """Text that differs once the file was written to or replaced."""
-        try:
-            with self.path.open("rb") as file:
-                status = os.fstat(file.fileno())
-                header = file.read(100)
-        except FileNotFoundError as error:
-            raise MapError(
-                f"{self.path} is no longer there; put it back or build it again, then load the "
-                "page again."
-            ) from error
-        except OSError as error:
-            raise MapError(f"{self.path} cannot be read: {error.strerror}; check it.") from error
-        counter = header[_CHANGE_COUNTER].hex()
-        seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns} {counter}"
-        return hashlib.sha256(seen.encode()).hexdigest()[:16]
+        """Text that differs once a file was written to or replaced."""
 
-    def describe(self, universal: MapFile) -> None:
+    @abstractmethod
+    def open(self) -> AbstractContextManager[Driven]:
+        """What is read of it."""
+
+    def open_alone(self) -> AbstractContextManager[Driven]:
+        """The same for what takes long, during which other requests go on."""
+        return self.open()
+
+    @abstractmethod
+    def levels(self) -> int:
+        """How many zoom levels there are above that of its own cells."""
+
+    @abstractmethod
+    def density(self, level: int, tile: TileIndex) -> bytes | None:
+        """The PNG of a tile of the density of all sessions; None where nothing was observed."""
+
+    @abstractmethod
+    def marks(self) -> tuple[Mark, ...]:
+        """The marks that its list has."""
+
+    @abstractmethod
+    def features(self) -> list[dict[str, Any]]:
+        """The tables of features that it holds."""
+
+    @abstractmethod
+    def frames(self, bounds: Bounds) -> list[drives.FrameTable]:
+        """The frames of which some may reach into bounds."""
+
+    def describe(self, universal: Driven) -> None:
         """Note which map a page is told of, so that it gets nothing of another."""
         self._described = Identity.of(universal)
 
     def check_same(self) -> None:
-        """Raise MapError where the file is not there, or holds another map than was described."""
+        """Raise MapError where it is not there, or is another than was described."""
         found = self.kept(("identity",), self._identity)
         if self._described is not None and not self._described.goes_on_in(found):
             raise MapError(
@@ -93,20 +118,8 @@ class ShownMap:
         with self.open() as universal:
             return Identity.of(universal)
 
-    def check_version(self, version: str) -> None:
-        """Raise ConfigError unless the file is as it was when it had this version."""
-        if version != self.version():
-            raise ConfigError(
-                f"{self.name} has changed since the page was loaded, and was left as it is; "
-                "load the page again and look."
-            )
-
-    def open(self, *, writable: bool = False) -> MapFile:
-        """The map, to be closed by the caller."""
-        return open_map(self.path, writable=writable)
-
     def kept(self, key: tuple[str, ...], make: Callable[[], _Made]) -> _Made:
-        """What `make` returns, made once for each state of the file."""
+        """What `make` returns, made once for each version."""
         version = self.version()
         with self._lock:
             if version != self._version:
@@ -125,10 +138,85 @@ class ShownMap:
         return made
 
 
+class ShownMap(Shown):
+    """One map file."""
+
+    @property
+    def name(self) -> str:
+        """See `Shown`."""
+        return self.path.stem
+
+    @property
+    def folder(self) -> Path:
+        """See `Shown`."""
+        return self.path.parent
+
+    def version(self) -> str:
+        """See `Shown`."""
+        return version_of(self.path)
+
+    def check_version(self, version: str) -> None:
+        """Raise ConfigError unless the file is as it was when it had this version."""
+        if version != self.version():
+            raise ConfigError(
+                f"{self.name} has changed since the page was loaded, and was left as it is; "
+                "load the page again and look."
+            )
+
+    def open(self, *, writable: bool = False) -> MapFile:
+        """The map, to be closed by the caller."""
+        return open_map(self.path, writable=writable)
+
+    def levels(self) -> int:
+        """See `Shown`."""
+        with pyramid.stored(self.path) as connection:
+            return pyramid.read_levels(connection).above
+
+    def density(self, level: int, tile: TileIndex) -> bytes | None:
+        """See `Shown`: as it is stored."""
+        with pyramid.stored(self.path) as connection:
+            levels = pyramid.read_levels(connection)
+            return pyramid.read_picture(connection, levels, level, tile)
+
+    def marks(self) -> tuple[Mark, ...]:
+        """See `Shown`: those that were removed, too."""
+        with self.open() as universal:
+            return universal.marks(removed=True)
+
+    def features(self) -> list[dict[str, Any]]:
+        """See `Shown`."""
+        with pyramid.stored(self.path) as connection:
+            return read_features(connection)
+
+    def frames(self, bounds: Bounds) -> list[drives.FrameTable]:
+        """See `Shown`: all of them."""
+
+        def make() -> drives.FrameTable:
+            with self.open() as universal:
+                return drives.frame_table(universal)
+
+        return [self.kept(("frames",), make)]
+
+
+def version_of(path: Path) -> str:
+    """Text that differs once a map was written to or replaced."""
+    try:
+        with path.open("rb") as file:
+            status = os.fstat(file.fileno())
+            header = file.read(100)
+    except FileNotFoundError as error:
+        raise MapError(
+            f"{path} is no longer there; put it back or build it again, then load the page again."
+        ) from error
+    except OSError as error:
+        raise MapError(f"{path} cannot be read: {error.strerror}; check it.") from error
+    counter = header[_CHANGE_COUNTER].hex()
+    seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns} {counter}"
+    return hashlib.sha256(seen.encode()).hexdigest()[:16]
+
+
 def shown_maps(paths: Sequence[Path]) -> tuple[ShownMap, ...]:
     """The maps at these paths, once it is sure that each is one; MapError otherwise."""
-    if not paths:
-        raise ConfigError("There is no map to show; name one.")
     maps = tuple(ShownMap(path) for path in paths)
     for one in maps:
         one.open().close()

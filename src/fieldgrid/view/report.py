@@ -51,6 +51,14 @@ def write_report(
     MapError for a path that is no map, ConfigError where not even the coarsest level fits and for a
     file that is no route.
     """
+    if not paths:
+        raise ConfigError("There is no map to show; name one.")
+    for path in paths:
+        if path.is_dir():
+            raise ConfigError(
+                f"{path} is a folder; a page to send is of maps. Name maps of the folder, or leave "
+                "out --html to look at all of them."
+            )
     maps = shown_maps(paths)
     title = ", ".join(shown.name for shown in maps)
     parts = [_without_tiles(shown, _ROWS // len(maps), routes) for shown in maps]
@@ -81,7 +89,7 @@ def _without_tiles(shown: ShownMap, rows: int, routes: Sequence[Path]) -> dict[s
         features += [route_table(path, universal.datum) for path in routes]
         scale = layers.scale_of(universal, "density")
         tracks = _tracks(universal, rows)
-        frames = drives.frames_within(drives.frame_table(universal), _EVERYWHERE, None)
+        frames = drives.frames_within([drives.frame_table(universal)], _EVERYWHERE, None)
     return {
         "tiles": {},
         "scale": {"low": scale.low, "high": scale.high},

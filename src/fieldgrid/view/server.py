@@ -12,9 +12,10 @@ import uvicorn
 from starlette.applications import Starlette
 
 from fieldgrid.errors import ConfigError
+from fieldgrid.geodesy import Datum
 from fieldgrid.view.app import Viewer, make_app
+from fieldgrid.view.farms import shown_at
 from fieldgrid.view.features import route_table
-from fieldgrid.view.maps import shown_maps
 from fieldgrid.view.security import loopback_access, network_access
 
 LOOPBACK = "127.0.0.1"
@@ -23,6 +24,7 @@ LOOPBACK = "127.0.0.1"
 def view_maps(
     paths: Sequence[Path],
     *,
+    datum: Datum | None = None,
     recordings: Sequence[Path] = (),
     routes: Sequence[Path] = (),
     host: str | None = None,
@@ -31,14 +33,16 @@ def view_maps(
     open_browser: bool = False,
     ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve maps as a web page until interrupted.
+    """Serve maps as a web page until interrupted; a folder is shown as a farm, all its maps as one.
 
+    Farms have the plane of `datum`, or of their first map; their maps are not changed.
     `routes` are files that are drawn over each map, as `figures.read_route` reads them. Without
     `host` only this machine reaches it; `port` None is any that is free. `ready` gets the
     link, with the token that writing needs, once the page can be opened. Raises MapError for a
-    path that is no map, ConfigError for a port that is taken or a file that is no route.
+    path that is no map, DatumError as `Farm`, ConfigError for a port that is taken or a file that
+    is no route.
     """
-    maps = shown_maps(paths)
+    maps = shown_at(paths, datum)
     for folder in recordings:
         if not folder.exists():
             raise ConfigError(f"{folder} does not exist; give the folder of a recording.")

@@ -1,0 +1,90 @@
+"""The drives of a farm: what its maps keep of them, in the farm's plane and by the farm's names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from fieldgrid.errors import ConfigError
+from fieldgrid.farm.content import Part
+from fieldgrid.farm.maps import Maps
+from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.mapfile import FrameRecord, Provenance
+from fieldgrid.mapfile.arrays import Array
+from fieldgrid.mapfile.provenance import trace
+from fieldgrid.trajectory import Trajectory
+from fieldgrid.transfer import Transfer, check_cell_sizes
+
+
+class Drives:
+    """The sessions of a farm, each found in the map that has it."""
+
+    def __init__(self, path: Path, maps: Maps, parts: Sequence[Part]) -> None:
+        self._path, self._maps, self._parts = path, maps, parts
+        self._part_of = {name: part for part in parts for name in part.names}
+
+    def part_of(self, session: str) -> Part:
+        """The map that has a session; ConfigError for a name that no session has."""
+        found = self._part_of.get(session)
+        if found is None:
+            raise ConfigError(
+                f"{self._path} has no session {session!r}; `fieldgrid farm` lists the drives of "
+                "its maps."
+            )
+        return found
+
+    def trajectory(self, session: str) -> Trajectory:
+        """See `Farm.trajectory`."""
+        part = self.part_of(session)
+        with self._maps.reading(part.block) as opened:
+            track = opened.universal.trajectory(part.names[session])
+        return track if part.moved is None else part.moved.trajectory(track)
+
+    def frames(self, session: str) -> Iterator[FrameRecord]:
+        """See `Farm.frames`."""
+        part = self.part_of(session)
+        with self._maps.reading(part.block) as opened:
+            found = list(opened.universal.frames(part.names[session]))
+        moved = part.moved
+        if moved is not None:
+            found = [
+                replace(one, pose=moved.pose(one.pose), driven=moved.pose(one.driven))
+                for one in found
+            ]
+        return _renamed(part, found)
+
+    def inputs(self, session: str) -> dict[str, Array]:
+        """See `Farm.session_inputs`."""
+        part = self.part_of(session)
+        with self._maps.reading(part.block) as opened:
+            return opened.universal.session_inputs(part.names[session])
+
+    def query(
+        self, east_m: float, north_m: float, lattice: Lattice, transfer: Transfer
+    ) -> Provenance:
+        """See `Farm.query`; frames in the order of their times."""
+        if not (math.isfinite(east_m) and math.isfinite(north_m)):
+            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
+        half_m = lattice.cell_m
+        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+        frames: list[FrameRecord] = []
+        with ExitStack() as open_maps:  # the grids are read while it lasts
+            for part in self._parts:
+                if part.names and part.bounds.overlaps(near):
+                    opened = open_maps.enter_context(self._maps.reading(part.block))
+                    evidence = part.content(opened.content).evidence
+                    found = evidence.accepted(near, tuple(part.names.values()), None)
+                    frames += _renamed(part, found)
+            for frame in frames:
+                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
+            frames.sort(key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
+            return trace(east_m, north_m, lattice, transfer, frames)
+
+
+def _renamed(part: Part, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:
+    """Frames of a map with the names that its sessions have in the farm."""
+    names = {own: name for name, own in part.names.items()}
+    return (replace(one, session=names[one.session]) for one in frames)
