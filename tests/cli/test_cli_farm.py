@@ -130,3 +130,12 @@ def test_a_stac_catalogue_is_written(fieldgrid: Run, maps: Path, tmp_path: Path)
     assert found["stac"]["items"] == ["north", "south"]
     assert (tmp_path / "c" / "maps" / "north" / "north.json").is_file()
     assert "--overwrite" in fieldgrid("farm", maps, "--stac", tmp_path / "c").sentence()
+
+
+def test_one_picture_of_a_farm(fieldgrid: Run, maps: Path, tmp_path: Path) -> None:
+    out = tmp_path / "farm.svg"
+    fieldgrid("show", maps, "-o", out, "--figure", "grid", "--cell", "0.4").output()
+    assert "cells of 40 cm" in out.read_text()
+    done = fieldgrid("show", maps, "-o", tmp_path / "x.png", "--averaging", "paper")
+    assert (done.status, "it is of one map" in done.err) == (2, True)
+    assert not (tmp_path / "x.png").exists()
