@@ -45,11 +45,13 @@ Change = Callable[[Recorded, Datum, np.random.Generator], Recorded]
 
 class Variation(NamedTuple):
     """One change; of a `lie` the drive states less than its error, so that its sigmas cannot hold:
-    what is looked at is how wrong the poses get."""
+    what is looked at is how wrong the poses get. Of `leaps` it is the solution that leaps unsaid,
+    which sigmas are to hold."""
 
     name: str
     change: Change
     lie: bool = False
+    leaps: bool = False
 
 
 class Truth(NamedTuple):
@@ -127,6 +129,22 @@ def noise(white_m: float, slow_m: float, lasts_s: float = 60.0, *, stated: bool 
                 quality=quality if stated else fixes.quality,
             )
         )
+
+    return make
+
+
+def leap(off_m: float, first: float, last: float, *, grows: bool = False) -> Change:
+    """From one share of the drive's time to another the solution lies elsewhere, at once or bit by
+    bit, and says nothing of it."""
+
+    def make(drive: Recorded, datum: Datum, _: np.random.Generator) -> Recorded:
+        fixes = drive.fixes
+        share = (fixes.time_ns - fixes.time_ns[0]) / np.ptp(fixes.time_ns)
+        inside = (share >= first) & (share < last)
+        size_m = np.where(inside, off_m * ((share - first) / (last - first) if grows else 1.0), 0.0)
+        east, north, up = datum.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+        lat, lon, _ = datum.to_geodetic(east + 0.8 * size_m, north + 0.6 * size_m, up)
+        return drive._replace(fixes=fixes.replace(lat_deg=lat, lon_deg=lon))
 
     return make
 
@@ -215,6 +233,21 @@ VARIATIONS = (
     Variation("stamps + 0.1 s", stamps(0.1, 0.0), lie=True),
     Variation("stamps late by 30 ms, varying", stamps(0.0, 0.03), lie=True),
     Variation("0.3 m slow, unsaid", noise(0.0, 0.3, 60.0, stated=False), lie=True),
+    Variation("leaps by 0.5 m for good", leap(0.5, 0.5, 2.0), leaps=True),
+    Variation("leaps by 3 m for good", leap(3.0, 0.5, 2.0), leaps=True),
+    Variation("leaps by 3 m, and back", leap(3.0, 0.4, 0.7), leaps=True),
+    Variation("drifts by 3 m, leaps back", leap(3.0, 0.2, 0.6, grows=True), leaps=True),
+    Variation("no gyro, leaps by 3 m for good", both(no_gyro, leap(3.0, 0.5, 2.0)), leaps=True),
+    Variation(
+        "no gyro, drifts by 3 m, leaps back",
+        both(no_gyro, leap(3.0, 0.2, 0.6, grows=True)),
+        leaps=True,
+    ),
+    Variation(
+        "no gyro, drifts by 10 m, leaps back",
+        both(no_gyro, leap(10.0, 0.2, 0.6, grows=True)),
+        leaps=True,
+    ),
     Variation("no gyro", no_gyro),
     Variation("no gyro, 1 Hz", both(no_gyro, every(5))),
     Variation(
@@ -291,13 +324,13 @@ def _line(name: str, one: Score) -> str:
 
 
 def _summary(scores: list[Score]) -> str:
-    """The worst and the median of drives that state their errors as they are."""
+    """The median and the worst of some drives."""
     used = [one.used for one in scores]
     inside = [shares_inside(one) for one in scores if len(one.off_m)]
     positions, headings = (np.array(column) for column in zip(*inside, strict=True))
     gears = [one.gear for one in scores if not np.isnan(one.gear)]
     return (
-        f"{len(scores)} drives that state their errors, median and worst: "
+        ", median and worst: "
         f"used {percent(np.median(used), 1)}, {percent(min(used), 1)}; "
         f"positions inside {percent(np.median(positions), 1)}, {percent(positions.min(), 1)}; "
         f"headings inside {percent(np.median(headings), 1)}, {percent(headings.min(), 1)}; "
@@ -308,7 +341,9 @@ def _summary(scores: list[Score]) -> str:
 def report(words: list[str]) -> Iterator[str]:
     """A line for each drive, log and variation, and one for all that state their errors."""
     yield HEAD
-    honest = []
+    honest: list[Score] = []
+    leapt: list[Score] = []
+    refused = 0
     for variation in VARIATIONS:
         if words and not any(word in variation.name for word in words):
             continue
@@ -327,12 +362,17 @@ def report(words: list[str]) -> Iterator[str]:
                     found = score(variation.change(recorded, datum, random), datum, truth)
                 except FieldgridError as problem:
                     yield f"{line:<52}{problem!s:.100}"
+                    refused += variation.leaps
                     continue
                 yield _line(line, found)
-                if not variation.lie:
+                if variation.leaps:
+                    leapt.append(found)
+                elif not variation.lie:
                     honest.append(found)
     if honest:
-        yield _summary(honest)
+        yield f"{len(honest)} drives that state their errors{_summary(honest)}"
+    if leapt:
+        yield f"{len(leapt)} drives that leap unsaid (and {refused} refused){_summary(leapt)}"
 
 
 if __name__ == "__main__":
