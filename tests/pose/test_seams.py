@@ -81,6 +81,16 @@ def test_an_excursion_says_nothing_of_what_lasts() -> None:
     assert (found.lasting_s > LEAP_S).all()
 
 
+def test_many_excursions_in_a_curve_are_still_one_solution() -> None:
+    time_s = PERIOD_S * np.arange(300)
+    turned = 0.2 * np.clip(time_s - 28.0, 0.0, 8.0)
+    points = np.cumsum(PERIOD_S * np.stack([np.sin(turned), np.cos(turned)], axis=1), axis=0)
+    denied = np.isin(np.arange(300), [141, 151, 161, 171, 181])
+    points[denied] += [2.0, -1.0]
+    found = seam_doubt(points, time_s, np.full(300, STATED_M), 0.01, denied)
+    assert not found.sigma_m.any()
+
+
 def test_what_no_one_denied_a_vehicle_may_have_driven() -> None:
     aside = np.where(np.arange(200) < 100, 0.0, 3.0)
     assert not doubt_of(aside, np.zeros(200)).any()

@@ -7,7 +7,6 @@ is the right one. A wrong one may have got there bit by bit.
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -53,10 +52,21 @@ class SeamDoubt(NamedTuple):
     largest_m: float
 
 
+class _Stretch(NamedTuple):
+    """Fixes of one solution, rows from `first` to before `stop`, and for how long it was followed;
+    where it lies beside the first one (east and north), and how well that is known (variance).
+    Excursions from it lie between."""
+
+    first: int
+    stop: int
+    lasted_s: float
+    place_m: Float64
+    unsure_m2: float
+
+
 class _Solutions(NamedTuple):
-    """s stretches of fixes between leaps that lasted: the first fix of each, for how long, where it
-    lies beside the others (east and north [s, 2]), and how well that is known beside the first
-    (variance)."""
+    """s stretches that lasted: the first fix of each, for how long, where it lies beside the others
+    (east and north [s, 2]), and how well that is known beside the first (variance)."""
 
     first: Int64
     lasted_s: Float64
@@ -103,26 +113,54 @@ def _solutions(points_m: Float64, time_s: Float64, noise_m: float, denied: Bool)
     steps = steps._replace(off_m=steps.off_m + taken_m)
     torn = steps.torn & disputed[1:]
     at = np.flatnonzero(torn | _returns(steps, torn, time_s))
-    first = np.concatenate([[0], at + 1])
-    lasted_s = _lasted_s(first, time_s)
-    leapt_m = np.concatenate([[[0.0, 0.0]], steps.off_m[at]])
-    # An excursion may fade where no leap is seen: what lasts is also tied across it.
-    lasting = np.flatnonzero(lasted_s > BRIEF_S)
-    for before, after in pairwise(lasting.tolist()):
-        if after > before + 1:
-            by_leaps_m = leapt_m[before + 1 : after + 1].sum(axis=0)
-            ways = (int(first[before]), int(first[before + 1]) - 1, int(first[after]))
-            across_m = _across(points_m, time_s, *ways)
-            if np.hypot(*across_m) < np.hypot(*by_leaps_m):
-                leapt_m[after] += across_m - by_leaps_m
-    starts = first[lasting]
+    first, stop = np.concatenate([[0], at + 1]), np.append(at + 1, len(time_s))
+    place_m = np.concatenate([[[0.0, 0.0]], np.cumsum(steps.off_m[at], axis=0)])
+    unsure_m2 = np.concatenate([[0.0], np.cumsum((steps.free_m[at] / FREE_SIGMAS) ** 2)])
+    period_s = usual_period_s(np.diff(time_s))
+    found: list[_Stretch] = []
+    shift_m = np.zeros(2)
+    for k in range(len(first)):
+        lasted_s = float(time_s[stop[k] - 1] - time_s[first[k]]) + period_s
+        place = place_m[k] + shift_m
+        one = _Stretch(int(first[k]), int(stop[k]), lasted_s, place, float(unsure_m2[k]))
+        # After a leap a drive goes on elsewhere, or with what was before an excursion.
+        before = _same(found, one, points_m, time_s, BRIEF_S + period_s)
+        if before is None:
+            found.append(one)
+        else:
+            last = found[before]
+            shift_m += last.place_m - place
+            found[before:] = [
+                one._replace(
+                    first=last.first, place_m=last.place_m, lasted_s=last.lasted_s + lasted_s
+                )
+            ]
+    lasting = [one for one in found if one.lasted_s > BRIEF_S]
+    starts = np.array([one.first for one in lasting], dtype=np.int64)
     starts[:1] = 0  # what is brief belongs to what lasted before it, or after it at the beginning
     return _Solutions(
         starts,
-        lasted_s[lasting],
-        np.cumsum(leapt_m, axis=0)[lasting],
-        np.cumsum(np.concatenate([[0.0], (steps.free_m[at] / FREE_SIGMAS) ** 2]))[lasting],
+        np.array([one.lasted_s for one in lasting]),
+        np.array([one.place_m for one in lasting]).reshape(-1, 2),
+        np.array([one.unsure_m2 for one in lasting]),
     )
+
+
+def _same(
+    found: list[_Stretch], one: _Stretch, points_m: Float64, time_s: Float64, most_s: float
+) -> int | None:
+    """Which of the stretches before `one`, that ended no longer ago, is of the same solution: by
+    the leaps on the way or by the motion on both sides it lies no farther off than a vehicle and
+    noise may make."""
+    for k in reversed(range(len(found))):
+        last = found[k]
+        if time_s[one.first] - time_s[last.stop - 1] > most_s:
+            return None
+        across_m = _across(points_m, time_s, last.first, last.stop - 1, one.first)
+        off_m = min(np.hypot(*(one.place_m - last.place_m)), np.hypot(*across_m))
+        if off_m <= FREE_SIGMAS * np.sqrt(one.unsure_m2 - last.unsure_m2):
+            return k
+    return None
 
 
 def _across(points_m: Float64, time_s: Float64, begin: int, end: int, start: int) -> Float64:
