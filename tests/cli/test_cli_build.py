@@ -12,8 +12,10 @@ import socket
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.build import build_map, cluster
+from fieldgrid.build import answering, build_map, cluster
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
@@ -722,6 +724,49 @@ def test_a_scheduler_that_is_not_there_is_told_before_anything_is_done(
         said = fieldgrid("build", drive, "-o", tmp_path / "m.gpkg", "--scheduler", address)
     assert f"No Dask scheduler answers at {address} (" in said.sentence()
     assert "start one there with: dask scheduler, or check" in said.sentence()
+    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "what"),
+    [
+        (b"", "a program that says nothing"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", r"a web server \(the dashboard\?\)"),
+        (b"-ERR wrong number of arguments\r\n", "a program that says '-ERR wrong number of arg"),
+    ],
+)
+def test_another_program_at_the_address_of_the_scheduler_is_told(
+    answer: bytes,
+    what: str,
+    fieldgrid: Run,
+    make_drive: MakeDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("distributed")
+    if not answer:
+        monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+        monkeypatch.setattr(answering, "ANSWER_S", 0.3)
+    drive, taken = make_drive(), []
+
+    def serve() -> None:
+        with suppress(OSError):  # the server is closed
+            while True:
+                taken.append(server.accept()[0])
+                taken[-1].recv(1)
+                taken[-1].sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as opened:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        said = fieldgrid("build", drive, "-o", tmp_path / "m.gpkg", "--scheduler", address)
+        for one in taken:
+            opened.enter_context(one)
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
+    sentence = said.sentence()
+    assert re.search(f"At {address} answers {what}.*, no Dask scheduler; give the", sentence)
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
 

@@ -17,6 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
 
+from fieldgrid.build.answering import check_scheduler
 from fieldgrid.build.executor import DriveOrder, Event, Failed, Moved, Shared
 from fieldgrid.build.parts import Share, keep_part
 from fieldgrid.build.remote import Made, Place, packed, place_of, versions
@@ -47,7 +48,7 @@ _TICK_S = 1.0
 @contextmanager
 def connected(scheduler: str | Client) -> Iterator[Client]:
     """A client of the scheduler at an address, closed at the end of the block, or the client that
-    is given. ClusterError when no scheduler answers, ConfigError without Dask."""
+    is given. ClusterError when none or another program answers, ConfigError without Dask."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -61,6 +62,7 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
         yield scheduler
         return
     try:
+        check_scheduler(scheduler, CONNECT_S)
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="fieldgrid")
     except _NO_SCHEDULER as error:
         raise ClusterError(
