@@ -7,9 +7,11 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import zipfile
+from contextlib import closing
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -25,6 +27,7 @@ from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import open_map
 from fieldgrid.view import view_maps, write_report
+from fieldgrid.view.maps import version_of
 from tests.mapfile.maps import drive, track, write_map, write_session
 from tests.view.serving import Server, serving
 
@@ -369,3 +372,21 @@ def test_the_command_serves_until_it_is_told_to_stop(vineyard: Path) -> None:
     _, problems = started.communicate(timeout=60)
     assert "Traceback" not in problems
     assert started.returncode in (0, 130)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks belong to the file, not to the process")
+def test_looking_for_a_new_version_keeps_the_locks_of_who_reads(vineyard: Path) -> None:
+    write = (
+        "import sqlite3, sys\n"
+        "connection = sqlite3.connect(sys.argv[1], timeout=0.0)\n"
+        "connection.execute('PRAGMA locking_mode = EXCLUSIVE')\n"
+        "connection.execute('BEGIN EXCLUSIVE')\n"
+    )
+    with closing(sqlite3.connect(vineyard)) as reader:
+        rows = reader.execute("SELECT name FROM sqlite_master")
+        assert rows.fetchone() is not None  # more are to come: the lock is held
+        version_of(vineyard)
+        done = subprocess.run(
+            [sys.executable, "-c", write, str(vineyard)], capture_output=True, text=True
+        )
+    assert "database is locked" in done.stderr

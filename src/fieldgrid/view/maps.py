@@ -7,7 +7,6 @@ a millisecond, and what is dear to make is kept until the file has changed.
 from __future__ import annotations
 
 import hashlib
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -23,9 +22,6 @@ from fieldgrid.view import drives, pyramid
 from fieldgrid.view.features import read_features
 
 _Made = TypeVar("_Made")
-
-_CHANGE_COUNTER = slice(24, 28)
-"""Of an SQLite header: every commit counts it up."""
 
 _KEPT = 64
 
@@ -199,19 +195,20 @@ class ShownMap(Shown):
 
 
 def version_of(path: Path) -> str:
-    """Text that differs once a map was written to or replaced."""
+    """Text that differs once a map was written to or replaced.
+
+    The file is not opened: on POSIX, closing it would drop the locks of every SQLite connection
+    of this process to it, and another program could write to what is being read.
+    """
     try:
-        with path.open("rb") as file:
-            status = os.fstat(file.fileno())
-            header = file.read(100)
+        status = path.stat()
     except FileNotFoundError as error:
         raise MapError(
             f"{path} is no longer there; put it back or build it again, then load the page again."
         ) from error
     except OSError as error:
         raise MapError(f"{path} cannot be read: {error.strerror}; check it.") from error
-    counter = header[_CHANGE_COUNTER].hex()
-    seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns} {counter}"
+    seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns}"
     return hashlib.sha256(seen.encode()).hexdigest()[:16]
 
 
