@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from fieldgrid.live import Live
     from fieldgrid.mapfile import Mark, MarkKind, merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
-    from fieldgrid.recording import DriveOptions, open_drive, open_recording
+    from fieldgrid.recording import DriveOptions, PoseBody, open_drive, open_recording
     from fieldgrid.route import Route, Vehicle, plan_route, read_vehicle
     from fieldgrid.rows import Crop, Planting, find_rows
     from fieldgrid.settings import BuildSettings
@@ -61,6 +61,7 @@ _HOMES = {
     "MarkKind": "mapfile",
     "Planting": "rows",
     "Pose": "trajectory",
+    "PoseBody": "recording",
     "Route": "route",
     "Selection": "export",
     "Tracks": "coverage",
@@ -112,6 +113,7 @@ __all__ = [
     "MarkKind",
     "Planting",
     "Pose",
+    "PoseBody",
     "Route",
     "Selection",
     "Tracks",

@@ -17,7 +17,7 @@ import pytest
 from fieldgrid.mapfile import open_map
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import make_small_drive
-from tests.live.making import cut_log
+from tests.live.making import cut_log, slam
 from tests.live.sources import drop, empty_copy, rows_of
 
 
@@ -41,6 +41,20 @@ def test_a_replay_tells_what_it_kept_and_makes_the_map(
     sentence = fieldgrid("live", "-o", out, "--replay", drive).sentence()
     assert "exists already" in sentence
     assert "--append" in sentence
+
+
+def test_a_replay_takes_poses_of_another_program(
+    drive: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    tum, out = slam(drive, tmp_path / "slam.tum"), tmp_path / "m.gpkg"
+    live = ("live", "-o", out, "--replay", drive, "--rate", "max", "--poses", tum)
+    result = fieldgrid(*live)
+    assert result.status == 0
+    assert "axes flu, frame z up" in result.out
+    with open_map(out) as universal:
+        assert universal.sessions()[0].config["poses"] == "slam.tum"
+    turned = fieldgrid(*live[:2], tmp_path / "n.gpkg", *live[3:], "--poses-axes", "rdf")
+    assert "--poses-axes" in turned.sentence()
 
 
 @pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGINT])
@@ -169,6 +183,11 @@ def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> N
     assert "one of --images" in fieldgrid(*live, *images, "--camera", "0", *gnss).usage()
     for idle in (("--rate", "2"), ("--topic", "left=/a"), ("--rig", drive), ("--camera-fps", "3")):
         assert "does not take it" in fieldgrid(*live, *images, *gnss, *idle).usage()
+    slam = ("--poses", "slam.tum")
+    assert "does not take it" in fieldgrid(*live, *images, *gnss, *slam).usage()
+    assert "does not take it" in fieldgrid(*live, "--mcap", "-", *slam).usage()
+    axes = ("--mcap", "-", "--rig", drive, "--poses-axes", "rdf")
+    assert "--poses-topic" in fieldgrid(*live, *axes).usage()
     assert "--rig" in fieldgrid(*live, "--camera", "0", *gnss).usage()
     assert "--rig" in fieldgrid(*live, "--mcap", "-").usage()
     assert "--camera-fps" in fieldgrid(*live, "--mcap", "-", "--camera-fps", "3").usage()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -15,38 +18,54 @@ from fieldgrid.build import build_map
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import LiveOptions, McapStream, Sources, live_folder
-from fieldgrid.recording import open_recording
+from fieldgrid.live.mcap_stream import PoseTopic
+from fieldgrid.mapfile import open_map
+from fieldgrid.recording import DriveOptions, PoseBody, open_recording
 from fieldgrid.recording.growing import open_growing
+from fieldgrid.recording.pose_files import read_pose_file
+from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.recording.stored import PairKind
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
-from tests.live.making import begin
+from tests.live.making import begin, slam
 from tests.live.sources import QUICK, Heard, running
+from tests.recording.bags import Maker
+
+Written = tuple[int, str, str, str, bytes, bytes]
+"""When a message was written, its topic, encoding, type with its definition, and its data."""
+
+
+def write_as_it_comes(path: Path, messages: Iterable[Written]) -> Path:
+    """An MCAP without chunks."""
+    with path.open("wb") as to:
+        writer = Writer(to, use_chunking=False)
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for time_ns, topic, encoding, type_, definition, data in messages:
+            if topic not in channels:
+                number = writer.register_schema(type_, "ros2msg", definition)
+                channels[topic] = writer.register_channel(topic, encoding, number)
+            writer.add_message(channels[topic], time_ns, data, time_ns)
+        writer.finish()
+    return path
+
+
+def messages_of(path: Path) -> Iterator[Written]:
+    """The messages of an MCAP, without remarks on fixes, whose topic comes after them."""
+    with path.open("rb") as source:
+        for schema, channel, message in make_reader(source).iter_messages(log_time_order=True):
+            assert schema is not None
+            if not channel.topic.endswith("/details"):
+                about = channel.topic, channel.message_encoding, schema.name, schema.data
+                yield (message.log_time, *about, message.data)
 
 
 @pytest.fixture(scope="module")
 def recorded(short_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The short drive as an MCAP that is written as it comes: not in chunks, and without remarks on
-    fixes, whose topic comes after them."""
+    """The short drive as an MCAP that is written as it comes."""
     folder = tmp_path_factory.mktemp("mcap")
     convert_recording(short_drive, folder / "all.mcap")
-    with (folder / "all.mcap").open("rb") as source, (folder / "drive.mcap").open("wb") as to:
-        writer = Writer(to, use_chunking=False)
-        writer.start(profile="ros2")
-        channels: dict[str, int] = {}
-        for schema, channel, message in make_reader(source).iter_messages(log_time_order=True):
-            assert schema is not None
-            if channel.topic.endswith("/details"):
-                continue
-            if channel.topic not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(
-                    channel.topic, channel.message_encoding, number
-                )
-            times = message.log_time, message.publish_time
-            writer.add_message(channels[channel.topic], times[0], message.data, times[1])
-        writer.finish()
-    return folder / "drive.mcap"
+    return write_as_it_comes(folder / "drive.mcap", messages_of(folder / "all.mcap"))
 
 
 @pytest.fixture
@@ -56,10 +75,10 @@ def pipe(tmp_path: Path) -> Path:
     return path
 
 
-def stream(drive: Path, pipe: Path, **topics: str) -> McapStream:
+def stream(drive: Path, pipe: Path, poses: PoseTopic | None = None, **topics: str) -> McapStream:
     kind = open_growing(drive).kind
     assert isinstance(kind, PairKind)
-    return McapStream(str(pipe), kind, topics)
+    return McapStream(str(pipe), kind, topics, poses=poses)
 
 
 def write(pipe: Path, data: bytes) -> threading.Thread:
@@ -89,6 +108,94 @@ def test_the_map_out_of_a_pipe_is_that_of_a_build(
     for kind in theirs:
         if kind != "fieldgrid_session":  # which says where its data come from
             assert ours[kind] == theirs[kind], kind
+
+
+def poses_said(tum: Path, kind: str) -> Iterator[Written]:
+    """The poses of a file as messages."""
+    ros, unknown = Maker("mcap"), np.zeros(36)
+    type_ = f"{'nav' if kind == 'Odometry' else 'geometry'}_msgs/msg/{kind}"
+    text, _ = ros.store.generate_msgdef(type_, ros_version=2)
+    poses = read_pose_file(tum)
+    assert poses.time_ns is not None
+    rows = np.loadtxt(tum)[:, 1:].tolist()
+    for time_ns, (x, y, z, *turned) in zip(poses.time_ns.tolist(), rows, strict=True):
+        header = ros.header(time_ns, "map")
+        place = ros.of("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        pose = ros.of("geometry_msgs/msg/Pose", position=place, orientation=ros.quaternion(*turned))
+        fields = {"header": header, "pose": pose}
+        if kind == "Odometry":
+            fields = {**vars(ros.odometry(time_ns, 0.5)), "header": header}
+            fields.pop("__msgtype__", None)
+            fields["pose"] = ros.of(
+                "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=unknown
+            )
+        data = bytes(ros.store.serialize_cdr(ros.of(type_, **fields), type_))
+        yield time_ns, "/slam", "cdr", type_, text.encode(), data
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "Odometry"])
+def test_poses_out_of_a_pipe_make_the_map_of_a_build(
+    kind: str, short_drive: Path, recorded: Path, pipe: Path, tmp_path: Path
+) -> None:
+    tum = slam(short_drive, tmp_path / "slam.tum")
+    both = sorted([*messages_of(recorded), *poses_said(tum, kind)], key=itemgetter(0))
+    drive = write_as_it_comes(tmp_path / "drive.mcap", both)
+    out, heard = tmp_path / "m.gpkg", Heard()
+    options = DriveOptions(poses=PoseSource(topic="/slam"))
+    build_map([drive], tmp_path / "built.gpkg", BuildSettings(), options)
+    poses = sum(one[1] == "/slam" for one in both)
+    with open_recording(drive) as recording:
+        fixes, about = len(recording.fixes()), {"poses": PoseBody("/slam")}
+        many = LiveOptions(queue_frames=6)
+        live = begin(recording, out, on_result=heard, options=many, **about)
+        with Sources(live, (stream(short_drive, pipe, PoseTopic("/slam")),), QUICK):
+            write(pipe, drive.read_bytes())
+            heard.wait(
+                lambda: (
+                    live.counts.frames == 6
+                    and live.counts.fixes == fixes
+                    and live.counts.rows.get("poses") == poses
+                )
+            )
+        live.finish()
+    ours, theirs = content(out), content(tmp_path / "built.gpkg")
+    for table in theirs:
+        if table != "fieldgrid_session":
+            assert ours[table] == theirs[table], table
+    with open_map(out) as one, open_map(tmp_path / "built.gpkg") as other:
+        assert one.sessions()[0].config["poses"] == "/slam"
+        inputs = [universal.session_inputs("drive") for universal in (one, other)]
+        assert inputs[0].keys() == inputs[1].keys()
+        for name in inputs[0]:
+            np.testing.assert_array_equal(inputs[0][name], inputs[1][name])
+
+
+def test_poses_that_cannot_be_are_told_once_and_left_out(
+    short_drive: Path, recorded: Path, pipe: Path, tmp_path: Path
+) -> None:
+    text, out, heard = "geometry_msgs/msg/PoseStamped", tmp_path / "m.gpkg", Heard()
+    said = list(poses_said(slam(short_drive, tmp_path / "slam.tum"), "PoseStamped"))
+    ros = Maker("mcap")
+    lost = ros.store.deserialize_cdr(said[1][-1], text)
+    lost.pose.orientation.w = 0.0
+    said[1] = (*said[1][:-1], bytes(ros.store.serialize_cdr(lost, text)))
+    said[2] = (*said[2][:-1], said[1][-1])
+    # A path is written anew with each pose: none is read while driving.
+    path = ros.store.generate_msgdef("nav_msgs/msg/Path", ros_version=2)[0].encode()
+    bag = write_as_it_comes(tmp_path / "some.mcap", said)
+    with open_recording(recorded) as recording:
+        live = begin(recording, out, on_result=heard, poses=PoseBody())
+        source = stream(short_drive, pipe, PoseTopic("/slam"))
+        with Sources(live, (source,), QUICK):
+            write(pipe, bag.read_bytes())
+            heard.wait(lambda: live.counts.rows.get("poses") == len(said) - 2)
+        live.stop()
+        (told,) = (one for one in heard.texts("input") if "length 1" in one)
+        assert "has messages on /slam that are left out" in told
+        with running(stream(short_drive, pipe, PoseTopic("/path"))) as notes:
+            one = (*said[0][:1], "/path", "cdr", "nav_msgs/msg/Path", path, b"")
+            write(pipe, write_as_it_comes(tmp_path / "path.mcap", [one]).read_bytes())
+            notes.wait_told("of which no poses are read")
 
 
 def test_what_is_no_mcap_is_told_and_what_follows_is_read(

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +19,7 @@ from fieldgrid.cli.build import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources
+from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.settings import Overrides
 
@@ -103,6 +105,7 @@ def command(
     ] = None,
     datum: options.DatumText = None,
     drive: Annotated[DriveFlags, FieldsOf(DriveFlags, gnss=GNSS)],
+    poses: Poses,
     settings: Annotated[Overrides, SettingsFlags()],
     config: options.Config = None,
     as_json: Annotated[
@@ -150,19 +153,20 @@ def command(
     if not any(driving):
         flags = set(SettingsFlags("pose", "checks").names())
         if finish_from is not None:
-            flags |= set(DriveFlags._fields)
+            flags |= {*DriveFlags._fields, *PoseFlags._fields}
         why = "the drive is over, and this cannot be changed any more; leave it out"
         options.refuse_given(ctx, _AT_THE_END | flags, why)
-        _report(_finished(out, finish_from, drive, settings), None, out, as_json=as_json)
+        _report(_finished(out, finish_from, drive, poses, settings), None, out, as_json=as_json)
         return
     _refuse_idle(ctx, sources, replay)
     with ExitStack() as stack:
         if replay is None:
-            driven = of_sources(sources, drive)
+            driven = of_sources(sources, drive, poses)
         else:
             from fieldgrid.recording import open_drive
 
-            opened = stack.enter_context(open_drive(replay, drive.options()))
+            opening = replace(drive.options(), poses=poses.source())
+            opened = stack.enter_context(open_drive(replay, opening))
             driven = of_recording(opened.recording(), _rate(rate))
         report, counts = _drive(
             *(driven, out, append, name, datum, sources, settings, config), as_json=as_json
@@ -176,6 +180,8 @@ def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) 
     idle = {"rate"} if replay is None else {"gnss_log"}
     idle |= {"topic"} if replay is None and sources.mcap is None else set()
     idle |= {"camera_fps"} if sources.camera is None else set()
+    idle |= set(PoseFlags._fields) if replay is None and sources.mcap is None else set()
+    idle |= {"poses", "poses_times"} if sources.mcap is not None else set()
     idle |= {"rig"} if sources.camera is None and sources.mcap is None else set()
     options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
 
@@ -232,6 +238,7 @@ def _drive(
             source=driven.source,
             source_sha256=driven.source_sha256,
             notes=driven.notes,
+            poses=driven.poses,
             on_result=watch.take,
         )
         watch.live = live
@@ -356,14 +363,15 @@ def _status(window: LiveWindow | None, counts: Counts) -> str:
 
 
 def _finished(
-    out: Path, recording: Path | None, drive: DriveFlags, settings: Overrides
+    out: Path, recording: Path | None, drive: DriveFlags, poses: PoseFlags, settings: Overrides
 ) -> SessionReport:
     from fieldgrid.live import finish_from, finish_session
 
     if recording is None:
         return finish_session(out, settings)
     with progress.building(out, 0.0) as tell:
-        return finish_from(out, recording, drive.options(), settings, progress=tell.show)
+        opening = replace(drive.options(), poses=poses.source())
+        return finish_from(out, recording, opening, settings, progress=tell.show)
 
 
 def _discard(out: Path) -> None:

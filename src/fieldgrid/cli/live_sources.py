@@ -13,9 +13,10 @@ from fieldgrid.cli.drive_options import DriveFlags
 if TYPE_CHECKING:
     import threading
 
+    from fieldgrid.cli.pose_flags import PoseFlags
     from fieldgrid.geodesy import Datum
     from fieldgrid.live import Live
-    from fieldgrid.recording import Recording
+    from fieldgrid.recording import PoseBody, Recording
     from fieldgrid.recording.growing import GrowingFolder
     from fieldgrid.recording.stored import PairKind
     from fieldgrid.rig import Rig
@@ -133,6 +134,7 @@ class Driven(NamedTuple):
     source: str
     source_sha256: str
     notes: tuple[str, ...]
+    poses: PoseBody | None
     run: Callable[[Live, threading.Event], bool]
 
 
@@ -147,11 +149,12 @@ def of_recording(found: Recording, rate: float | None) -> Driven:
         found.gnss_source,
         found.gnss_sha256(),
         (*found.losses, *found.notes),
+        found.pose_body,
         lambda live, stop: replay(live, found, rate=rate, stop=stop),
     )
 
 
-def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
+def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Driven:
     """A receiver and a folder or a camera; a usage error where one of them is not said."""
     from fieldgrid.live import (
         ImageFolder,
@@ -162,22 +165,40 @@ def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
         parse_devices,
     )
     from fieldgrid.live.intake import Source
+    from fieldgrid.live.mcap_stream import PoseTopic
+    from fieldgrid.recording import PoseBody
     from fieldgrid.recording.folder import mounting_path
+    from fieldgrid.recording.given_poses import CAMERA_AXES
     from fieldgrid.recording.growing import open_growing
+    from fieldgrid.recording.motion_files import AXES
 
     if flags.mcap is None and drive.gnss is None:
         raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
     receiver = None if drive.gnss is None else Receiver(drive.gnss, flags.gnss_log)
     images: Source
+    body, pose_topic = None, None
     if flags.mcap is not None:
         folder, kind = _camera_rig(flags, drive)
         mounting = drive.options().find_mounting(mounting_path(folder.path), folder.path)
+        said = poses.source()
+        if said is not None:
+            if said.topic is None:
+                raise typer.BadParameter(
+                    "say which topic of the MCAP has the poses", param_hint="--poses-topic"
+                )
+            axes = said.axes or AXES
+            body = PoseBody(said.topic, axes, said.point_flu_m)
+            offset_ns = said.offset_ns
+            if offset_ns is None:  # those of a camera have the stamps of its images
+                offset_ns = folder.rig.image_time_offset_ns if axes == CAMERA_AXES else 0
+            pose_topic = PoseTopic(said.topic, offset_ns)
         images = McapStream(
             flags.mcap,
             kind,
             drive.options().topics,
             imu_axes=mounting.imu_axes,
             takes_fixes=receiver is None,
+            poses=pose_topic,
         )
     elif flags.camera is None:
         assert flags.images is not None
@@ -196,7 +217,8 @@ def of_sources(flags: SourceFlags, drive: DriveFlags) -> Driven:
                 pass
         return not stop.is_set()
 
-    return Driven(folder.rig, folder.name, folder.datum_hint, source, "", folder.notes, run)
+    about = folder.rig, folder.name, folder.datum_hint, source, "", folder.notes
+    return Driven(*about, body, run)
 
 
 def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, PairKind]:

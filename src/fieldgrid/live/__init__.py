@@ -8,12 +8,13 @@ from fieldgrid.live.finish import discard_session, finish_from, finish_session
 from fieldgrid.live.images import ImageFolder
 from fieldgrid.live.intake import Pauses, Sources
 from fieldgrid.live.kept import live_folder
-from fieldgrid.live.live import Counts, Live
+from fieldgrid.live.live import Live
 from fieldgrid.live.mcap_stream import McapStream
 from fieldgrid.live.posing import LiveOptions
 from fieldgrid.live.receiver import Receiver, ReceiverStream
 from fieldgrid.live.replay import replay
 from fieldgrid.live.results import (
+    Counts,
     Doubt,
     LiveEvent,
     LiveGrid,

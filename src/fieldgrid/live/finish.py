@@ -88,6 +88,11 @@ def finish_from(
         about = kept.drive.about
         with open_drive(recording, options) as drive:
             found = drive.recording()
+            if about.poses is not None and not found.pose_name:
+                raise ConfigError(
+                    f"The session {about.name!r} was driven by poses of {about.poses.name}; say "
+                    "with --poses or --poses-topic where they are recorded."
+                )
             times_ns = found.frame_times_ns() + found.rig.image_time_offset_ns
             for entry in kept.staged().entries:
                 if entry.time_ns not in times_ns:
@@ -121,12 +126,12 @@ def discard_session(out: str | Path) -> tuple[str, int]:
 def finish(kept: Kept, overrides: Overrides, patience: Patience | None = None) -> SessionReport:
     """The same of a folder that is open."""
     started = time.perf_counter()
-    recording, about = kept.recording(), kept.drive.about
+    about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
     try:
         if not kept.staged().entries:
             raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
-        report = _placed(kept, recording, settings, patience or Patience())
+        report = _placed(kept, kept.recording(), settings, patience or Patience())
     except FieldgridError as error:
         sentence = str(error).removesuffix(".")
         raise type(error)(
@@ -148,15 +153,16 @@ def _placed(
         session.report.frames = len(staged.entries)
         return session.report
     check_target(out, about)
-    if tells_attitude(recording.motion()):
-        session.report.notes += (NOT_LEVELLED,)
     datum = about.datum
     if about.append and datum is None:
         with open_map(out) as existing:
             datum = existing.datum
-    trajectory = estimate_drive(recording, settings, datum, level_grids=False).trajectory
+    estimate = estimate_drive(recording, settings, datum, level_grids=False)
+    trajectory = estimate.trajectory
+    if estimate.report.attitude is not None and tells_attitude(recording.motion()):
+        session.report.notes += (NOT_LEVELLED,)
     check_images(recording, trajectory)
-    if not follows_camera(recording.rig, settings):
+    if recording.pose_name or not follows_camera(recording.rig, settings):
         check_poses(recording, trajectory)
     datum = datum or trajectory.datum
     chosen = settings.map

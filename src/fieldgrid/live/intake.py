@@ -85,6 +85,12 @@ class Intake:
         """Take rows of a sensor that came just now."""
         self._live.push_rows(part, rows)
 
+    def push_pose(
+        self, time_ns: int, position_m: list[float], quaternion_xyzw: list[float]
+    ) -> None:
+        """Take a pose that came just now. ConfigError for one that cannot be taken."""
+        self._live.push_pose(time_ns, position_m, quaternion_xyzw)
+
     def _compare(self, problem: str) -> None:
         if problem:
             self._live.tell(What.INPUT, problem)

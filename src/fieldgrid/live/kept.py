@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
+from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal, read_journal
 from fieldgrid.live.sensed import (
     Rows,
@@ -40,6 +41,8 @@ from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile
 from fieldgrid.odometry import Refusal
 from fieldgrid.publish import holding, replacing
 from fieldgrid.recording import FixLog, Frame, Image, ImageFile, Recording, StereoFrame
+from fieldgrid.recording.given_poses import with_body_poses
+from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
@@ -63,6 +66,8 @@ class About:
     source_sha256: str = ""
     notes: tuple[str, ...] = ()
     """Remarks on where the data come from, for the report."""
+    poses: PoseBody | None = None
+    """Whose poses are pushed, None where they are estimated."""
 
     def to_json(self) -> dict[str, Any]:
         """As a value that JSON has."""
@@ -76,6 +81,7 @@ class About:
             "source": self.source,
             "source_sha256": self.source_sha256,
             "notes": list(self.notes),
+            "poses": None if self.poses is None else list(astuple(self.poses)),
         }
 
     def goes_on(self, earlier: About) -> bool:
@@ -98,7 +104,16 @@ class About:
             value["source"],
             value["source_sha256"],
             tuple(value["notes"]),
+            _body_from_json(value.get("poses")),
         )
+
+
+def _body_from_json(value: list[Any] | None) -> PoseBody | None:
+    """None, too, of a session that was begun before there were any."""
+    if value is None:
+        return None
+    name, axes, point = value
+    return PoseBody(name, axes, None if point is None else tuple(point))
 
 
 def _datum_to_json(datum: Datum | None) -> list[float] | None:
@@ -295,7 +310,8 @@ class Kept(Closing):
         )
 
     def recording(self) -> Recording:
-        """The drive as a recording, with the pairs that were kept for its frames."""
+        """The drive as a recording, with the pairs that were kept for its frames. RecordingError
+        where poses were to be pushed that cannot be used."""
         drive = self._read()
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
@@ -304,7 +320,7 @@ class Kept(Closing):
         notes = about.notes
         if drive.dropped:
             notes += (f"{drive.dropped} frames were dropped while it was driven.",)
-        return Recording(
+        recording = Recording(
             path=self.folder,
             name=about.name,
             kind="live session",
@@ -316,6 +332,10 @@ class Kept(Closing):
             notes=notes,
             source=_Pairs(self.folder, times_ns),
         )
+        if about.poses is None:
+            return recording
+        given = body_poses(about.poses, drive.parts.get(GIVEN_ROWS) or [NO_POSES])
+        return with_body_poses(recording, given, about.poses).recording()
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""

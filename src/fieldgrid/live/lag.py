@@ -13,16 +13,19 @@ from fieldgrid.build import cell_budget
 from fieldgrid.errors import FieldgridError, GnssError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
+from fieldgrid.live.given import GIVEN_ROWS, given_motion
 from fieldgrid.live.sensed import Rows, motion_of
 from fieldgrid.motion import Motion
 from fieldgrid.odometry import Refusal, Step, steps_of
 from fieldgrid.pose import Budget, Estimate, estimate_poses
+from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, PoseSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
-KEPT_S = 60.0
-"""What is older than this before the newest is forgotten, however silent the receiver is."""
+KEPT_S, GIVEN_KEPT_S = 60.0, 180.0
+"""What is older than this before the newest is forgotten, however silent the receiver is; with
+poses of another program, which only a way tells the turn of their frame."""
 
 BEFORE_NS = 5_000_000_000
 """How long before a frame that waits for its pose an estimate begins."""
@@ -44,6 +47,8 @@ class Asked(NamedTuple):
     motion: Motion
     budget: Budget
     frame_ns: Int64
+    known_ns: int
+    """The time of the newest fix; where none is needed, of the newest pose that was given."""
 
     def estimate(self) -> Estimate:
         """The poses. GnssError where there are none, which says why."""
@@ -63,16 +68,23 @@ class Trailing:
     """What the sensors said in the last seconds, and the poses that follow from it.
 
     Not safe to call from several threads. `window_s` is how much of the drive before the newest
-    fix goes into an estimate.
+    fix goes into an estimate; poses of another program, of the `body`, are laid along all that is
+    kept.
     """
 
     def __init__(
-        self, rig: Rig, settings: BuildSettings, datum: Datum | None, window_s: float
+        self,
+        rig: Rig,
+        settings: BuildSettings,
+        datum: Datum | None,
+        window_s: float,
+        body: PoseBody | None = None,
     ) -> None:
-        self._rig, self._settings = rig, settings
+        self._rig, self._settings, self._body = rig, settings, body
         self._budget = cell_budget(rig, settings)
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
+        self._kept_ns = round((KEPT_S if body is None else GIVEN_KEPT_S) * 1e9)
         self._fixes: deque[Fix] = deque()
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, Step | None]] = deque()
@@ -97,7 +109,7 @@ class Trailing:
         return ""
 
     def add_rows(self, part: str, rows: Rows) -> None:
-        """Rows of gyro, wheels, IMU or tilt, in any order."""
+        """Rows of gyro, wheels, IMU or tilt, or of poses, in any order."""
         if len(rows.time_ns):
             self._parts.setdefault(part, deque()).append(rows)
             self._seen(int(rows.time_ns.max()))
@@ -109,7 +121,7 @@ class Trailing:
 
     def _seen(self, time_ns: int) -> None:
         self.newest_ns = max(self.newest_ns, time_ns)
-        oldest_ns = self.newest_ns - round(KEPT_S * 1e9)
+        oldest_ns = self.newest_ns - self._kept_ns
         while self._fixes and self._fixes[0].time_ns < oldest_ns:
             self._fixes.popleft()
         while self._frames and self._frames[0][0] < oldest_ns:
@@ -127,14 +139,13 @@ class Trailing:
 
     def asked(self, oldest_ns: int) -> Asked:
         """What such an estimate is made of. GnssError where there is too little."""
-        if self._last_fix_ns is None:
-            raise GnssError("There is no fix yet; wait for the receiver.")
-        since_ns = min(self._last_fix_ns - self._window_ns, oldest_ns - BEFORE_NS)
+        known_ns = self._known_ns()
+        since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
+        if self._body is not None:
+            since_ns = self.newest_ns - self._kept_ns
         fixes = [fix for fix in self._fixes if fix.time_ns >= since_ns]
-        if len(self._fixes) < FEWEST_FIXES:
-            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
-        if len(fixes) < FEWEST_FIXES:
-            silent_s = (self.newest_ns - self._last_fix_ns) / 1e9
+        if self._needs_fixes and len(fixes) < FEWEST_FIXES:
+            silent_s = (self.newest_ns - known_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
         return Asked(
             FixColumns.of_rows(fixes),
@@ -144,7 +155,26 @@ class Trailing:
             self._motion(since_ns),
             self._budget,
             np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
+            known_ns,
         )
+
+    @property
+    def _needs_fixes(self) -> bool:
+        """Whether nothing but fixes tells where the vehicle is."""
+        return self._body is None or self._settings.pose.frame_origin is None
+
+    def _known_ns(self) -> int:
+        """Until when something tells where the vehicle is. GnssError where that is too little."""
+        if not self._needs_fixes:
+            chunks = self._parts.get(GIVEN_ROWS)
+            if not chunks:
+                raise GnssError("There is no pose yet; wait for the program that makes them.")
+            return max(int(rows.time_ns.max()) for rows in chunks)
+        if self._last_fix_ns is None:
+            raise GnssError("There is no fix yet; wait for the receiver.")
+        if len(self._fixes) < FEWEST_FIXES:
+            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
+        return self._last_fix_ns
 
     def _motion(self, since_ns: int) -> Motion:
         parts = {
@@ -152,6 +182,13 @@ class Trailing:
             for part, chunks in self._parts.items()
         }
         motion = motion_of(parts)
+        if self._body is not None:
+            if not parts.get(GIVEN_ROWS):
+                raise GnssError("There is no pose yet; wait for the program that makes them.")
+            given = given_motion(
+                *(self._body, parts[GIVEN_ROWS], self._rig), has_tilt=motion.tilt is not None
+            )
+            return motion._replace(poses=given.poses, tilt=motion.tilt or given.tilt)
         frames = [frame for frame in self._frames if frame[0] >= since_ns]
         steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]
         if any(isinstance(step, Step) for step in steps):

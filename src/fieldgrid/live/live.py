@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +18,18 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.finish import check_target, finish
+from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
 from fieldgrid.live.kept import About, Kept
-from fieldgrid.live.lag import KEPT_S
+from fieldgrid.live.lag import GIVEN_KEPT_S
 from fieldgrid.live.perceiving import Perceiver, Seen
 from fieldgrid.live.posing import LiveOptions, Poser
 from fieldgrid.live.pushed import Pushed, warm_up
-from fieldgrid.live.results import Deliverer, LiveEvent, LiveResult, Outbox, What
+from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensed import Rows, rows_of
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
+from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, Overrides
 
@@ -38,19 +40,6 @@ CLIENT_S = 2.0
 """So long a client that does not take its results is waited for at the end."""
 
 
-class Counts(NamedTuple):
-    """What has been pushed in all, also before a restart; `frames` are those that are kept."""
-
-    frames: int
-    dropped: int
-    late: int
-    bad: int
-    fixes: int
-    rows: dict[str, int]
-    missed_results: int
-    callback_errors: int
-
-
 class Live(Closing):
     """A live session for a map: push what sensors say, take grids, poses and the window around.
 
@@ -59,6 +48,9 @@ class Live(Closing):
     killed goes on with the same session when it opens it again. When an error that is none of
     Ctrl-C and SIGTERM ends the block, the drive is kept and not placed: `finish_session` does it
     later.
+
+    With `poses` the vehicle's poses are those of another program (`push_pose`), as those of
+    `build --poses` are; they say what body they are of. The camera's steps are not worked out then.
 
     Results are given to `on_result` in a thread of its own, or taken with `results`; the oldest
     give way when nobody takes them, and what a callback raises or how long it takes changes nothing
@@ -80,14 +72,18 @@ class Live(Closing):
         source: str = "live",
         source_sha256: str = "",
         notes: tuple[str, ...] = (),
+        poses: PoseBody | None = None,
         options: LiveOptions | None = None,
         on_result: Callable[[LiveResult], None] | None = None,
     ) -> None:
         settings, options = settings or BuildSettings(), options or LiveOptions()
-        about = About(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes)
+        about = About(
+            *(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes),
+            None if poses is None else check_body(poses),
+        )
         gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
         check_target(Path(map_path), about)
-        odometry = follows_camera(rig, settings)
+        odometry = follows_camera(rig, settings) and poses is None
         warm_up(gridder, odometry=odometry)
         warm_up_poses(rig, settings)
         self.name, self.rig, self._settings = name, rig, settings
@@ -107,7 +103,10 @@ class Live(Closing):
             self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1][0]].time_ns
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
-        self._poser = Poser(rig, settings, datum or datum_hint, options, self._tell)
+        given = drive.parts.get(GIVEN_ROWS, ())
+        self._newest_pose_ns = max((int(rows.time_ns.max()) for rows in given), default=0)
+        self._most_late_ns = round(options.lag_s * 1e9)
+        self._poser = Poser(rig, settings, datum or datum_hint, options, self._tell, poses)
         self._go_on()
         self._perceiver = Perceiver(
             self._kept,
@@ -131,7 +130,7 @@ class Live(Closing):
         text = f"The session {self.name!r} goes on: {len(drive.frames)} frames are kept."
         newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
         self._tell(LiveEvent(What.SESSION, text, newest_ns))
-        since_ns = newest_ns - round(KEPT_S * 1e9)
+        since_ns = newest_ns - round(GIVEN_KEPT_S * 1e9)
         for fix in drive.fixes:
             if fix.time_ns >= since_ns:
                 self._poser.put(fix)
@@ -262,6 +261,19 @@ class Live(Closing):
         """Roll and pitch that something states, with their error, as `motion.RecordedTilt`."""
         self.push_rows("tilt", rows_of("tilt", time_ns, roll_deg, pitch_deg, sigma_deg))
 
+    def push_pose(
+        self, time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
+    ) -> None:
+        """Poses that another program made, of the body that the session was begun with (`poses`),
+        in a frame of their own: positions [3] or [n, 3] in metres, and unit quaternions x, y, z, w
+        [4] or [n, 4] from the body's axes to the frame's. `time_ns` is by the receiver's clock.
+
+        They may come in any order within the lag (`LiveOptions.lag_s`). ConfigError, and none of
+        them taken, for one that comes later, that is not finite, or whose quaternion has not the
+        length 1.
+        """
+        self.push_rows(GIVEN_ROWS, pose_rows(time_ns, position_m, quaternion_xyzw))
+
     def results(self, timeout_s: float | None = None) -> Iterator[LiveResult]:
         """The results as they come, until the session ends or nothing comes for so long. Not beside
         a callback."""
@@ -335,14 +347,24 @@ class Live(Closing):
         self._poser.put(seen)
 
     def push_rows(self, part: str, rows: Rows) -> None:
-        """Rows of a part of the motion (`live.sensed.PARTS`), in any order."""
+        """Rows of a part of the motion (`live.sensed.PARTS`), in any order, or of poses."""
         self._check_open()
         if not len(rows.time_ns):
             return
         with self._lock:
+            if part == GIVEN_ROWS:
+                self._check_poses(rows)
             self._rows[part] = self._rows.get(part, 0) + len(rows.time_ns)
             self._note_disk(self._kept.add_rows(part, rows), int(rows.time_ns[-1]))
         self._poser.put((part, rows))
+
+    def _check_poses(self, rows: Rows) -> None:
+        if self._kept.drive.about.poses is None:
+            raise ConfigError(
+                "The session was begun without poses of another program; say what body they are "
+                "of when it begins: Live(..., poses=PoseBody())."
+            )
+        self._newest_pose_ns = check_order(rows, self._newest_pose_ns, self._most_late_ns)
 
     def _note_disk(self, taken: bool, time_ns: int) -> None:
         if taken == self._is_full:

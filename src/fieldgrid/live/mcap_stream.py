@@ -22,6 +22,7 @@ from fieldgrid.live.sensed import rows_of
 from fieldgrid.recording.bag.frames import PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
 from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
+from fieldgrid.recording.bag.topics import ODOMETRY
 from fieldgrid.recording.motion_files import AXES, directions
 from fieldgrid.recording.stored import PairKind
 from fieldgrid.ros import Message, decode
@@ -39,8 +40,9 @@ _BY_TYPE = {
     "sensor_msgs/msg/NavSatFix": "fix",
     "nmea_msgs/msg/Sentence": "nmea",
     "sensor_msgs/msg/Imu": "imu",
-    "nav_msgs/msg/Odometry": "odometry",
+    ODOMETRY: "odometry",
 }
+_POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
 ROLES = ("left", "right", *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
 _SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
@@ -76,9 +78,19 @@ class _Bytes:
         return taken
 
 
+class PoseTopic(NamedTuple):
+    """The topic of a stream that has poses of another program, and what is added to their times."""
+
+    name: str
+    offset_ns: int = 0
+
+
 class _Channel(NamedTuple):
+    """A topic and what it is for; an Odometry may be wheels and `is_pose`, too."""
+
     connection: Connection
     role: str
+    is_pose: bool
 
 
 class McapStream:
@@ -86,8 +98,8 @@ class McapStream:
     whose calibration is known: `kind` says of what they are.
 
     `topics` are those of roles (`ROLES`) that are not to be told by type and name, `imu_axes` how
-    an IMU sits. Without `takes_fixes` they are left to a receiver. ConfigError for another address
-    or role.
+    an IMU sits. Without `takes_fixes` they are left to a receiver. `poses` is the topic of those of
+    another program. ConfigError for another address or role.
     """
 
     def __init__(
@@ -98,6 +110,7 @@ class McapStream:
         *,
         imu_axes: str = AXES,
         takes_fixes: bool = True,
+        poses: PoseTopic | None = None,
     ) -> None:
         self._address = parse_address(address)
         if self._address.kind not in ("stdin", "fifo", "tcp"):
@@ -111,7 +124,7 @@ class McapStream:
                     f"No topic of a stream is {role!r}; give one of {', '.join(ROLES)}."
                 )
         self._kind, self._upward = kind, np.array(directions(imu_axes), dtype=np.float64).T[2]
-        self._takes_fixes = takes_fixes
+        self._takes_fixes, self._poses = takes_fixes, poses
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
@@ -160,12 +173,15 @@ class McapStream:
                 schemas[record.id] = record
             elif isinstance(record, Channel) and record.id not in channels:
                 connection = _connection(record, schemas.get(record.schema_id))
-                channels[record.id] = _Channel(connection, self._role(connection, intake))
+                role = self._role(connection, intake)
+                channels[record.id] = _Channel(connection, role, self._is_pose(connection, intake))
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
+                message = Message(channel.connection, record.log_time, record.data)
                 if channel.role and (self._takes_fixes or channel.role not in FIXES):
-                    message = Message(channel.connection, record.log_time, record.data)
                     self._take(channel.role, message, intake)
+                if channel.is_pose:
+                    self._take("pose", message, intake)
 
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""
@@ -193,6 +209,7 @@ class McapStream:
             "nmea": self._sentence,
             "imu": self._turn,
             "odometry": self._speed,
+            "pose": self._pose,
         }
         stamped = stamp_ns(message.connection.encoding, message.data)
         time_ns = stamped if is_utc(np.array([stamped]))[0] else message.receive_ns
@@ -206,7 +223,7 @@ class McapStream:
                 self._image(role, Taken(message, time_ns), intake)
             else:
                 takers[role](message, time_ns, intake)
-        except RecordingError as problem:
+        except (ConfigError, RecordingError) as problem:
             self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
 
     def _image(self, role: str, taken: Taken, intake: Intake) -> None:
@@ -259,6 +276,25 @@ class McapStream:
         speed_mps = float(decode(message).twist.twist.linear.x)
         if np.isfinite(speed_mps):
             intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
+
+    def _is_pose(self, connection: Connection, intake: Intake) -> bool:
+        """Whether a topic is that of the poses."""
+        if self._poses is None or connection.topic != self._poses.name:
+            return False
+        if connection.type not in _POSES:
+            self._say(
+                intake,
+                f"has {connection.topic} of the type {connection.type}, of which no poses are read "
+                "while driving; give a topic of Odometry or PoseStamped with --poses-topic.",
+            )
+        return connection.type in _POSES
+
+    def _pose(self, message: Message, time_ns: int, intake: Intake) -> None:
+        found = decode(message).pose
+        pose = found.pose if message.connection.type == ODOMETRY else found
+        p, q = pose.position, pose.orientation
+        assert self._poses is not None
+        intake.push_pose(time_ns + self._poses.offset_ns, [p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
 
     def _say(self, intake: Intake, text: str) -> None:
         """Tell something, each thing once."""

@@ -22,7 +22,7 @@ from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import Features, Step, step
-from fieldgrid.recording import Frame
+from fieldgrid.recording import Frame, StereoFrame
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -231,5 +231,5 @@ class Perceiver:
                 *(one_step, is_kept, waiting.pushed_s),
             )
         )
-        if is_kept and self._odometry and kept.wants_pair(number):
+        if is_kept and isinstance(frame, StereoFrame) and kept.wants_pair(number):
             kept.add_pair(number, *frame.images())

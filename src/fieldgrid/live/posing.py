@@ -31,6 +31,7 @@ from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveW
 from fieldgrid.live.sensed import Rows
 from fieldgrid.live.window import Placed, RollingWindow
 from fieldgrid.pose import Estimate
+from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
@@ -102,9 +103,10 @@ class Poser:
         datum: Datum | None,
         options: LiveOptions,
         tell: Callable[[LiveResult], None],
+        body: PoseBody | None = None,
     ) -> None:
         self._rig, self._options, self._tell = rig, options, tell
-        self._trailing = Trailing(rig, settings, datum, options.window_s)
+        self._trailing = Trailing(rig, settings, datum, options.window_s, body)
         self._window = RollingWindow(
             *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
             *(options.map_side_m, settings.grid.spec().reach_m),
@@ -114,7 +116,7 @@ class Poser:
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
         self._estimate: Estimate | None = None
-        self._fixes = FixColumns.of([])
+        self._fixes, self._known_ns = FixColumns.of([]), 0
         self._why = "no pose was estimated yet"
         self._estimated_ns = self._asked_ns = self._answered_ns = 0
         self._before: Carried | None = None
@@ -218,6 +220,7 @@ class Poser:
             self._say(What.POSE, f"Poses could not be estimated: {made.problem}")
         if made.asked is not None:
             self._fixes, frame_ns = made.asked.fixes, made.asked.frame_ns
+            self._known_ns = made.asked.known_ns
             self._estimated_ns = int(frame_ns[-1]) if len(frame_ns) else 0
         if made.estimate is None:
             self._used = np.zeros(len(self._fixes), dtype=np.bool_)
@@ -283,11 +286,10 @@ class Poser:
         still: list[Seen] = []
         found = _Frames([], [])
         # It is the estimate that must have fixes after a frame, and the frame's own step.
-        fix_ns = int(self._fixes.time_ns.max(initial=0))
         # Nor is a frame given up before an estimate was made of what came while it waited.
         answered_ns, before = self._answered_ns, self._before
         for seen in self._waiting:
-            is_settled = (fix_ns - seen.time_ns) / 1e9 >= self._options.lag_s
+            is_settled = (self._known_ns - seen.time_ns) / 1e9 >= self._options.lag_s
             is_settled = is_settled and seen.time_ns <= self._estimated_ns
             is_settled = is_settled or (answered_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
             at = self._pose_of(seen, before, doubt)

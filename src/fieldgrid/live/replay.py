@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
+from fieldgrid.live.given import GIVEN_ROWS, rows_of_body
 from fieldgrid.live.live import Live
 from fieldgrid.live.sensed import PARTS, Rows
 from fieldgrid.recording import Recording
@@ -40,13 +40,9 @@ def replay(
     fast as that; with None as fast as it is perceived, and no frame is dropped then.
 
     What a session that was ended has already is left out. Returns whether all was pushed: not when
-    `stop` was set. Raises ConfigError for a recording that has poses of another program.
+    `stop` was set. A session for a recording with poses of another program is one that was begun
+    with them (`poses=recording.pose_body`).
     """
-    if recording.motion().poses is not None:
-        raise ConfigError(
-            f"{recording.name} has poses of another program, which a live session does not take; "
-            "build the recording instead."
-        )
     stop, began_s, began_ns = stop or threading.Event(), time.monotonic(), None
     for due in merge(*_streams(live, recording, wait=rate is None)):
         began_ns = due.time_ns if began_ns is None else began_ns
@@ -70,6 +66,9 @@ def _streams(live: Live, recording: Recording, *, wait: bool) -> Iterator[Iterat
         if values is not None:
             rows = Rows(values[0], tuple(values[1:]))
             yield _rows(live, part, rows, had.rows.get(part, 0), order)
+    if recording.body_poses is not None:
+        rows, first = rows_of_body(recording.body_poses), had.rows.get(GIVEN_ROWS, 0)
+        yield _rows(live, GIVEN_ROWS, rows, first, len(PARTS) + 1)
     yield _frames(live, recording, wait=wait)
 
 
@@ -96,4 +95,4 @@ def _frames(live: Live, recording: Recording, *, wait: bool) -> Iterator[_Due]:
         time_ns = frame.time_ns + offset_ns
         # The last one that is kept is pushed again: the camera's next step starts there.
         if newest_ns is None or time_ns >= newest_ns:
-            yield _Due(time_ns, len(PARTS) + 1, partial(live.push_frame, frame, wait=wait))
+            yield _Due(time_ns, len(PARTS) + 2, partial(live.push_frame, frame, wait=wait))

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -172,6 +172,19 @@ class LiveWindow:
 
 
 LiveResult = LiveEvent | LiveGrid | LivePose | LiveWindow
+
+
+class Counts(NamedTuple):
+    """What has been pushed in all, also before a restart; `frames` are those that are kept."""
+
+    frames: int
+    dropped: int
+    late: int
+    bad: int
+    fixes: int
+    rows: dict[str, int]
+    missed_results: int
+    callback_errors: int
 
 
 class Outbox:

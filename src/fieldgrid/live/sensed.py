@@ -22,6 +22,15 @@ PARTS: dict[str, type[Gyro] | type[WheelSpeed] | type[Inertial] | type[RecordedT
 }
 """What moves the vehicle, by the name of its part of `Motion`."""
 
+_COLUMNS: dict[str, tuple[str, ...]] = {
+    **{part: kind._fields[1:] for part, kind in PARTS.items()},
+    "poses": ("position_m", "axes"),
+}
+"""What the columns of rows are; poses of another program are kept as they are written: where the
+body is, and its axes, row by row."""
+_WIDE = {"inertial": (3, 3), "poses": (3, 9)}
+"""Of parts whose columns are wider than one value, how wide they are."""
+
 MOST_NS = 1 << 62
 
 
@@ -37,11 +46,11 @@ def rows_of(part: str, time_ns: npt.ArrayLike, *columns: npt.ArrayLike) -> Rows:
     times = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
     if times.ndim != 1 or (times.size and not 0 <= times.min() <= times.max() < MOST_NS):
         raise ConfigError(f"Times of {part} are no nanoseconds since 1970 (UTC); give int64 [n].")
-    wide = 3 if part == "inertial" else None
+    wide = _WIDE.get(part, (None,) * len(columns))
     kind = np.float32 if part == "inertial" else np.float64
     made = []
-    for name, column in zip(PARTS[part]._fields[1:], columns, strict=True):
-        shape = (len(times),) if wide is None else (len(times), wide)
+    for name, column, width in zip(_COLUMNS[part], columns, wide, strict=True):
+        shape = (len(times),) if width is None else (len(times), width)
         values = np.asarray(column, dtype=kind)
         values = values.reshape(shape) if values.size == np.prod(shape) else values
         if values.shape != shape:
@@ -56,10 +65,10 @@ def rows_of(part: str, time_ns: npt.ArrayLike, *columns: npt.ArrayLike) -> Rows:
 
 
 def motion_of(parts: Mapping[str, Sequence[Rows]]) -> Motion:
-    """Motion of all rows, in order of time, of equal times the first."""
+    """Motion of all rows but those of poses, in order of time, of equal times the first."""
     made: dict[str, Any] = {}
     for part, chunks in parts.items():
-        if not chunks:
+        if not chunks or part not in PARTS:
             continue
         time_ns = np.concatenate([rows.time_ns for rows in chunks])
         columns = [

@@ -27,6 +27,7 @@ from fieldgrid.recording.images import ImageFile
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.opening import open_drive, open_recording
 from fieldgrid.recording.options import ROLES, DriveOptions
+from fieldgrid.recording.pose_source import PoseBody
 
 __all__ = [
     "ROLES",
@@ -46,6 +47,7 @@ __all__ = [
     "ImageFile",
     "ImageSource",
     "Mounting",
+    "PoseBody",
     "Recording",
     "Source",
     "StereoFrame",

@@ -16,7 +16,8 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.frames import Frame, FrameSource
-from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.recording.pose_files import BodyPoses
+from fieldgrid.recording.pose_source import PoseBody, PoseSource
 from fieldgrid.rig import Rig
 
 
@@ -47,7 +48,8 @@ class Drive(Closing):
     `datum_hint` is the datum that the drive itself asks for. `notes` are remarks, a sentence each,
     and `losses` what is lost since a file is truncated or damaged. `refusal` is why there are no
     frames, or none that can be used. `pose_source` is where the drive says that poses of another
-    program are, `pose_name` what those are from that it was opened with.
+    program are, `pose_name` what those are from that it was opened with, `body_poses` these as they
+    are written, and `pose_body` what body has them.
     """
 
     path: Path
@@ -65,6 +67,8 @@ class Drive(Closing):
     refusal: RecordingError | None = None
     pose_source: PoseSource | None = None
     pose_name: str = ""
+    pose_body: PoseBody | None = None
+    body_poses: BodyPoses | None = None
     stack: ExitStack = field(default_factory=ExitStack, repr=False)
 
     def fixes(self) -> FixColumns:

@@ -18,7 +18,7 @@ from fieldgrid.recording.bag.trajectories import read_pose_topic
 from fieldgrid.recording.drive import Drive, Recording, with_motion
 from fieldgrid.recording.motion_files import AXES, check_axes, directions, in_order
 from fieldgrid.recording.pose_files import BodyPoses, read_pose_file, read_time_file
-from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.recording.pose_source import PoseBody, PoseSource
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.ros import is_bag
 from fieldgrid.rotations import heading_rad, roll_pitch_deg
@@ -65,33 +65,50 @@ def with_given_poses(drive: Drive, source: PoseSource | None) -> Drive:
     except ValueError as problem:
         raise ConfigError(str(problem).replace("an IMU", "the body of poses") + ".") from problem
     body = _read(drive, source, axes)
+    return with_body_poses(drive, body, PoseBody(body.name, axes, source.point_flu_m))
+
+
+def with_body_poses(drive: Drive, body: BodyPoses, about: PoseBody) -> Drive:
+    """The drive with poses that were read or pushed as part of its motion. Their order does not
+    matter; of equal times the first counts. Raises RecordingError for what contradicts itself."""
+    motion, notes = motion_of_body(body, about, drive.rig, has_tilt=drive.motion().tilt is not None)
+    new = tuple(note for note in notes if note not in drive.notes)
+    given = with_motion(drive, motion, new)
+    return replace(given, pose_name=about.name, pose_body=about, body_poses=body)
+
+
+def motion_of_body(
+    body: BodyPoses, about: PoseBody, rig: Rig | None, *, has_tilt: bool
+) -> tuple[Motion, list[str]]:
+    """The motion that poses of a body are, and remarks on it. How the vehicle leans is told by
+    them unless something else tells it (`has_tilt`)."""
     assert body.time_ns is not None
-    rig = drive.rig
+    axes = about.axes
+    rows = np.concatenate([body.position_m, body.R.reshape(-1, 9)], axis=1)
+    (time_ns, kept), lost = in_order(body.time_ns, rows, 12)
+    if len(time_ns) < 2:
+        raise RecordingError(f"{body.name} has {len(time_ns)} poses; give those of a drive.")
+    place, R = kept[:, :3], kept[:, 3:].reshape(-1, 3, 3)
     R_vehicle_body = _R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
     if axes == CAMERA_AXES and rig is not None:
         R_vehicle_body = rig.mount.rotation()
-    R_level, frame = _levelled(body, R_vehicle_body, axes)
-    R = R_level @ body.R @ R_vehicle_body.T
-    place = body.position_m @ R_level.T - R @ _point(rig, axes, source)
-    moved = np.concatenate([place, R.reshape(-1, 9)], axis=1)
-    (time_ns, kept), lost = in_order(body.time_ns, moved, 12)
-    place, R = kept[:, :3], kept[:, 3:].reshape(-1, 3, 3)
-    if len(time_ns) < 2:
-        raise RecordingError(f"{body.name} has {len(time_ns)} poses; give those of a drive.")
+    R_level, frame = _levelled(body.name, R, R_vehicle_body, axes)
+    R = R_level @ R @ R_vehicle_body.T
+    place = place @ R_level.T - R @ _point(rig, about)
     _check_motion(body.name, time_ns, place, R, axes)
     roll, pitch = roll_pitch_deg(R)
     if max(np.abs(roll).max(), np.abs(pitch).max()) < LEVEL_DEG:
         roll, pitch = np.zeros_like(roll), np.zeros_like(pitch)
     poses = GivenPoses._make([time_ns, *place.T, np.degrees(heading_rad(R)), roll, pitch])
     motion = Motion(poses=poses)
-    if frame != "y down" and roll.any() and drive.motion().tilt is None and rig is not None:
+    if frame != "y down" and roll.any() and not has_tilt and rig is not None:
         # The frame of a camera's first image is level only on average.
         tilt = RecordedTilt(time_ns, roll, pitch, np.full(len(roll), TILT_SIGMA_DEG))
         motion = motion._replace(tilt=tilt)
     notes = [f"The poses are {len(time_ns)} of {body.name}, body axes {axes}, frame {frame}."]
     if lost:
         notes.append(f"{body.name}: {lost} poses without a time, or of the same time, skipped.")
-    return replace(with_motion(drive, motion, tuple(notes)), pose_name=body.name)
+    return motion, notes
 
 
 def _read(drive: Drive, source: PoseSource, axes: str) -> BodyPoses:
@@ -129,24 +146,26 @@ def _read(drive: Drive, source: PoseSource, axes: str) -> BodyPoses:
     return body._replace(time_ns=time_ns)
 
 
-def _point(rig: Rig | None, axes: str, source: PoseSource) -> Float64:
+def _point(rig: Rig | None, about: PoseBody) -> Float64:
     """The origin of the body, right, forward and up of the sensor [3]; by default the left camera
     of camera axes, the grid origin of others."""
-    if source.point_flu_m is not None:
-        forward, left, up = source.point_flu_m
+    if about.point_flu_m is not None:
+        forward, left, up = about.point_flu_m
         return np.array([-left, forward, up])
     if rig is None:
         return np.zeros(3)
-    if axes != CAMERA_AXES:
+    if about.axes != CAMERA_AXES:
         return np.array([0.0, 0.0, -rig.mount.height_m])
     half_m = rig.camera.baseline_m / 2.0 if isinstance(rig.sensor, StereoCamera) else 0.0
     return np.asarray(rig.mount.rotation() @ np.array([-half_m, 0.0, 0.0]))
 
 
-def _levelled(body: BodyPoses, R_vehicle_body: Float64, axes: str) -> tuple[Float64, str]:
+def _levelled(
+    whose: str, R_body: Float64, R_vehicle_body: Float64, axes: str
+) -> tuple[Float64, str]:
     """From the frame of the poses to a level one (x forward, y left, z up) [3, 3], and which axis
     of it is the vertical: the one that the vehicle's own up axis is near on average."""
-    up = (body.R @ R_vehicle_body.T[:, 2]).mean(axis=0)
+    up = (R_body @ R_vehicle_body.T[:, 2]).mean(axis=0)
     steady = float(np.linalg.norm(up))
     up /= max(steady, 1e-9)
     for name, R_flu_frame in _FRAMES.items():
@@ -164,7 +183,7 @@ def _levelled(body: BodyPoses, R_vehicle_body: Float64, axes: str) -> tuple[Floa
         return lean @ R_flu_frame, name
     told = ", ".join(f"{part:+.2f}" for part in up)
     raise RecordingError(
-        f"The vehicle's up axis points along ({told}) of the frame of {body.name}, which is "
+        f"The vehicle's up axis points along ({told}) of the frame of {whose}, which is "
         f"neither its z axis nor a camera's -y, with the body's axes taken as {axes}; declare "
         "them with --poses-axes (flu: x forward, y left, z up; rdf: a camera's), and see that "
         "quaternions are written x y z w."

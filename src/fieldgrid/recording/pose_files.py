@@ -17,7 +17,7 @@ MOST_M = 1e7
 """No trajectory leads farther from its origin."""
 
 _TUM, _KITTI = 8, 12
-_OFF_UNIT = 0.02
+OFF_UNIT = 0.02
 """By how much a quaternion's length and a matrix's rows may be off, as they are written."""
 
 
@@ -52,14 +52,14 @@ def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
         matrices = values.reshape(-1, 3, 4)
         R = matrices[:, :, :3]
         off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        wrong = (off > _OFF_UNIT) | (np.linalg.det(R) < 0.0)
+        wrong = (off > OFF_UNIT) | (np.linalg.det(R) < 0.0)
         _refuse(path, lines, wrong, "its first three columns are no rotation")
         return BodyPoses(path.name, None, matrices[:, :, 3], R)
     length = np.linalg.norm(values[:, 4:], axis=1)
     _refuse(
         path,
         lines,
-        np.asarray(np.abs(length - 1.0) > _OFF_UNIT),
+        np.asarray(np.abs(length - 1.0) > OFF_UNIT),
         "its quaternion has not the length 1",
     )
     times_ns = read_times([row[0] for row in rows], path, lines, offset_ns)

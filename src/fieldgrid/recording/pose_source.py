@@ -7,6 +7,15 @@ from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
+class PoseBody:
+    """Whose poses are given, and what the body is that has them; as in `PoseSource`."""
+
+    name: str = "poses"
+    axes: str = "flu"
+    point_flu_m: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PoseSource:
     """Where given poses are, and what is said of them; None for what is not said.
 

@@ -12,12 +12,11 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.heard import Heard
 from fieldgrid.recording.bag.order import clock
 from fieldgrid.recording.bag.topics import ODOMETRY, listing, short
-from fieldgrid.recording.pose_files import MOST_M, BodyPoses, rotations
+from fieldgrid.recording.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
 from fieldgrid.ros import Bag, Message, Take, open_bag
 
 _POSE, _PATH = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 _TYPES = (ODOMETRY, _POSE, _PATH)
-_OFF_UNIT = 0.02
 _SECOND_NS = 1_000_000_000
 
 
@@ -84,7 +83,7 @@ def read_pose_topic(path: Path, topic: str | None, offset_ns: int = 0) -> BodyPo
             time_ns = times_ns[np.array(found.places, dtype=np.int64)]
     length = np.linalg.norm(values[:, 3:], axis=1)
     good = np.isfinite(values).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
-    wrong = ~(good & (np.abs(length - 1.0) < _OFF_UNIT))
+    wrong = ~(good & (np.abs(length - 1.0) < OFF_UNIT))
     if not len(values) or wrong.any():
         what = f"{np.count_nonzero(wrong)} of {len(values)} poses" if len(values) else "no pose"
         why = "hold NaN, or a quaternion that has not the length 1" if len(values) else "is in it"

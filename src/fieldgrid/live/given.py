@@ -1,0 +1,95 @@
+"""Poses of another program as they are pushed: checked, kept as they are written, made a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.array_types import Int64
+from fieldgrid.errors import ConfigError
+from fieldgrid.live.sensed import Rows, rows_of
+from fieldgrid.motion import Motion
+from fieldgrid.recording.given_poses import motion_of_body
+from fieldgrid.recording.motion_files import check_axes
+from fieldgrid.recording.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
+from fieldgrid.recording.pose_source import PoseBody
+from fieldgrid.rig import Rig
+
+GIVEN_ROWS = "poses"
+"""What rows of poses are called."""
+
+NO_POSES = Rows(np.zeros(0, np.int64), (np.zeros((0, 3)), np.zeros((0, 9))))
+
+
+def check_body(body: PoseBody) -> PoseBody:
+    """The same, once it is sure that its axes are some. ConfigError where they are not."""
+    try:
+        check_axes(body.axes)
+    except ValueError as problem:
+        raise ConfigError(str(problem).replace("an IMU", "the body of poses") + ".") from problem
+    return body
+
+
+def pose_rows(
+    time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
+) -> Rows:
+    """Rows of poses, one or [n]: positions [n, 3] and quaternions [n, 4]. ConfigError, which says
+    which value, for what can be none."""
+    times = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
+    turned = np.asarray(quaternion_xyzw, dtype=np.float64)
+    if turned.size != 4 * len(times):
+        raise ConfigError(
+            f"Quaternions of poses have the shape {turned.shape} for {len(times)} times; give "
+            "x, y, z, w of each."
+        )
+    turned = turned.reshape(-1, 4)
+    length = np.linalg.norm(turned, axis=1)
+    wrong = ~(np.abs(length - 1.0) < OFF_UNIT)
+    if wrong.any():
+        value = ", ".join(f"{part:g}" for part in turned[int(np.argmax(wrong))])
+        raise ConfigError(
+            f"A pose has the quaternion ({value}), which has not the length 1; leave out poses "
+            "that were lost, and write x, y, z, w."
+        )
+    rows = rows_of(GIVEN_ROWS, times, position_m, rotations(turned).reshape(-1, 9))
+    if rows.columns[0].size and not np.abs(rows.columns[0]).max() < MOST_M:
+        raise ConfigError("A pose is farther from its origin than any drive leads; leave it out.")
+    return rows
+
+
+def check_order(rows: Rows, newest_ns: int, late_ns: int) -> int:
+    """The time of the newest pose, with these. ConfigError where one comes later than by so much
+    after the newest before it: none of the rows is to be taken then."""
+    times = rows.time_ns
+    before = np.maximum.accumulate(np.concatenate([[newest_ns], times]))
+    late = before[:-1] - times
+    if late.size and late.max() > late_ns:
+        raise ConfigError(
+            f"A pose of {times[int(late.argmax())]} ns came {late.max() / 1e9:.1f} s after a newer "
+            f"one, and {late_ns / 1e9:g} s are taken; push poses in order, or state a larger lag."
+        )
+    return int(before[-1])
+
+
+def body_poses(body: PoseBody, chunks: Sequence[Rows]) -> BodyPoses:
+    """Poses as they were pushed, as a file would have them."""
+    position_m, R = (
+        np.concatenate([rows.columns[k] for rows in chunks]) for k in range(len(chunks[0].columns))
+    )
+    times: Int64 = np.concatenate([rows.time_ns for rows in chunks])
+    return BodyPoses(body.name, times, position_m, R.reshape(-1, 3, 3))
+
+
+def given_motion(body: PoseBody, chunks: Sequence[Rows], rig: Rig, *, has_tilt: bool) -> Motion:
+    """What poses say of the last seconds. RecordingError where they contradict themselves."""
+    return motion_of_body(body_poses(body, chunks), body, rig, has_tilt=has_tilt)[0]
+
+
+def rows_of_body(poses: BodyPoses) -> Rows:
+    """Poses of a recording as rows, in order of time, of equal times in that of the recording."""
+    assert poses.time_ns is not None
+    order = np.argsort(poses.time_ns, kind="stable")
+    R = poses.R.reshape(-1, 9)
+    return Rows(poses.time_ns[order], (poses.position_m[order], R[order]))
