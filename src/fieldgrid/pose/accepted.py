@@ -12,9 +12,11 @@ from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import FixNoise, Gate, Verdicts, fix_noise, quantum_m
+from fieldgrid.pose.seams import SeamDoubt, seam_doubt
 from fieldgrid.reasons import commonest_reason
 
 _BY_MOTION = (Gate.JUMP, Gate.ACCELERATION, Gate.TURN_RATE)
+_OF_ANOTHER = (*_BY_MOTION, Gate.ALONE, Gate.SEAM)
 
 UNSTATED_HEADING_SIGMA_DEG = 1.0
 """The error of a recorded heading whose source does not state one."""
@@ -23,10 +25,11 @@ UNSTATED_HEADING_SIGMA_DEG = 1.0
 class AcceptedFixes(NamedTuple):
     """Accepted fixes in order of time, length n. Positions are the antenna's, LTP metres.
 
-    `sigma_m` is the stated error of one axis, mostly slow, and `noise` what changes from fix to
-    fix. `disputed` are those after fixes that were refused for how they lie: one of the two sides
-    may be the wrong one. NaN stands for what a fix does not say; a recorded heading is as the
-    source means it.
+    `sigma_m` is the stated error of one axis, mostly slow, or what seams show of it where that is
+    more; `lasting_s` is for how long the latter stays the same, and `noise` what changes from fix
+    to fix. `disputed` are those after fixes that were refused for how they lie: one of the two
+    sides may be the wrong one. NaN stands for what a fix does not say; a recorded heading is as
+    the source means it.
     """
 
     time_ns: Int64
@@ -34,6 +37,7 @@ class AcceptedFixes(NamedTuple):
     north_m: Float64
     up_m: Float64
     sigma_m: Float64
+    lasting_s: Float64
     noise: FixNoise
     quality: Int64
     speed_mps: Float64
@@ -58,22 +62,47 @@ def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Accep
     """The accepted ones of fixes in order of time."""
     used = fixes[verdicts.ok]
     east, north, up = datum.to_enu(used.lat_deg, used.lon_deg, used.height_m)
-    sigma_m = used.position_sigma_m()
+    stated_m = used.position_sigma_m()
     quantum = quantum_m(used.lat_deg, used.lon_deg)
+    noise = fix_noise(east, north, used.time_ns, stated_m, used.quality, quantum)
+    doubt = _seam_doubt(fixes, verdicts, datum, noise)
     heading_sigma = used.heading_sigma_deg
     return AcceptedFixes(
         used.time_ns,
         east,
         north,
         up,
-        sigma_m,
-        fix_noise(east, north, used.time_ns, sigma_m, used.quality, quantum),
+        np.hypot(stated_m, doubt.sigma_m),
+        doubt.lasting_s,
+        noise,
         used.quality,
         used.speed_mps,
         np.asarray(wrap_deg(used.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
         _disputed(verdicts),
     )
+
+
+def _seam_doubt(fixes: FixColumns, verdicts: Verdicts, datum: Datum, noise: FixNoise) -> SeamDoubt:
+    """What leaps of the solution say of the accepted fixes; those that were refused for how they
+    lie are another solution."""
+    denied = np.array([gate in _OF_ANOTHER for gate in verdicts.gate], dtype=np.bool_)
+    rows = np.flatnonzero(verdicts.ok | denied)
+    fit, ok = fixes[rows], verdicts.ok[rows]
+    east, north, _ = datum.to_enu(fit.lat_deg, fit.lon_deg, fit.height_m)
+    found = seam_doubt(
+        np.stack([east, north], axis=1),
+        (fit.time_ns - fit.time_ns[0]) / 1e9,
+        fit.position_sigma_m(),
+        float(np.median(noise.across_m)),
+        denied[rows],
+    )
+    return found._replace(sigma_m=found.sigma_m[ok], lasting_s=_least_until(found.lasting_s, ok))
+
+
+def _least_until(values: Float64, ok: Bool) -> Float64:
+    """Of each accepted row the least value from it to before the next accepted one."""
+    return np.asarray(np.minimum.reduceat(values, np.flatnonzero(ok)))
 
 
 def _disputed(verdicts: Verdicts) -> Bool:

@@ -16,9 +16,9 @@ from fieldgrid.pose.gears import (
     GearHints,
     StationGears,
     first_guess,
-    holes,
     station_gears,
 )
+from fieldgrid.pose.leaps import holes
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest

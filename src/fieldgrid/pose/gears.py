@@ -12,6 +12,7 @@ from fieldgrid.course import first_beyond, stations
 from fieldgrid.gear import Gears, Track, gears
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.leaps import leaps
 from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
 from fieldgrid.pose.nodes import Nodes, seconds
 from fieldgrid.settings import PoseSettings
@@ -20,17 +21,8 @@ from fieldgrid.smoother import STATES
 STATION_M, STATION_SIGMAS = 0.05, 2.0
 """A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
 
-HOLE_S, HOLE_PERIODS = 2.0, 2.5
-"""Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
-turned back unseen."""
-
-TORN_S, TORN_M, TORN_SIGMAS, TORN_MPS2 = 2.0, 0.5, 15.0, 1.0
-"""Between two fixes the positions have jumped when the step differs by this much, beyond the noise,
-the way that the pace makes in it, and what a vehicle gains by speeding up, from the velocities over
-so long before and after it."""
-
-DISPUTED_SHARE = 0.6
-"""Where fixes in between were refused for how they lie, this share of the pace's way is enough."""
+TORN_M = 0.5
+"""Nothing is said of gears across a jump of the positions of more than this."""
 
 GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
 """The first guess of the heading is the course over at least this."""
@@ -105,42 +97,15 @@ def station_gears(
     return StationGears(station, gears(track))
 
 
-def usual_period_s(step_s: Float64) -> float:
-    """The period of a receiver that took fixes at such steps; where many are missing, half of the
-    steps may be holes."""
-    return float(np.percentile(step_s, 25)) if len(step_s) else 1.0
-
-
-def holes(step_s: Float64) -> Bool:
-    """Which steps between fixes are so long that a vehicle may have turned back unseen."""
-    return np.asarray(step_s > max(HOLE_S, HOLE_PERIODS * usual_period_s(step_s)))
-
-
 def breaks(fixes: AcceptedFixes) -> tuple[Bool, Bool]:
     """Which steps [n - 1] between fixes are holes, and which of the others the motion before and
     after them does not make: of these one side is a jump that conditioning has let pass, or the
     solution has moved."""
-    points, time_s, noise_m = fixes.points_m(), seconds(fixes.time_ns), fixes.noise.across_m
-    n, step_s = len(points), np.diff(time_s)
-    if n < 2:
-        return np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
-    hole = holes(step_s)
-    row = np.arange(n)
-    before = np.minimum(np.searchsorted(time_s, time_s - TORN_S), np.maximum(row - 1, 0))
-    after = np.maximum(
-        np.searchsorted(time_s, time_s + TORN_S, side="right") - 1, np.minimum(row + 1, n - 1)
+    steps = leaps(
+        *(fixes.points_m(), seconds(fixes.time_ns), fixes.noise.across_m),
+        *(fixes.disputed, TORN_M),
     )
-    came, left = (
-        (points[to] - points[of]) / np.maximum(time_s[to] - time_s[of], 1e-3)[:, None]
-        for of, to in ((before, row), (row, after))
-    )
-    usual_m = (came[:-1] + left[1:]) / 2.0 * step_s[:, None]
-    off_m = np.hypot(*(np.diff(points, axis=0) - usual_m).T)
-    pace_mps = np.maximum(np.hypot(*came[:-1].T), np.hypot(*left[1:].T))
-    free_m = np.maximum(TORN_M, TORN_SIGMAS * np.maximum(noise_m[1:], noise_m[:-1]))
-    way_m = pace_mps * step_s
-    free_m += np.where(fixes.disputed[1:], DISPUTED_SHARE * way_m, way_m + TORN_MPS2 * step_s**2)
-    return hole, (off_m > free_m) & ~hole
+    return steps.hole, steps.torn
 
 
 def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:

@@ -12,8 +12,9 @@ from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import Drive, smooth_drive
-from fieldgrid.pose.gears import GearHints, usual_period_s
+from fieldgrid.pose.gears import GearHints
 from fieldgrid.pose.gyro_sense import gyro_sense
+from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.smoother import MOST_MISFIT
 
 MOST_SCALE = 0.25

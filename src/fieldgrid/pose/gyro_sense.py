@@ -15,7 +15,7 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.gears import usual_period_s
+from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.pose.nodes import GYRO_HOLE_NS
 
 LEAST_CHORD_M, CHORD_NOISES, MOST_CHORD_S = 1.0, 6.0, 10.0

@@ -118,7 +118,8 @@ def _bias_s(fixes: AcceptedFixes) -> Float64:
     """For how long the slow error lasts at each fix."""
     wander = np.maximum(fixes.noise.second_m, LEAST_WANDER)
     lasting_s = np.maximum(BIAS_S, 2.0 * (fixes.sigma_m / wander) ** 2)
-    return np.where(fixes.quality == Quality.RTK_FLOAT, FLOAT_BIAS_S, lasting_s)
+    lasting_s = np.where(fixes.quality == Quality.RTK_FLOAT, FLOAT_BIAS_S, lasting_s)
+    return np.minimum(lasting_s, fixes.lasting_s)
 
 
 def _pace_mps(fixes: AcceptedFixes) -> Float64:

@@ -18,6 +18,7 @@ from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.georeference import Georeference
+from fieldgrid.pose.seams import LEAP_S
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, Vehicle
@@ -128,6 +129,7 @@ def drive_notes(
 ) -> Iterator[str]:
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
+    yield from _leap_note(fixes)
     yield from _clock_note(clock)
     if not names_axle(rig):
         yield _no_axle(rig, axle)
@@ -148,6 +150,20 @@ def _constant_note(source: HeadingSource, drive: Drive, settings: PoseSettings) 
         yield (
             f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
             f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°)."
+        )
+
+
+def _leap_note(fixes: AcceptedFixes) -> Iterator[str]:
+    """That the receiver's solution leaps, and what its positions count as."""
+    leaps = np.flatnonzero(fixes.lasting_s <= LEAP_S)
+    if len(leaps):
+        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
+        often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
+        yield (
+            f"The receiver's solution leaps {often} by more than it states (first "
+            f"{first_s:.0f} s after the start), and nothing tells which side is right: its "
+            f"positions count as good to {np.median(fixes.sigma_m):.2f} m. If you know, leave out "
+            "the fixes of the wrong one."
         )
 
 
