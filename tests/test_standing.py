@@ -128,7 +128,7 @@ def read(path: Path, drives: list[list[Said]], without: str = "", cell_m: float 
                     )
         if without:
             universal.remove_session(without)
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     with open_map(path) as universal:
         return universal.read(cell_m=cell_m, layers=("max_height", "clearance"))
 

@@ -107,7 +107,7 @@ def test_a_map_of_depths_is_that_of_the_pairs(
         assert session.config["rig"]["depth_camera"]["baseline_m"] == pytest.approx(0.18)
         assert "search" not in session.config
         assert not any(key.startswith("steps.") for key in universal.session_inputs(session.name))
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_poses_can_be_estimated_again(drives: dict[str, Path], tmp_path: Path) -> None:

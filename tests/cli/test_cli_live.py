@@ -83,7 +83,7 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
     assert said[-1]["pushed"]["frames"] == said[-1]["session"]["frames"] >= 3
     assert {next(iter(one)) for one in said} >= {"grid", "pose", "window", "map"}
     with open_map(out) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
     assert not (tmp_path / "m.gpkg.live").exists()
 
 
@@ -173,7 +173,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
     with open_map(out) as ours:
         (session,) = ours.sessions()
         assert (session.name, session.accepted) == ("row", 4)
-        assert ours.verify().sound
+        assert ours.verify(deep=True).sound
 
 
 def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:

@@ -70,7 +70,7 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
         left = [path.name for path in folder.glob(".m.gpkg.*")]
         assert not left, (left, kills)
         with open_map(out) as universal:
-            assert universal.verify().sound
+            assert universal.verify(deep=True).sound
     return hit
 
 

@@ -91,7 +91,7 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
         if out.exists():
             assert content(out) == expected
             with open_map(out) as universal:
-                verdict = universal.verify()
+                verdict = universal.verify(deep=True)
             assert verdict.sound, verdict.problems
             if had == NOTHING:
                 out.unlink()

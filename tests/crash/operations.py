@@ -191,7 +191,7 @@ def random_step(random: np.random.Generator, state: State, number: int) -> Step:
 def check(path: Path, allowed: list[State]) -> None:
     """The map is sound, and its sessions are one of the states that there may be."""
     with open_map(path) as universal:
-        verdict = universal.verify()
+        verdict = universal.verify(deep=True)
     assert verdict.sound, verdict.problems
     found = state_of(path)
     assert found in allowed, (found, allowed)

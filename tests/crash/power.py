@@ -287,7 +287,7 @@ def _commits(disk: Disk, calls: list[Call], begin: dict[str, bytes], folder: Pat
             if state != states[-1][0]:
                 states.append((state, number))
                 with open_map(shows_in) as universal:
-                    assert universal.verify(jobs=1).sound
+                    assert universal.verify(1, deep=True).sound
     return states
 
 
@@ -301,7 +301,7 @@ def _go_on(path: Path) -> None:
     if not path.exists():
         make(path)
     with open_map(path, writable=True) as universal:
-        assert universal.verify(jobs=1).sound
+        assert universal.verify(1, deep=True).sound
         universal.repair(jobs=1)
 
 

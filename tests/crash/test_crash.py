@@ -84,7 +84,7 @@ def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path
     kinds = [kind for kind in ANONYMOUS if kind != "extents"]
     assert content(path, *kinds) == content(once, *kinds)
     with open_map(path) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
         assert len(universal.sessions()) == 13
 
 

@@ -72,7 +72,7 @@ def run_writers(writers: int, sessions: int, folder: Path) -> int:
     with open_map(path) as universal:
         names = {info.name for info in universal.sessions()}
         assert names == {"0"} | {f"{k}-{n}" for k in range(writers) for n in range(sessions)}
-        verdict = universal.verify()
+        verdict = universal.verify(deep=True)
     assert verdict.sound, verdict.problems
     return read
 

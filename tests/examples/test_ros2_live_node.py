@@ -123,7 +123,7 @@ def test_recorded_messages_make_costmaps_poses_and_the_map(
     with open_map(tmp_path / "row.gpkg") as made:
         (session,) = made.sessions()
         assert (session.name, session.frames) == ("ros2", 4)
-        assert made.verify().sound
+        assert made.verify(deep=True).sound
         datum = made.datum
         ours = [frame.pose for frame in made.frames()]
     build_map([drive], tmp_path / "built.gpkg", BuildSettings())

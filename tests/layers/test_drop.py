@@ -60,7 +60,7 @@ def write(
                     session.add(seen, pose, frame_id=str(k), channels=channels(said))
         for number in without:
             universal.remove_session(str(number))
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     return path
 
 

@@ -109,9 +109,9 @@ def test_it_is_stored_above_the_base_only(tmp_path: Path) -> None:
     database.close()
     assert "sessions" in json.loads(groups)
     with open_map(path, writable=True) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
     names = (*CLASSES, "lasting")
 
     def views() -> list[npt.NDArray[np.uint8]]:

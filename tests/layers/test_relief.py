@@ -52,7 +52,7 @@ def read(
                     session.add(seen, pose, frame_id=str(k), channels=channels)
         if without:
             universal.remove_session(without)
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     with open_map(path) as universal:
         return universal.read(cell_m=cell_m, layers=LAYERS)
 

@@ -106,7 +106,7 @@ def test_any_value_in_any_column_is_a_finding(sound: Path, tmp_path: Path, table
             if not spoil(path, table, column, value):
                 continue
             with suppress(FieldgridError), open_map(path) as universal:
-                found = universal.verify(jobs=1).problems
+                found = universal.verify(1, deep=True).problems
                 assert all(problem.endswith(".") for problem in found), found
                 if not found:
                     passed.append((table, column, value))
@@ -131,9 +131,9 @@ def test_what_is_not_evidence_is_made_again(sound: Path, tmp_path: Path, table: 
             database.execute(f"UPDATE {where} SET {column} = 'x' || rowid WHERE {rows}")
         with open_map(path, writable=True) as universal:
             if table not in ("gpkg_contents", "fieldgrid_tile") or where == table:
-                assert universal.verify().problems
+                assert universal.verify(deep=True).problems
             universal.repair()
-            assert universal.verify().problems == ()
+            assert universal.verify(deep=True).problems == ()
         assert content(path) == content(sound)
 
 
@@ -142,10 +142,10 @@ def test_the_header_of_the_file_is_checked(sound: Path, tmp_path: Path) -> None:
     with closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA user_version = 10200")
     with open_map(path, writable=True) as universal:
-        (problem,) = universal.verify().problems
+        (problem,) = universal.verify(deep=True).problems
         assert "version 10200, and not 10300" in problem
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_no_height_can_overflow_the_sums(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_a_schema_that_is_no_text_is_a_sentence(sound: Path, tmp_path: Path) -> 
         said = []
         try:
             with open_map(path) as universal:
-                said += universal.verify(jobs=1).problems
+                said += universal.verify(1, deep=True).problems
         except MapError as error:
             said.append(str(error))
         assert said
@@ -177,7 +177,7 @@ def test_what_sqlite_says_is_one_short_line(sound: Path, tmp_path: Path) -> None
     path = tmp_path / "map.gpkg"
     path.write_bytes(sound.read_bytes().replace(b"<!DOCTYPE qgis", b"<!DOCTYPE \xffgis"))
     with open_map(path) as universal:
-        problems = universal.verify(jobs=1).problems
+        problems = universal.verify(1, deep=True).problems
     assert problems
     assert all(one.endswith(".") and one.isprintable() and len(one) < 400 for one in problems)
 
@@ -215,11 +215,11 @@ def test_the_list_of_marks_has_no_extent(sound: Path, tmp_path: Path) -> None:
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
         database.execute("UPDATE gpkg_contents SET max_x = 1e9 WHERE table_name = 'mark'")
     with open_map(path, writable=True) as universal:
-        assert universal.verify(jobs=1).problems == (
+        assert universal.verify(1, deep=True).problems == (
             "The layer mark is not listed as it should be; repair the map.",
         )
         universal.repair(jobs=1)
-        assert universal.verify(jobs=1).sound
+        assert universal.verify(1, deep=True).sound
 
 
 @pytest.mark.parametrize(
@@ -258,6 +258,6 @@ def test_a_session_that_an_index_has_lost_is_a_sentence(sound: Path, tmp_path: P
     data[start + 3 : start + 5] = b"\0\0"  # the index has no entry any more
     path.write_bytes(data)
     with open_map(path) as universal:
-        assert universal.verify(jobs=1).problems
+        assert universal.verify(1, deep=True).problems
         with pytest.raises(MapError, match="is listed and cannot be"):
             universal.trajectory("a")

@@ -40,7 +40,7 @@ def test_the_journal_of_the_map_itself_is_played_back(tmp_path: Path) -> None:
     before = content(path)
     interrupted(path)
     with open_map(path) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
     assert content(path) == before
 
 
@@ -58,7 +58,7 @@ def test_a_journal_of_another_state_does_not_destroy_a_restored_map(tmp_path: Pa
     assert path.read_bytes() == copy.read_bytes()
     journal.unlink()
     with open_map(path) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:

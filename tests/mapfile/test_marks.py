@@ -64,7 +64,7 @@ def test_marks_are_kept_as_they_were_given_and_under_the_root_digest(field: Path
     with open_map(field) as universal:
         pond, gate = universal.marks()
         assert universal.root_sha256 != before
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
     assert pond._replace(created="", id=0) == POND
     assert (gate.id, gate.name, gate.author, gate.is_point) == (2, "gate", "Bob", True)
     assert len(pond.created) == len("2026-06-03T12:00:00.000Z")
@@ -74,7 +74,7 @@ def test_holes_are_kept(field: Path, tmp_path: Path) -> None:
     add(field, FENCED, POND)
     with open_map(field) as universal:
         fenced, pond = universal.marks()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
     assert fenced._replace(created="", id=0) == FENCED
     assert pond.holes == ()
     _, _, shapes, _ = read_layer(field, layer="mark")
@@ -96,7 +96,7 @@ def test_what_was_removed_is_kept_and_restored_exactly(field: Path) -> None:
         removed, _ = universal.marks(removed=True)
         assert not removed.active
         assert removed._replace(removed=None) == marks[0]
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
         with pytest.raises(ConfigError, match=r"Mark 1 of .* is removed already"):
             universal.remove_marks([2, 1])
         assert [mark.id for mark in universal.marks()] == [2]  # all or none
@@ -125,7 +125,7 @@ def test_a_map_that_never_had_a_mark_has_no_table_for_them(field: Path) -> None:
         ).fetchall()
     with open_map(field, writable=True) as universal:
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_a_map_of_format_2_is_upgraded_by_its_first_mark(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_map_of_format_2_is_upgraded_by_its_first_mark(tmp_path: Path) -> None
     add(old, POND)
     with open_map(old) as universal:
         assert [mark.name for mark in universal.marks()] == ["pond"]
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_marks_of_several_maps_go_along_once(field: Path, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_marks_of_several_maps_go_along_once(field: Path, tmp_path: Path) -> Non
             ("lake", 2),
         ]
         assert merged.marks()[0].created == pond.created
-        assert merged.verify().sound
+        assert merged.verify(deep=True).sound
 
 
 def test_repair_keeps_marks_and_lists_them_again(field: Path) -> None:
@@ -161,9 +161,9 @@ def test_repair_keeps_marks_and_lists_them_again(field: Path) -> None:
         database.execute("DELETE FROM gpkg_geometry_columns WHERE table_name = 'mark'")
     with open_map(field, writable=True) as universal:
         marks = universal.marks()
-        assert "The layer mark is not listed" in universal.verify().problems[0]
+        assert "The layer mark is not listed" in universal.verify(deep=True).problems[0]
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
         assert universal.marks() == marks
 
 
@@ -193,7 +193,7 @@ def test_marks_that_were_tampered_with_are_found(field: Path, damage: str) -> No
     with closing(sqlite3.connect(field)) as database:
         database.executescript(damage)
     with open_map(field) as universal:
-        assert not universal.verify().sound
+        assert not universal.verify(deep=True).sound
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_damaged_mark_is_told_in_a_sentence(field: Path, column: str, value: s
     with open_map(field) as universal:
         with pytest.raises(MapError, match=r"Mark 1 of the map is damaged: .*\. Restore a copy\."):
             universal.marks()
-        assert not universal.verify().sound
+        assert not universal.verify(deep=True).sound
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def test_a_copy_is_the_map(north: Path, tmp_path: Path) -> None:
     with open_map(north) as a, open_map(tmp_path / "copy.gpkg") as b:
         assert a.sessions() == b.sessions()
         assert list(a.frames()) == list(b.frames())
-        assert b.verify().sound
+        assert b.verify(deep=True).sound
 
 
 def test_a_copy_leaves_removed_sessions_behind(north: Path, tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_a_map_in_the_plane_of_another_datum(north: Path, tmp_path: Path) -> Non
         track_was, track_now = old.trajectory("0"), new.trajectory("0")
         assert track_now.datum == FAR
         assert track_now.heading_deg[2] != pytest.approx(track_was.heading_deg[2], abs=0.01)
-        assert new.verify().sound
+        assert new.verify(deep=True).sound
     # And back again.
     merge_maps([out], tmp_path / "back.gpkg", datum=DATUM)
     with open_map(north) as old, open_map(tmp_path / "back.gpkg") as back:

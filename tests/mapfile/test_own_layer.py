@@ -130,7 +130,7 @@ def test_it_is_read_at_every_size_as_the_frames_say(tmp_path: Path) -> None:
         found = universal.query(float(east), float(north)).contributions
         last_s = max(one.pose.time_ns // 1_000_000_000 + 1 for one in found)
         assert view.layer("last_seen")[row, column] == last_s
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
 
 
 @pytest.mark.usefixtures("registered")
@@ -139,7 +139,7 @@ def test_a_session_leaves_and_comes_back_without_a_trace(tmp_path: Path) -> None
     whole, before = content(path), views(path)
     with open_map(path, writable=True) as universal:
         universal.remove_session("1")
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     never = tmp_path / "never.gpkg"
     with open_map(never, datum=DATUM, cell_m=CELL_M) as universal:
         for name in ("0", "2"):
@@ -171,9 +171,9 @@ def test_a_map_of_before_is_read_and_repair_adds_it(tmp_path: Path) -> None:
     try:
         before = views(path)
         with open_map(path, writable=True) as universal:
-            assert universal.verify().problems == ()
+            assert universal.verify(deep=True).problems == ()
             universal.repair()
-            assert universal.verify().problems == ()
+            assert universal.verify(deep=True).problems == ()
         fresh = write_map(tmp_path / "fresh.gpkg", FIELD)
         assert content(path) == content(fresh)
         assert_same(views(path), before)
@@ -193,7 +193,7 @@ def test_a_map_with_channels_that_nobody_knows_is_read_and_says_what_to_do(tmp_p
         layers = ["count", "height"]
         ours, theirs = (m.read(cell_m=0.2, layers=layers) for m in (universal, other))
         np.testing.assert_array_equal(ours.layer("count"), theirs.layer("count"))
-        health = universal.verify()
+        health = universal.verify(deep=True)
         assert health.sound
         assert "last_seen" in health.notes[0]
     before = path.read_bytes()
@@ -207,5 +207,5 @@ def test_a_map_with_channels_that_nobody_knows_is_read_and_says_what_to_do(tmp_p
                 change()
         assert path.read_bytes() == before
         universal.repair()
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     assert content(path) == content(plain)

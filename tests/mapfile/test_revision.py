@@ -50,7 +50,7 @@ fields = st.lists(drives, min_size=2, max_size=4)
 
 def assert_sound(path: Path) -> None:
     with open_map(path) as universal:
-        verdict = universal.verify()
+        verdict = universal.verify(deep=True)
     assert verdict.problems == ()
 
 

@@ -170,7 +170,7 @@ def test_frames_staged_by_processes_in_any_order_give_the_same_bits(tmp_path: Pa
                 assert number >= 0
         assert content(path, "tiles", "digests", "frames") == expected
         with open_map(path) as universal:
-            assert universal.verify().problems == ()
+            assert universal.verify(deep=True).problems == ()
 
 
 def test_a_channel_of_ones_own_is_kept_with_the_frame(tmp_path: Path) -> None:
@@ -185,4 +185,4 @@ def test_a_channel_of_ones_own_is_kept_with_the_frame(tmp_path: Path) -> None:
     with open_map(path) as universal:
         (frame,) = universal.frames(with_grid=True)
         np.testing.assert_array_equal(frame.cells().channels["ground_mm"], height)
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()

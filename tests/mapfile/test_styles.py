@@ -113,14 +113,14 @@ def test_repair_gives_tables_of_features_their_columns(path: Path) -> None:
         connection.execute("ALTER TABLE trajectory DROP COLUMN time")
     with open_map(path, writable=True) as universal:
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 def test_verify_and_repair_know_the_time(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE footprint SET time = '2001-01-01T00:00:00.000Z'")
     with open_map(path) as universal:
-        assert not universal.verify().sound
+        assert not universal.verify(deep=True).sound
     with open_map(path, writable=True) as universal:
         universal.repair()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound

@@ -195,7 +195,7 @@ def test_a_map_is_as_if_it_had_been_driven_there_and_back_bit_for_bit(
         transform = universal.transform("1")
         assert (transform.shift_east_m, transform.turn_deg) == (0.31, -3.0)
         assert universal.sessions()[1].transform == transform
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
         moved = [(grid, transform.pose(pose)) for grid, pose in drive(5, heading_deg=-60.0)]
         assert [f.pose for f in universal.frames("1")] == [pose for _, pose in moved]
         assert [f.driven for f in universal.frames("1")] == [
@@ -231,7 +231,7 @@ def test_it_survives_new_poses_leaving_and_coming_back_and_merging(
         universal.set_transform("1", 3.0, 0.0)
         universal.restore_session("1")
         assert universal.transform("1").shift_east_m == 3.0
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     merge_maps([path], tmp_path / "copy.gpkg")
     assert content(tmp_path / "copy.gpkg", "tiles", "fixes") == content(path, "tiles", "fixes")
     with open_map(tmp_path / "copy.gpkg") as copy:

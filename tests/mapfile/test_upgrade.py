@@ -70,13 +70,13 @@ def test_it_is_read_as_it_is(path: Path, today: Path) -> None:
         assert found.density == expected.density
         assert len(found.contributions) == len(expected.contributions) > 0
         assert old.session_inputs("0")["fix.time_ns"].tolist() == [0, 1, 2, 3, 4]
-        health = old.verify()
+        health = old.verify(deep=True)
         assert health.sound
         assert "repair --upgrade" in health.notes[0]
     assert path.read_bytes() == before
     merge_maps([path], path.with_name("merged.gpkg"))
     with open_map(path.with_name("merged.gpkg")) as merged:
-        assert merged.verify().problems == ()
+        assert merged.verify(deep=True).problems == ()
         assert [info.name for info in merged.sessions()] == ["0", "1"]
 
 
@@ -84,7 +84,7 @@ def test_it_is_upgraded_in_place(path: Path, today: Path) -> None:
     with open_map(path, writable=True) as universal:
         assert universal.upgrade()
         assert not universal.upgrade()
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
         assert [(i.name, dict(i.config)) for i in universal.sessions()] == [
             (str(k), {"every": k}) for k in range(3)
         ]
@@ -93,7 +93,7 @@ def test_it_is_upgraded_in_place(path: Path, today: Path) -> None:
     assert content(path, *kinds) == content(today, *kinds)
     with open_map(path, writable=True) as universal:
         universal.restore_session("2")
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
 
 
 @pytest.mark.parametrize("change", ["add", "remove", "shift", "repair"])
@@ -108,7 +108,7 @@ def test_the_first_change_upgrades_it(path: Path, change: str) -> None:
             universal.set_transform("1", 1.0, 2.0)
         else:
             universal.repair()
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     assert version(path) == "3"
 
 
@@ -141,7 +141,7 @@ def test_damage_of_before_is_not_blessed(path: Path, statement: str) -> None:
         assert database.execute(statement).rowcount == 1
     with open_map(path, writable=True) as universal:
         universal.upgrade()
-        (problem, *_) = universal.verify().problems
+        (problem, *_) = universal.verify(deep=True).problems
     assert "'2'" in problem
 
 
@@ -181,7 +181,7 @@ def test_a_change_that_is_refused_upgrades_nothing(
         with pytest.raises((ConfigError, KeyboardInterrupt)):
             refused(universal)
         universal.remove_session("0")
-        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
     assert version(path) == "3"
 
 
@@ -217,7 +217,7 @@ def test_what_is_damaged_is_found_before_the_upgrade(path: Path, statement: str,
         assert database.execute(statement).rowcount >= 1
     before = path.read_bytes()
     with open_map(path) as universal:
-        problems = universal.verify().problems
+        problems = universal.verify(deep=True).problems
     assert any(told in problem for problem in problems), problems
     assert path.read_bytes() == before
 
@@ -253,4 +253,4 @@ def test_another_wording_of_the_plane_is_the_same_plane(path: Path) -> None:
         assert changed.rowcount == 1
     with open_map(path, writable=True) as universal:
         assert universal.upgrade()
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound

@@ -40,12 +40,12 @@ def changed(sound: Path, tmp_path: Path, statement: str) -> Path:
 
 def problems(path: Path) -> tuple[str, ...]:
     with open_map(path) as universal:
-        return universal.verify().problems
+        return universal.verify(deep=True).problems
 
 
 def test_a_map_as_written_is_sound(sound: Path) -> None:
     with open_map(sound) as universal:
-        verdict = universal.verify()
+        verdict = universal.verify(deep=True)
     assert verdict.sound
     assert (verdict.sessions, verdict.removed, verdict.frames) == (3, 1, 15)
     assert verdict.tiles > 3
@@ -221,7 +221,7 @@ def test_damage_of_the_evidence_is_found_and_not_repaired(
     if "session_id = 3" in statement:  # of a session that is removed, and not needed for repair
         with open_map(path, writable=True) as universal:
             universal.repair()
-            assert universal.verify().problems
+            assert universal.verify(deep=True).problems
         return
     with (
         open_map(path, writable=True) as universal,
@@ -246,7 +246,7 @@ def test_a_session_whose_evidence_is_damaged_can_be_taken_out(
             universal.remove_session("1")
             return
         universal.repair()
-        assert universal.verify().problems  # that it is out does not make it sound
+        assert universal.verify(deep=True).problems  # that it is out does not make it sound
     merge_maps([path], tmp_path / "rest.gpkg")
     assert problems(tmp_path / "rest.gpkg") == ()
     assert content(tmp_path / "rest.gpkg") == content(path)

@@ -212,7 +212,7 @@ def test_a_session_is_taken_out_and_put_back(own_server: Server) -> None:
         assert own_server.post("/api/maps/0/sessions", asked).status == 200
         with open_map(path) as universal:
             assert [info.active for info in universal.sessions()] == [True, active]
-            assert universal.verify().sound
+            assert universal.verify(deep=True).sound
         # The page that asked has not seen what another one made of the map.
         stale = own_server.post("/api/maps/0/sessions", asked)
         assert stale.status == 400

@@ -40,7 +40,7 @@ def test_a_mark_is_added_removed_and_restored(small: Path) -> None:
         assert about["marks"] == [mark]
         assert server.json("/api/maps/0/features") == {"tables": []}  # each is drawn once
     with open_map(small) as universal:
-        assert universal.verify().sound
+        assert universal.verify(deep=True).sound
 
 
 @pytest.mark.parametrize(

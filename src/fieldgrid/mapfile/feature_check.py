@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.derived import active, show_features
+from fieldgrid.mapfile.features import announce_extents
 from fieldgrid.mapfile.header import check_plane
 from fieldgrid.mapfile.metadata import find
 from fieldgrid.mapfile.styles import refresh_styles
@@ -19,19 +21,38 @@ from fieldgrid.mapfile.tiling import TileMatrixSet
 def check_features(subject: Subject) -> Iterator[str]:
     """The layers of features, and what is announced to a GIS, against the same made again."""
     connection, path, header, _ = subject
-    scratch = sqlite3.connect("", isolation_level=None)
-    try:
-        matrices = TileMatrixSet(header.lattice)
-        schema.create(scratch, header.datum, matrices, header.transfer, header.groups)
+    with closing(_empty(subject)) as scratch:
         for session_id, name in active(connection):
             metadata = find(connection, path, header.datum, name).metadata
             show_features(scratch, session_id, metadata, evidence=connection)
         refresh_styles(scratch, evidence=connection)
-        for what, query in _OLD if header.version < schema.FORMAT_VERSION else _COMPARED:
+        is_old = header.version < schema.FORMAT_VERSION
+        for what, query in _OLD if is_old else _ANNOUNCED + _FEATURES:
             yield from _differences(what, connection.execute(query), scratch.execute(query))
-    finally:
-        scratch.close()
     check_plane(connection, path, header.datum)
+
+
+def check_announced(subject: Subject) -> Iterator[str]:
+    """What is announced to a GIS, against the same made of what sessions cover."""
+    connection, path, header, _ = subject
+    with closing(_empty(subject)) as scratch:
+        scratch.executemany(
+            "INSERT INTO fieldgrid_extent VALUES (?, ?, ?, ?, ?, ?)",
+            connection.execute("SELECT * FROM fieldgrid_extent"),
+        )
+        announce_extents(scratch)
+        refresh_styles(scratch, evidence=connection)
+        for what, query in _ANNOUNCED:
+            yield from _differences(what, connection.execute(query), scratch.execute(query))
+    check_plane(connection, path, header.datum)
+
+
+def _empty(subject: Subject) -> sqlite3.Connection:
+    """A map with the settings of another, and nothing in it; to be closed."""
+    scratch, header = sqlite3.connect("", isolation_level=None), subject.header
+    matrices = TileMatrixSet(header.lattice)
+    schema.create(scratch, header.datum, matrices, header.transfer, header.groups)
+    return scratch
 
 
 def _differences(what: str, here: Iterator[Any], anew: Iterator[Any]) -> Iterator[str]:
@@ -57,7 +78,7 @@ def _key(row: Any) -> str:
 
 _OURS = ", ".join(repr(layer) for layer in schema.LAYERS)
 
-_COMPARED: tuple[tuple[str, str], ...] = (
+_ANNOUNCED: tuple[tuple[str, str], ...] = (
     (
         "reference system",
         "SELECT srs_id, organization, organization_coordsys_id, srs_name, definition, description "
@@ -90,6 +111,15 @@ _COMPARED: tuple[tuple[str, str], ...] = (
         "ORDER BY 1, 2",
     ),
     (
+        "style of layer",
+        "SELECT f_table_name, f_geometry_column, f_table_catalog, f_table_schema, styleName, "
+        "styleSLD, description, ui, useAsDefault IN (0, 1), styleQML FROM layer_styles "
+        "WHERE owner = 'fieldgrid' ORDER BY 1",
+    ),
+)
+
+_FEATURES: tuple[tuple[str, str], ...] = (
+    (
         "fix",
         "SELECT session, time_ns, status, reason, geom, time, up_m, heading_deg, "
         "heading_sigma_deg, position_sigma_m, speed_mps, gear, quality FROM trajectory ORDER BY "
@@ -105,17 +135,11 @@ _COMPARED: tuple[tuple[str, str], ...] = (
         "SELECT session, frame_id, time_ns, status, geom, time FROM footprint "
         "ORDER BY session, frame_id",
     ),
-    (
-        "style of layer",
-        "SELECT f_table_name, f_geometry_column, f_table_catalog, f_table_schema, styleName, "
-        "styleSLD, description, ui, useAsDefault IN (0, 1), styleQML FROM layer_styles "
-        "WHERE owner = 'fieldgrid' ORDER BY 1",
-    ),
 )
 
 _OLD = tuple(
     (what, query.replace("geom, time,", "geom,").replace("geom, time ", "geom "))
-    for what, query in _COMPARED
+    for what, query in _ANNOUNCED + _FEATURES
     if "layer_styles" not in query
 )
 """The same of format 2, which has neither styles nor the time of a feature as text."""

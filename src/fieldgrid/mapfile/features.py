@@ -50,7 +50,7 @@ def show_session(
     _insert(connection, session_id, "trajectory", _fixes(name, track))
     _insert(connection, session_id, "frame_position", _positions(frames))
     _insert(connection, session_id, "footprint", _footprints(frames))
-    _announce_extents(connection)
+    announce_extents(connection)
 
 
 def hide_session(connection: sqlite3.Connection, session_id: int, name: str) -> None:
@@ -58,7 +58,7 @@ def hide_session(connection: sqlite3.Connection, session_id: int, name: str) -> 
     for layer in GEOMETRIES:
         connection.execute(f"DELETE FROM {layer} WHERE session = ?", (name,))
     connection.execute("DELETE FROM fieldgrid_extent WHERE session_id = ?", (session_id,))
-    _announce_extents(connection)
+    announce_extents(connection)
 
 
 def _fixes(name: str, track: Trajectory | None) -> Iterator[_Feature]:
@@ -140,7 +140,7 @@ def _insert(
         )
 
 
-def _announce_extents(connection: sqlite3.Connection) -> None:
+def announce_extents(connection: sqlite3.Connection) -> None:
     """Tell a GIS what each layer covers."""
     for layer in GEOMETRIES:
         connection.execute(

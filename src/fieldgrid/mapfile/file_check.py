@@ -12,6 +12,7 @@ from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.marks import create_marks, has_marks
+from fieldgrid.mapfile.row_sums import create_sums, has_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -134,15 +135,19 @@ class _Layout(NamedTuple):
 
 def _layout(subject: Subject) -> _Layout:
     """The layout of a new map with the tables that the map has."""
-    return _empty(subject.header._replace(groups=()), has_marks(subject.connection))
+    connection = subject.connection
+    header = subject.header._replace(groups=())
+    return _empty(header, has_marks(connection), has_sums(connection))
 
 
 @lru_cache(maxsize=8)
-def _empty(header: Header, marks: bool) -> _Layout:
+def _empty(header: Header, marks: bool, sums: bool) -> _Layout:
     with closing(sqlite3.connect("", isolation_level=None)) as made:
         schema.create(made, header.datum, TileMatrixSet(header.lattice), header.transfer, ())
         if marks:
             create_marks(made)
+        if sums:
+            create_sums(made)
         query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
         columns = made.execute(
             'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '

@@ -30,6 +30,7 @@ from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.mapfile.records import sessions_html
 from fieldgrid.mapfile.root import check_root, seal
+from fieldgrid.mapfile.row_sums import RowCounter
 from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.transform import Transform
@@ -65,6 +66,7 @@ class MapFile(MapReader):
         self._session: Session | None = None
         self._has_new_session = False
         self._unsettled = False
+        self._counter = RowCounter(connection)
         # Also a map that is forgotten gives up its file, and its draft.
         self._release = weakref.finalize(self, _release, connection, draft)
 
@@ -290,10 +292,14 @@ class MapFile(MapReader):
                     upgrade(self._connection, self.path, before)
                     seal(self._connection)
                     self._header = upgraded(before)
-                if trusting:
-                    check_root(self._connection, self.path)
-                yield
-                seal(self._connection)
+                if not trusting:
+                    yield
+                    seal(self._connection)
+                    return
+                check_root(self._connection, self.path)
+                with self._counter.counting():
+                    yield
+                    seal(self._connection)
         except BaseException:
             self._header = before
             raise
@@ -304,7 +310,10 @@ class MapFile(MapReader):
             return
         self._unsettled = False
         try:
-            with writing(self._connection, self.path, Patience(0.0)):
+            with (
+                writing(self._connection, self.path, Patience(0.0)),
+                self._counter.counting(),
+            ):
                 settle(self._connection, self._header, self.path)
         except MapError as error:
             # The map is complete without: readers make it from the tiles below.

@@ -120,13 +120,15 @@ class MapReader:
                     "since they were written; see `fieldgrid verify`, or restore a copy."
                 )
 
-    def verify(self, jobs: int | None = None) -> HealthReport:
-        """Check the file, the evidence against its hashes, and that all else follows from it.
+    def verify(self, jobs: int | None = None, *, deep: bool = False) -> HealthReport:
+        """Check that the map is what was written, by the sums that it keeps of its rows.
 
-        `jobs` is the number of threads, all cores when not given.
+        With `deep`, or where they do not fit, the evidence is checked against its hashes, and all
+        else made again from it and compared. `jobs` is the number of threads, all cores when not
+        given.
         """
         with reading(self._connection, self.path):
-            return verify(self._connection, self.path, self._header, jobs)
+            return verify(self._connection, self.path, self._header, jobs, deep=deep)
 
     def sessions_at(self, at: str | int) -> list[str]:
         """The names of the active sessions as of a moment, in the order of their drives.

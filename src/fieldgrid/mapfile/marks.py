@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 from functools import lru_cache
@@ -21,6 +21,7 @@ from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.geometry import Ring, decode_rings, encode_point, encode_polygon
+from fieldgrid.mapfile.subject import Subject
 from fieldgrid.vectors import Feature
 
 MAX_CORNERS, MAX_TEXT, MAX_MARKS = 2000, 500, 10_000
@@ -248,6 +249,14 @@ def announce_marks(connection: sqlite3.Connection) -> None:
         "INSERT INTO gpkg_geometry_columns VALUES ('mark', 'geom', 'GEOMETRY', ?, 0, 0)",
         (schema.SRS_ID,),
     )
+
+
+def check_marks(subject: Subject) -> Iterator[str]:
+    """Every mark, and whether a GIS is told of them."""
+    connection = subject.connection
+    read_marks(connection, removed=True)
+    if has_marks(connection) and listed_marks(connection) != LISTED_MARKS:
+        yield "The layer mark is not listed as it should be; repair the map."
 
 
 def insert_marks(connection: sqlite3.Connection, marks: Sequence[Mark]) -> tuple[int, ...]:

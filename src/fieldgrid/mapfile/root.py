@@ -59,16 +59,21 @@ def read_root(connection: sqlite3.Connection) -> Root:
         for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
             hashed.update(as_json([_plain(value) for value in row]))
         hashed.update(b"\n")
-    meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = ?", (_KEY,)).fetchone()
     contents = connection.execute(
         "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
     ).fetchone()
     noted = None if contents is None else str(contents[0])
     return Root(
         hashed.hexdigest(),
-        None if meta is None else str(meta[0]),
+        root_in_meta(connection),
         noted if noted is None else noted.removeprefix(f"{_DRIVES} (SHA-256 ").removesuffix(")"),
     )
+
+
+def root_in_meta(connection: sqlite3.Connection) -> str | None:
+    """The root digest as it is kept among the settings."""
+    meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = ?", (_KEY,)).fetchone()
+    return None if meta is None else str(meta[0])
 
 
 def seal(connection: sqlite3.Connection) -> None:

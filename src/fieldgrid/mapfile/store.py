@@ -23,6 +23,7 @@ from fieldgrid.mapfile.header import Header, read_header
 from fieldgrid.mapfile.hot_journal import check_journal
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
+from fieldgrid.mapfile.row_sums import begin_sums
 from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.styles import refresh_styles
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -113,6 +114,7 @@ def create_map(
             schema.create(connection, datum, matrices, header.transfer, header.groups)
             refresh_styles(connection)
             seal(connection)
+            begin_sums(connection)
     except BaseException:
         universal.discard()
         raise

@@ -36,8 +36,7 @@ def check_tiles(subject: Subject) -> Iterator[str]:
     for (name,) in removed:
         yield f"The map has tiles of session {name!r}, which is not in it."
     base = tables.matrices.base_zoom
-    corners = tables.corners()
-    top = tables.matrices.top_zoom(corners) if corners else base + 1
+    top = _top_zoom(tables)
     tiles = {TileIndex(*row) for row in tables.rows("SELECT ty, tx FROM fieldgrid_session_tile")}
     for zoom in range(base, top - 1, -1):
         if zoom < base:
@@ -52,7 +51,13 @@ def check_tiles(subject: Subject) -> Iterator[str]:
     )
     for (zoom,) in strays:
         yield f"The map has tiles of a level {zoom} that it does not need."
-    yield from _extent_of_tiles(subject, pyramid, top)
+    yield from check_extent(subject)
+
+
+def _top_zoom(tables: TileTables) -> int:
+    """The uppermost level that the map needs; one below the base where it has no tiles."""
+    corners, matrices = tables.corners(), tables.matrices
+    return matrices.top_zoom(corners) if corners else matrices.base_zoom + 1
 
 
 def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str]:
@@ -151,10 +156,11 @@ def _difference(
     return ""
 
 
-def _extent_of_tiles(subject: Subject, pyramid: Pyramid, top: int) -> Iterator[str]:
-    """The extents that are announced of the tiles."""
-    connection, matrices = subject.connection, subject.tables.matrices
-    window = pyramid.window_at_the_edges()
+def check_extent(subject: Subject) -> Iterator[str]:
+    """The extents and levels that are announced of the tiles."""
+    connection, tables = subject.connection, subject.tables
+    matrices, top = tables.matrices, _top_zoom(tables)
+    window = Pyramid(connection, tables).window_at_the_edges()
     meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = 'data_window'")
     expected = None if window is None else (str(list(window)),)
     if meta.fetchone() != expected:

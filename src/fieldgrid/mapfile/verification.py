@@ -1,7 +1,8 @@
 """Whether a map is sound: its file, its evidence, and everything that follows from that.
 
-The tiles are made again from the frames, level by level, and compared with what is stored; so a
-map that passes says what its frames say. `repair` makes them in the map itself.
+A map that keeps sums of its rows, and is as it was written, is sound. Of any other, and where it is
+asked for, the tiles are made again from the frames, level by level, and compared with what is
+stored; so a map that passes says what its frames say. `repair` makes them in the map itself.
 """
 
 from __future__ import annotations
@@ -32,16 +33,12 @@ from fieldgrid.mapfile.file_check import (
     renew_file,
 )
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.marks import (
-    LISTED_MARKS,
-    announce_marks,
-    has_marks,
-    listed_marks,
-    read_marks,
-)
+from fieldgrid.mapfile.marks import announce_marks, check_marks, has_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
+from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
 from fieldgrid.mapfile.root import check_root, read_root, seal
+from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
@@ -63,6 +60,8 @@ class HealthReport:
     removed: int
     frames: int
     tiles: int
+    deep: bool
+    """Whether everything was made again from the frames."""
 
     @property
     def sound(self) -> bool:
@@ -71,15 +70,24 @@ class HealthReport:
 
 
 def verify(
-    connection: sqlite3.Connection, path: Path, header: Header, jobs: int | None = None
+    connection: sqlite3.Connection,
+    path: Path,
+    header: Header,
+    jobs: int | None = None,
+    *,
+    deep: bool = False,
 ) -> HealthReport:
-    """Check everything, within the caller's reading."""
+    """Check everything, within the caller's reading; `deep` without trust in the map's sums."""
     subject = Subject(connection, path, header, jobs)
     problems, notes = list[str](), list[str]()
+    if not deep and header.version == schema.FORMAT_VERSION:
+        if is_as_written(subject):
+            return HealthReport((), (), *_counts(connection), False)
+        notes += _why_deep(connection)
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
     checks = (
-        *(check_file, check_layout, check_types, _root, _marks),
-        *(_evidence, check_features, check_tiles),
+        *(check_file, check_layout, check_types, _root, check_marks),
+        *(_evidence, check_features, check_tiles, check_sums),
     )
     if header.version < schema.FORMAT_VERSION:
         checks = (check_file, check_features, _upgraded)
@@ -94,6 +102,8 @@ def verify(
         )
     for check in checks:
         before = len(problems)
+        if check is check_sums and before:
+            break  # they cannot fit, which says nothing more
         try:
             problems += islice(check(subject), MAX_PROBLEMS - len(problems))
         except FieldgridError as error:
@@ -105,17 +115,31 @@ def verify(
             break
         if len(problems) >= MAX_PROBLEMS:
             break
-    counts = (
-        _counted(connection, table)
-        for table in (
-            "fieldgrid_session",
-            "fieldgrid_session WHERE removed IS NOT NULL",
-            "fieldgrid_frame",
-            "density",
-        )
-    )
     said = dict.fromkeys(shortened(problem, _LONGEST_PROBLEM) for problem in problems)
-    return HealthReport(tuple(said), tuple(notes), *counts)
+    return HealthReport(tuple(said), tuple(notes), *_counts(connection), True)
+
+
+def _why_deep(connection: sqlite3.Connection) -> Iterator[str]:
+    """Why a map could not be verified by its sums, where it has none."""
+    try:
+        if kept_sums(connection):
+            return
+    except (sqlite3.DatabaseError, UnicodeDecodeError):
+        return
+    yield (
+        "The map keeps no sums of its rows, or those of another state, so that everything was "
+        "made again from the frames; `fieldgrid repair` adds them."
+    )
+
+
+def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
+    """Sessions, those that were removed, frames and pictures."""
+    return (
+        _counted(connection, "fieldgrid_session"),
+        _counted(connection, "fieldgrid_session WHERE removed IS NOT NULL"),
+        _counted(connection, "fieldgrid_frame"),
+        _counted(connection, "density"),
+    )
 
 
 def _counted(connection: sqlite3.Connection, table: str) -> int:
@@ -136,14 +160,6 @@ def _root(subject: Subject) -> Iterator[str]:
         )
     elif not root.sound:
         yield "One of the two copies of the root digest is damaged; repair the map."
-
-
-def _marks(subject: Subject) -> Iterator[str]:
-    """Every mark, and whether a GIS is told of them."""
-    connection = subject.connection
-    read_marks(connection, removed=True)
-    if has_marks(connection) and listed_marks(connection) != LISTED_MARKS:
-        yield "The layer mark is not listed as it should be; repair the map."
 
 
 def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
@@ -272,7 +288,11 @@ def repair(
     derived.rebuild(connection, path, header, stored_groups(), jobs)
     renew_file(connection)
     seal(connection)
-    return Repaired(stored_groups(), _left(subject._replace(header=_with_stored(header))))
+    begin_sums(connection)
+    left = _left(subject._replace(header=_with_stored(header)))
+    if left:  # which sums would call sound
+        drop_sums(connection)
+    return Repaired(stored_groups(), left)
 
 
 def _with_stored(header: Header) -> Header:
@@ -283,7 +303,7 @@ def _left(subject: Subject) -> tuple[str, ...]:
     """What is wrong with the evidence of removed sessions. MapError for anything else."""
     removed = set(_evidence(subject, "WHERE removed IS NOT NULL"))
     removed.update(orphans(subject.connection, "fieldgrid_grid"))
-    found = verify(*subject).problems
+    found = verify(*subject, deep=True).problems
     for problem in found:
         if problem not in {shortened(one, _LONGEST_PROBLEM) for one in removed}:
             raise MapError(

@@ -1,0 +1,174 @@
+"""Sums of the rows of a map's tables: what tells, in one reading, that none was changed since.
+
+Of each table it is the sum modulo 2^256 of the SHA-256 of its rows. What a commit takes away is
+subtracted as it is found, and not as it should be: a row that was changed from outside stays
+missing in the sum, also after it was replaced or another one was made of it. So sums that fit say
+that the map is what its writers made of it, and are begun only where that was verified.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from fieldgrid.mapfile.root import root_in_meta
+from fieldgrid.mapfile.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES
+
+SUMMED_TABLES = (*EVIDENCE_TABLES, *DERIVED_TABLES, "density", *GEOMETRIES)
+"""What commits change row by row. The root digest covers the rest, or it is made again in no time:
+`fieldgrid_meta`, the marks, and what is announced to a GIS."""
+
+_MODULUS = 1 << 256
+_ROOT = "root"
+"""Beside the tables: the root digest of the state whose sums are kept. A program that knows of no
+sums leaves that of before."""
+
+_LAYOUT = """CREATE TABLE fieldgrid_sum (
+    rows_of TEXT NOT NULL PRIMARY KEY,
+    sum TEXT NOT NULL
+)"""
+
+_as_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
+
+
+def has_sums(connection: sqlite3.Connection) -> bool:
+    """Whether a map keeps sums: those of before there were any do not."""
+    found = connection.execute(
+        "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'fieldgrid_sum'"
+    ).fetchone()
+    return found is not None
+
+
+def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
+    """The sums that are kept, by table; none where they are those of another state."""
+    if not has_sums(connection):
+        return {}
+    kept = dict(connection.execute("SELECT rows_of, sum FROM fieldgrid_sum").fetchall())
+    return kept if kept.pop(_ROOT, None) == root_in_meta(connection) else {}
+
+
+def sum_of(connection: sqlite3.Connection, table: str) -> str:
+    """The sum of a table as its rows give it now."""
+    columns = ", ".join(_columns(connection)[table])
+    return _written(sum(map(_of_row, connection.execute(f"SELECT {columns} FROM {table}"))))
+
+
+def create_sums(connection: sqlite3.Connection) -> None:
+    """Lay out the table of sums."""
+    connection.execute(_LAYOUT)
+
+
+def begin_sums(connection: sqlite3.Connection) -> None:
+    """Keep the sums of what the map holds, within the caller's transaction, and from then on.
+
+    The map has been verified, and sealed.
+    """
+    drop_sums(connection)
+    create_sums(connection)
+    sums = {table: sum_of(connection, table) for table in SUMMED_TABLES}
+    connection.executemany("INSERT INTO fieldgrid_sum VALUES (?, ?)", sums.items())
+    _note_root(connection)
+
+
+def drop_sums(connection: sqlite3.Connection) -> None:
+    """Keep no sums any more, within the caller's transaction."""
+    connection.execute("DROP TABLE IF EXISTS fieldgrid_sum")
+
+
+class RowCounter:
+    """Keeps the sums of a map in step with what one connection changes.
+
+    Triggers of the connection, which are in no file, see every row that comes or goes.
+    """
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        self._changes = dict.fromkeys(SUMMED_TABLES, 0)
+        connection.create_function("fieldgrid_count", -1, self._count)
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        """Within the caller's transaction, at whose end the map is sealed: its sums follow."""
+        if not has_sums(self._connection):
+            yield
+            return
+        if not kept_sums(self._connection):
+            drop_sums(self._connection)  # what happened since is not known
+            yield
+            return
+        self._watch()
+        self._changes = dict.fromkeys(SUMMED_TABLES, 0)
+        yield
+        for table, change in self._changes.items():
+            if change:
+                self._add(table, change)
+        _note_root(self._connection)
+
+    def _watch(self) -> None:
+        for table, columns in _columns(self._connection).items():
+            old, new = (
+                ", ".join((f"'{table}'", sign, *(f"{row}.{column}" for column in columns)))
+                for row, sign in (("old", "-1"), ("new", "1"))
+            )
+            for event, counted in (("INSERT", [new]), ("DELETE", [old]), ("UPDATE", [old, new])):
+                self._connection.execute(
+                    f"CREATE TEMP TRIGGER IF NOT EXISTS {table}_{event} AFTER {event} "
+                    f"ON main.{table} BEGIN "
+                    f"SELECT {', '.join(f'fieldgrid_count({one})' for one in counted)}; END"
+                )
+
+    def _count(self, table: str, sign: int, *row: Any) -> None:
+        self._changes[table] += sign * _of_row(row)
+
+    def _add(self, table: str, change: int) -> None:
+        row = self._connection.execute(
+            "SELECT sum FROM fieldgrid_sum WHERE rows_of = ?", (table,)
+        ).fetchone()
+        # What is no number stays so, and no sum fits.
+        with suppress(TypeError, ValueError):
+            self._connection.execute(
+                "UPDATE fieldgrid_sum SET sum = ? WHERE rows_of = ?",
+                (_written(int(row[0], 16) + change), table),
+            )
+
+
+def _note_root(connection: sqlite3.Connection) -> None:
+    connection.execute(
+        "INSERT OR REPLACE INTO fieldgrid_sum VALUES (?, ?)", (_ROOT, root_in_meta(connection))
+    )
+
+
+def _columns(connection: sqlite3.Connection) -> Mapping[str, Sequence[str]]:
+    """The columns of the summed tables, in their order."""
+    rows = connection.execute(
+        "SELECT t.name, c.name FROM sqlite_schema AS t JOIN pragma_table_info(t.name) AS c "
+        "WHERE t.type = 'table' AND t.name IN (SELECT value FROM json_each(?)) ORDER BY 1, c.cid",
+        (json.dumps(SUMMED_TABLES),),
+    )
+    columns: dict[str, list[str]] = {}
+    for table, column in rows:
+        columns.setdefault(table, []).append(column)
+    return columns
+
+
+def _of_row(row: Iterable[Any]) -> int:
+    """The SHA-256 of a row: a line of values, a blob as a list of its length, then the blobs."""
+    line, blobs = list[Any](), list[bytes]()
+    for value in row:
+        if isinstance(value, bytes):
+            line.append([len(value)])
+            blobs.append(value)
+        else:
+            line.append(value)
+    hashed = hashlib.sha256(f"{_as_json(line)}\n".encode())
+    for blob in blobs:
+        hashed.update(blob)
+    return int.from_bytes(hashed.digest(), "big")
+
+
+def _written(total: int) -> str:
+    return f"{total % _MODULUS:064x}"
