@@ -7,7 +7,7 @@ little. What is wrong is found out by `verification`, from the frames.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ _LONG = ("fieldgrid_grid", "fieldgrid_tile", "fieldgrid_session_tile")
 def is_as_written(subject: Subject) -> bool:
     """Whether a map that keeps sums is what its writers made of it."""
     tables = (*_LONG, *(table for table in SUMMED_TABLES if table not in _LONG))
-    checks = (
+    checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
         check_file,
         *(partial(check_sum, table=table) for table in tables),
         *(check_layout, _check_root, check_marks, _check_sessions, check_announced, check_extent),

@@ -32,7 +32,7 @@ _LAYOUT = """CREATE TABLE fieldgrid_sum (
     sum TEXT NOT NULL
 )"""
 
-_as_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
+_as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def has_sums(connection: sqlite3.Connection) -> bool:
@@ -53,8 +53,10 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
 
 def sum_of(connection: sqlite3.Connection, table: str) -> str:
     """The sum of a table as its rows give it now."""
-    columns = ", ".join(_columns(connection)[table])
-    return _written(sum(map(_of_row, connection.execute(f"SELECT {columns} FROM {table}"))))
+    columns = map(_hashable, _columns(connection).get(table, ()))
+    # Where the table is missing SQLite says so.
+    rows = connection.execute(f"SELECT {', '.join(columns) or '*'} FROM {table}")
+    return _written(sum(map(_of_row, rows)))
 
 
 def create_sums(connection: sqlite3.Connection) -> None:
@@ -111,7 +113,7 @@ class RowCounter:
     def _watch(self) -> None:
         for table, columns in _columns(self._connection).items():
             old, new = (
-                ", ".join((f"'{table}'", sign, *(f"{row}.{column}" for column in columns)))
+                ", ".join((f"'{table}'", sign, *(_hashable(f"{row}.{column}") for column in columns)))
                 for row, sign in (("old", "-1"), ("new", "1"))
             )
             for event, counted in (("INSERT", [new]), ("DELETE", [old]), ("UPDATE", [old, new])):
@@ -153,6 +155,11 @@ def _columns(connection: sqlite3.Connection) -> Mapping[str, Sequence[str]]:
     for table, column in rows:
         columns.setdefault(table, []).append(column)
     return columns
+
+
+def _hashable(column: str) -> str:
+    """A value as it is hashed: text as the digits of its bytes, which need be no UTF-8."""
+    return f"CASE typeof({column}) WHEN 'text' THEN 'x' || hex({column}) ELSE {column} END"
 
 
 def _of_row(row: Iterable[Any]) -> int:
