@@ -13,6 +13,7 @@ import pytest
 from fieldgrid.errors import DatumError, FieldgridError, MapError
 from fieldgrid.grids import GridSpec
 from fieldgrid.mapfile import MapFile, Mark, MarkKind, create_map, open_map
+from fieldgrid.mapfile.row_sums import SUMMED_TABLES
 from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOMETRIES, OWN_TABLES
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, grid_of, pose_at, track
@@ -106,9 +107,10 @@ def test_any_value_in_any_column_is_a_finding(sound: Path, tmp_path: Path, table
             if not spoil(path, table, column, value):
                 continue
             with suppress(FieldgridError), open_map(path) as universal:
-                found = universal.verify(1, deep=True).problems
+                found = universal.verify(1).problems
                 assert all(problem.endswith(".") for problem in found), found
-                if not found:
+                assert found or table not in SUMMED_TABLES
+                if all(problem.startswith("The rows of ") for problem in found):
                     passed.append((table, column, value))
                 use(universal)
     assert set(passed) <= FREE

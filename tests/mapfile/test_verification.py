@@ -40,7 +40,9 @@ def changed(sound: Path, tmp_path: Path, statement: str) -> Path:
 
 def problems(path: Path) -> tuple[str, ...]:
     with open_map(path) as universal:
-        return universal.verify(deep=True).problems
+        found = universal.verify(deep=True).problems
+        assert set(found) <= set(universal.verify().problems)
+        return found
 
 
 def test_a_map_as_written_is_sound(sound: Path) -> None:
@@ -71,6 +73,7 @@ DERIVED = [
     "UPDATE gpkg_tile_matrix SET pixel_x_size = 1",
     "UPDATE gpkg_tile_matrix_set SET min_x = 0",
     "UPDATE gpkg_contents SET max_x = 0 WHERE table_name = 'density'",
+    "UPDATE gpkg_contents SET min_x = 0 WHERE table_name = 'layer_styles'",
     "UPDATE gpkg_contents SET min_y = 0 WHERE table_name = 'footprint'",
     "DELETE FROM gpkg_contents WHERE table_name = 'trajectory'",
     "UPDATE fieldgrid_meta SET value = '[0, 0, 1, 1]' WHERE key = 'data_window'",

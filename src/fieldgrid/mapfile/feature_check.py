@@ -106,6 +106,11 @@ _ANNOUNCED: tuple[tuple[str, str], ...] = (
         f"WHERE table_name IN ({_OURS}) AND table_name <> 'density' ORDER BY 1",
     ),
     (
+        "extent of the styles",
+        "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents "
+        "WHERE table_name = 'layer_styles'",
+    ),
+    (
         "extent of session",
         "SELECT session_id, layer, west_m, south_m, east_m, north_m FROM fieldgrid_extent "
         "ORDER BY 1, 2",

@@ -53,10 +53,8 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
 
 def sum_of(connection: sqlite3.Connection, table: str) -> str:
     """The sum of a table as its rows give it now."""
-    columns = map(_hashable, _columns(connection).get(table, ()))
-    # Where the table is missing SQLite says so.
-    rows = connection.execute(f"SELECT {', '.join(columns) or '*'} FROM {table}")
-    return _written(sum(map(_of_row, rows)))
+    columns = ", ".join(map(_hashable, _columns(connection)[table]))
+    return _written(sum(map(_of_row, connection.execute(f"SELECT {columns} FROM {table}"))))
 
 
 def create_sums(connection: sqlite3.Connection) -> None:
@@ -113,7 +111,9 @@ class RowCounter:
     def _watch(self) -> None:
         for table, columns in _columns(self._connection).items():
             old, new = (
-                ", ".join((f"'{table}'", sign, *(_hashable(f"{row}.{column}") for column in columns)))
+                ", ".join(
+                    (f"'{table}'", sign, *(_hashable(f"{row}.{column}") for column in columns))
+                )
                 for row, sign in (("old", "-1"), ("new", "1"))
             )
             for event, counted in (("INSERT", [new]), ("DELETE", [old]), ("UPDATE", [old, new])):
