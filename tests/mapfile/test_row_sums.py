@@ -11,12 +11,21 @@ import pytest
 
 from fieldgrid.errors import MapError
 from fieldgrid.grids import GridSpec
-from fieldgrid.mapfile import HealthReport, Mark, MarkKind, create_map, merge_maps, open_map
+from fieldgrid.mapfile import (
+    HealthReport,
+    MapFile,
+    Mark,
+    MarkKind,
+    create_map,
+    merge_maps,
+    open_map,
+)
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.trajectory import Status
 from tests.mapfile.maps import DATUM, drive, grid_of, pose_at, track, write_map, write_session
 
+POND = ((0.0, 0.0), (2.0, 0.0), (1.0, 1.0))
 SUMS = "SELECT * FROM fieldgrid_sum ORDER BY 1"
 
 
@@ -76,7 +85,7 @@ def test_every_change_keeps_them(path: Path, tmp_path: Path) -> None:
         "repose": lambda m: m.repose(
             "d", {f.frame_id: pose for f, pose in zip(m.frames("d"), poses.values(), strict=True)}
         ),
-        "mark": lambda m: m.add_marks([Mark(MarkKind.KEEPOUT, ((0.0, 0.0), (2.0, 0.0), (1.0, 1.0)))]),
+        "mark": lambda m: m.add_marks([Mark(MarkKind.KEEPOUT, POND)]),
         "mark out": lambda m: m.remove_marks([1]),
         "mark in": lambda m: m.restore_marks([1]),
         "repair": lambda m: m.repair(),
@@ -104,14 +113,22 @@ def test_every_change_keeps_them(path: Path, tmp_path: Path) -> None:
 
 
 def test_a_change_that_is_rolled_back_is_not_counted(path: Path) -> None:
-    before = sql(path, SUMS)
-    with open_map(path, datum=DATUM) as universal:
-        with pytest.raises(KeyboardInterrupt), universal.add_session("d") as session:
+    def fail(universal: MapFile) -> None:
+        with universal._changing():
+            universal._connection.execute("DELETE FROM fieldgrid_tile")
+            raise MapError("No.")
+
+    def stop(universal: MapFile) -> None:
+        with universal.add_session("d") as session:
             session.add(*drive(1)[0])
             raise KeyboardInterrupt
-        with pytest.raises(MapError), universal._changing():  # noqa: SLF001 - after a row has gone
-            universal._connection.execute("DELETE FROM fieldgrid_tile")  # noqa: SLF001
-            raise MapError("No.")
+
+    before = sql(path, SUMS)
+    with open_map(path, datum=DATUM) as universal:
+        with pytest.raises(KeyboardInterrupt):
+            stop(universal)
+        with pytest.raises(MapError):
+            fail(universal)
         assert sql(path, SUMS) == before
         universal.remove_session("a")
     assert_fitting(path)
