@@ -32,7 +32,9 @@ _LAYOUT = """CREATE TABLE fieldgrid_sum (
     sum TEXT NOT NULL
 )"""
 
-_as_json = json.JSONEncoder(separators=(",", ":")).encode
+_OLD, _NEW = {"old": -1}, {"new": 1}
+_EVENTS: Mapping[str, Mapping[str, int]] = {"INSERT": _NEW, "DELETE": _OLD, "UPDATE": _OLD | _NEW}
+"""The rows that each takes from a sum, or adds to it."""
 
 
 def has_sums(connection: sqlite3.Connection) -> bool:
@@ -109,18 +111,24 @@ class RowCounter:
         _note_root(self._connection)
 
     def _watch(self) -> None:
+        """Create the triggers that are missing: all at first, and those of a transaction that was
+        rolled back or of tables that were made anew."""
+        query = "SELECT name FROM sqlite_temp_schema WHERE type = 'trigger'"
+        there = {name for (name,) in self._connection.execute(query)}
+        if len(there) == len(SUMMED_TABLES) * len(_EVENTS):
+            return
         for table, columns in _columns(self._connection).items():
-            old, new = (
-                ", ".join(
-                    (f"'{table}'", sign, *(_hashable(f"{row}.{column}") for column in columns))
+            for event, rows in _EVENTS.items():
+                if (name := f"{table}_{event}") in there:
+                    continue
+                counted = (
+                    f"fieldgrid_count('{table}', {sign}, "
+                    f"{', '.join(_hashable(f'{row}.{column}') for column in columns)})"
+                    for row, sign in rows.items()
                 )
-                for row, sign in (("old", "-1"), ("new", "1"))
-            )
-            for event, counted in (("INSERT", [new]), ("DELETE", [old]), ("UPDATE", [old, new])):
                 self._connection.execute(
-                    f"CREATE TEMP TRIGGER IF NOT EXISTS {table}_{event} AFTER {event} "
-                    f"ON main.{table} BEGIN "
-                    f"SELECT {', '.join(f'fieldgrid_count({one})' for one in counted)}; END"
+                    f"CREATE TEMP TRIGGER {name} AFTER {event} ON main.{table} "
+                    f"BEGIN SELECT {', '.join(counted)}; END"
                 )
 
     def _count(self, table: str, sign: int, *row: Any) -> None:
@@ -164,14 +172,16 @@ def _hashable(column: str) -> str:
 
 def _of_row(row: Iterable[Any]) -> int:
     """The SHA-256 of a row: a line of values, a blob as a list of its length, then the blobs."""
-    line, blobs = list[Any](), list[bytes]()
+    line, blobs = list[str](), list[bytes]()
     for value in row:
         if isinstance(value, bytes):
-            line.append([len(value)])
+            line.append(f"[{len(value)}]")
             blobs.append(value)
+        elif isinstance(value, str):
+            line.append(f'"{value}"')  # of digits alone
         else:
-            line.append(value)
-    hashed = hashlib.sha256(f"{_as_json(line)}\n".encode())
+            line.append("null" if value is None else repr(value))
+    hashed = hashlib.sha256(f"[{','.join(line)}]\n".encode())
     for blob in blobs:
         hashed.update(blob)
     return int.from_bytes(hashed.digest(), "big")
