@@ -188,11 +188,8 @@ def _drive(
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
     turns_seen = at.has_gyro() or len(measured.step) > 0
-    position_sigma_m = smoothed.position_sigma_m
     if turns_seen and smoothed.declared.contradicts:
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
-        off_m = smoothed.declared.lever_off_m / np.sqrt(2.0)
-        position_sigma_m = np.hypot(position_sigma_m, off_m)
     if at.has_gyro():
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.unverified))
     if axle.sigma_m:
@@ -217,7 +214,7 @@ def _drive(
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
         np.asarray(sigma_deg),
-        position_sigma_m,
+        smoothed.position_sigma_m,
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),
         np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),

@@ -23,11 +23,15 @@ from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import LEAST_LEVER_M, Constant
+from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
 
-LEAST_DELAY_S = 0.05
-"""A smaller contradiction of the fixes' stamps is not worth a word."""
+CLEAR_SIGMAS = 4.0
+"""A drive contradicts what was declared only by so many sigmas."""
+
+LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
+"""Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
+
 
 LEAST_DOUBT_DEG = 1.0
 """What does not fit together and moves no heading by more is not worth a word."""
@@ -196,14 +200,14 @@ def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
         (found.right_m, "farther right", "farther left"),
     ):
         named = isinstance(rig, Rig) and (one is found.right_m or names_axle(rig))
-        if named and one.is_clear(LEAST_LEVER_M):
+        if named and abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
             told, way = True, more if one.value > 0.0 else less
             yield (
                 f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
                 "than mounting.json says; measure its place and correct it."
             )
     delay = found.late_s
-    if delay.is_clear(LEAST_DELAY_S):
+    if abs(delay.value) > max(CLEAR_SIGMAS * delay.sigma, LEAST_DELAY_S):
         told, late = True, "late" if delay.value > 0.0 else "early"
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "

@@ -33,22 +33,11 @@ MOST_MISFIT = 5.0
 """Four numbers that are right are more sigmas away once in 20,000 drives."""
 
 
-CLEAR_SIGMAS = 4.0
-"""A drive contradicts what was declared only by so many sigmas."""
-
-LEAST_LEVER_M = 0.3
-"""Smaller contradictions of the antenna's place are not worth a word."""
-
-
 class Constant(NamedTuple):
     """A constant of the drive, with its 1-sigma error."""
 
     value: float
     sigma: float
-
-    def is_clear(self, least: float) -> bool:
-        """Whether it is not nothing: by its sigmas, and by so much."""
-        return abs(self.value) > max(CLEAR_SIGMAS * self.sigma, least)
 
 
 class Declared(NamedTuple):
@@ -71,14 +60,6 @@ class Declared(NamedTuple):
     def contradicts(self) -> bool:
         """Whether sensors and declarations do not fit together."""
         return self.misfit > MOST_MISFIT
-
-    @property
-    def lever_off_m(self) -> float:
-        """How far the antenna seems to be from where it was declared; 0 where that is not clear.
-        Nobody knows whether it or the drive is right, so all positions may be as far off."""
-        places = self.right_m, self.ahead_m
-        off_m = [one.value for one in places if one.is_clear(LEAST_LEVER_M)]
-        return math.hypot(*off_m) if self.contradicts else 0.0
 
     @property
     def blames_gyro(self) -> bool:
