@@ -44,12 +44,14 @@ def build(paths: list[Path], out: Path, **options: Any) -> list[SessionReport]:
 
 
 def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
-    """Every row of every table of a map, but for the times at which they were written, and the root
-    digest, which covers those."""
+    """Every row of every table of a map, but for the times at which they were written, and what
+    covers those: the root digest, and the sums of the rows."""
     written = {"created", "last_change", "description", "update_time"}
     connection = sqlite3.connect(path)
     try:
-        names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        names = connection.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name <> 'fieldgrid_sum'"
+        )
         rows = {}
         for (name,) in names.fetchall():
             info = connection.execute(f"PRAGMA table_info('{name}')").fetchall()
