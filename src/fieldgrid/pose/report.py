@@ -33,6 +33,9 @@ LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
 
 
+LEAST_SEEN_SHARE = 0.5
+"""A camera that saw less of a drive contradicts nothing."""
+
 LEAST_DOUBT_DEG = 1.0
 """What does not fit together and moves no heading by more is not worth a word."""
 
@@ -133,7 +136,7 @@ def drive_notes(
     yield from _clock_note(clock)
     if not names_axle(rig):
         yield _no_axle(rig, axle)
-    if drive.turns_seen:
+    if drive.at.has_gyro() or _camera_share(drive) >= LEAST_SEEN_SHARE:
         yield from _contradictions(drive, rig)
     if not trajectory.accepted.any():
         yield _remedy(trajectory, fixes, settings)
@@ -190,6 +193,13 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
         return f"{unknown}, so headings are unsure in turns: {turns}. {remedy}"
     taken = "it is taken to be above it. Ahead of it, headings are off in turns"
     return f"{unknown}; {taken}: {turns}. {remedy}"
+
+
+def _camera_share(drive: Drive) -> float:
+    """The share of the drive's time that the camera's steps cover."""
+    time_s, nodes = drive.measured.time_s, drive.measured.step_nodes
+    lasted_s = float(time_s[-1] - time_s[0])
+    return float(np.diff(time_s[nodes], axis=1).sum()) / max(lasted_s, 1e-9)
 
 
 def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
