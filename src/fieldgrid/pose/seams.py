@@ -1,8 +1,8 @@
 """What it means that a receiver's solution has leapt by more than it states.
 
 One of the two solutions was wrong by as much, and nobody told. Which one is not known; the longer
-it lasted, the better a receiver says it is, and the more of a drive comes back to it, the rather it
-is the right one. A wrong one may have got there bit by bit.
+it lasted, the better the receiver says it is, and the more often a drive comes back to it, the
+likelier it is the right one. A wrong one may have got there bit by bit.
 """
 
 from __future__ import annotations
@@ -44,12 +44,10 @@ LEAP_S = 1e-3
 
 class SeamDoubt(NamedTuple):
     """What leaps add to n fixes: `sigma_m` [n] along one axis, and `lasting_s` [n], for how long
-    the error that they show stays the same (infinite without any); `largest_m` is the largest leap
-    to another solution."""
+    the error that they show stays the same (infinite without any)."""
 
     sigma_m: Float64
     lasting_s: Float64
-    largest_m: float
 
 
 class _Stretch(NamedTuple):
@@ -78,26 +76,21 @@ def seam_doubt(
     points_m: Float64, time_s: Float64, stated_m: Float64, noise_m: float, denied: Bool
 ) -> SeamDoubt:
     """The doubt of n fixes in order of time that are fit but for how they lie. Those that were
-    `denied` for it, by conditioning or by the estimate, tell of a solution like the others; where
-    none was, a vehicle may have driven. `stated_m` is what each states."""
+    `denied` for it by conditioning, or are seams, tell of a solution like the others; where none
+    was, a vehicle may have driven. `stated_m` is what each states, `noise_m` what is usual of one
+    to the next."""
     n = len(time_s)
     found = _solutions(points_m, time_s, noise_m, denied)
     first = found.first
     if len(first) < 2:
-        return SeamDoubt(np.zeros(n), np.full(n, np.inf), 0.0)
+        return SeamDoubt(np.zeros(n), np.full(n, np.inf))
     count = np.diff(np.append(first, n))
     usual_m = np.add.reduceat(stated_m, first) / count
     away_m, apart_m = _away(found, usual_m)
     # An error that grew up in a stretch, or fades in it: that of its two ends is independent.
     lasting_s = np.repeat(np.where(away_m > usual_m, 2.0 * found.lasted_s, np.inf), count)
     lasting_s[first[1:][apart_m > np.hypot(usual_m[1:], usual_m[:-1])] - 1] = LEAP_S
-    return SeamDoubt(np.repeat(away_m, count), lasting_s, float(apart_m.max()))
-
-
-def _lasted_s(first: Int64, time_s: Float64) -> Float64:
-    """For how long each stretch lasted. A single fix did, too: for the period of the receiver."""
-    stop = np.append(first[1:], len(time_s))
-    return np.asarray(time_s[stop - 1] - time_s[first] + usual_period_s(np.diff(time_s)))
+    return SeamDoubt(np.repeat(away_m, count), lasting_s)
 
 
 def _solutions(points_m: Float64, time_s: Float64, noise_m: float, denied: Bool) -> _Solutions:
@@ -116,6 +109,7 @@ def _solutions(points_m: Float64, time_s: Float64, noise_m: float, denied: Bool)
     first, stop = np.concatenate([[0], at + 1]), np.append(at + 1, len(time_s))
     place_m = np.concatenate([[[0.0, 0.0]], np.cumsum(steps.off_m[at], axis=0)])
     unsure_m2 = np.concatenate([[0.0], np.cumsum((steps.free_m[at] / FREE_SIGMAS) ** 2)])
+    # A single fix is followed, too: for the period of the receiver.
     period_s = usual_period_s(np.diff(time_s))
     found: list[_Stretch] = []
     shift_m = np.zeros(2)
