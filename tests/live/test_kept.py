@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
@@ -40,6 +41,43 @@ def test_a_journal_that_is_cut_off_has_every_record_before(tmp_path: Path) -> No
         with Journal(path) as journal:
             assert journal.append("fix", end)
         assert list(read_journal(path)) == [*found, ("fix", end)]
+
+
+class SmallDisk:
+    """Takes bytes while there is room, of the last write a part."""
+
+    def __init__(self, room: int) -> None:
+        self.room, self._pwrite = room, os.pwrite
+
+    def pwrite(self, file: int, data: bytes | bytearray, offset: int) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        part = bytes(data[: self.room])
+        self.room -= len(part)
+        return self._pwrite(file, part, offset)
+
+
+def test_a_full_disk_loses_only_what_memory_does_not_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, disk = tmp_path / "journal", SmallDisk(1_000_000)
+    with Journal(path) as journal:
+        disk.room = 1_000
+        monkeypatch.setattr("fieldgrid.live.journal.os.pwrite", disk.pwrite)
+        monkeypatch.setattr("fieldgrid.live.journal.MAX_WAITING_BYTES", 20_000)
+        # A minute of a receiver and a gyro.
+        taken = [journal.append("rows", [k, 0.1 * k]) for k in range(6000)]
+        assert not journal.sync()
+        assert taken[0]
+        assert not taken[-1]
+        assert journal.lost > 0
+        assert len(list(read_journal(path))) == sum(taken)
+        disk.room = 1 << 30
+        assert journal.sync()
+        assert journal.append("rows", [6000, 0.0])
+    kept = [value[0] for _, value in read_journal(path)]
+    assert len(kept) == 6001 - journal.lost
+    assert kept == [*range(len(kept) - 1), 6000]
 
 
 def test_a_damaged_record_costs_itself_alone(tmp_path: Path) -> None:

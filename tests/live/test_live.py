@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import shutil
 import threading
 from collections.abc import Iterable
@@ -36,7 +37,7 @@ from fieldgrid.live import (
     perceiving,
     replay,
 )
-from fieldgrid.live.journal import Journal
+from fieldgrid.live.journal import Journal, read_journal
 from fieldgrid.live.perceiving import stage_frame
 from fieldgrid.mapfile import StagedFrame, StageFile, open_map
 from fieldgrid.recording import Frame, Recording, open_recording
@@ -231,6 +232,30 @@ def test_a_disk_that_is_full_for_a_while_costs_the_frames_of_that_while(
     with open_map(out) as ours, open_map(tmp_path / "kept.gpkg") as theirs:
         assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
         np.testing.assert_array_equal(ours.read().density, theirs.read().density)
+
+
+def test_fixes_and_rows_that_a_full_disk_costs_are_told(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, write = Told(), Journal._write
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg", on_result=told)
+        monkeypatch.setattr(Journal, "_write", lambda _self: False)
+        monkeypatch.setattr("fieldgrid.live.journal.MAX_WAITING_BYTES", 2_000)
+        push_fixes(live, recording)
+        monkeypatch.setattr(Journal, "_write", write)
+        live.push_gyro(1, 0.0)  # too large for memory yet, and then the disk takes what waits
+        live._kept.sync()
+        live.push_gyro(2, 0.0)
+        live.stop()
+        pushed = live.counts.fixes + 2
+    full, again = told.texts("disk")
+    assert "takes nothing" in full
+    found = re.search(r"again\. (\d+) records did not fit", again)
+    assert found
+    assert 0 < int(found[1]) < pushed
+    journal = list(read_journal(live.folder / "journal"))
+    assert sum(kind in ("fix", "rows") for kind, _ in journal) == pushed - int(found[1])
 
 
 def test_a_frame_that_cannot_be_read_is_told_and_left_out(

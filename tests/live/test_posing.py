@@ -12,10 +12,10 @@ import pytest
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.live.lag import TIMES_AHEAD, Trailing
+from fieldgrid.live.lag import TIMES_OFF, Trailing
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.posing import LiveOptions, Poser
-from fieldgrid.live.results import LiveEvent, LivePose, LiveWindow, Outbox, What
+from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveWindow, Outbox, What
 from fieldgrid.live.sensed import rows_of
 from fieldgrid.live.window import Placed, RollingWindow
 from fieldgrid.odometry import Step
@@ -25,6 +25,7 @@ from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
 from fieldgrid.transfer import MeanFold, Transfer
 from tests.live.making import Told
+from tests.live.sources import Heard
 
 DATUM = Datum(41.65, -4.72, 787.4)
 RIG = Rig(
@@ -57,6 +58,11 @@ def frame(seconds: float, period_s: float | None) -> Seen:
     if period_s is not None:
         step = Step(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
     return Seen(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
+
+
+def watched() -> tuple[Heard, Poser]:
+    told = Heard()
+    return told, Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
 
 
 def driven(until_s: float, fixes_until_s: float, *, follows: bool) -> Told:
@@ -166,9 +172,83 @@ def test_a_receiver_whose_clock_jumps_is_not_followed_at_once() -> None:
     assert trailing.add_fix(fix(10.0)) == ""
     assert trailing.estimate(trailing.newest_ns).trajectory.time_ns[-1] == at_ns(10.0)
     # A log that goes on another day is.
-    day = [trailing.add_fix(fix(86_400.0 + 0.2 * k)) for k in range(TIMES_AHEAD)]
+    day = [trailing.add_fix(fix(86_400.0 + 0.2 * k)) for k in range(TIMES_OFF)]
     assert day[-1] == ""
     assert all(day[:-1])
+
+
+def test_a_receiver_that_was_silent_comes_back() -> None:
+    """Of a drive with fixes at 0..20 s and from 40 s on, what is told at the end of it."""
+
+    def told_at(until_s: float) -> LiveWindow:
+        told, poser = watched()
+        for k in range(round(5.0 * until_s) + 1):
+            seconds = k / 5.0
+            if not 20.0 < seconds < 40.0:
+                poser.put(fix(seconds))
+            poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+            if seconds >= until_s - 8.0:
+                poser.put(frame(seconds, 0.2))
+        poser.close()
+        return told.of(LiveWindow)[-1]
+
+    silent, back = told_at(39.8), told_at(46.0)
+    assert not silent.is_trusted
+    assert silent.doubt
+    assert back.is_trusted
+    assert back.pose is not None
+    assert back.pose.position_sigma_m < 0.3
+    assert math.hypot(back.pose.east_m, back.pose.north_m - 46.0 * SPEED_MPS) < 0.1
+    assert back.view.observed.any()
+
+
+def is_without_frames(told: Told) -> bool:
+    return any(window.doubt_code is Doubt.NO_FRAMES for window in told.of(LiveWindow)[-1:])
+
+
+def test_a_camera_that_was_unplugged_comes_back() -> None:
+    told, poser = watched()
+    for k in range(5 * 30 + 1):
+        seconds = k / 5.0
+        poser.put(fix(seconds))
+        poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+        if not 10.0 < seconds < 20.0:
+            poser.put(frame(seconds, 0.2 if seconds != 20.0 else None))
+        if seconds == 19.8:
+            told.wait(lambda: is_without_frames(told))
+    poser.close()
+    assert told.of(LiveWindow)[-1].is_trusted
+    settled = [float(one.frame_id) for one in told.of(LivePose) if one.is_settled]
+    assert sorted(settled) == [k / 5.0 for k in range(5 * 28 + 1) if not 50 < k < 100]
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, 300.0, 6.0, -6.0, -300.0])
+def test_a_clock_that_jumps_and_comes_back_costs_that_while(jump_s: float) -> None:
+    told, poser = watched()
+    for k in range(5 * 65 + 1):
+        seconds = k / 5.0
+        moved_s = jump_s if 20.0 <= seconds < 35.0 else 0.0
+        poser.put(fix(seconds)._replace(time_ns=at_ns(seconds + moved_s)))
+        poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+        if seconds >= 60.0:
+            poser.put(frame(seconds, 0.2))
+    poser.close()
+    last = told.of(LiveWindow)[-1]
+    assert last.is_trusted, last.doubt
+    assert last.pose is not None
+    assert math.hypot(last.pose.east_m, last.pose.north_m - 65.0 * SPEED_MPS) < 0.1
+
+
+def test_one_fix_of_another_time_costs_nothing() -> None:
+    trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
+    for k in range(100):
+        assert trailing.add_fix(fix(0.2 * k)) == ""
+        if k == 90:
+            for off_s, how in ((300.0, "300 s ahead"), (-300.0, "300 s behind")):
+                assert how in trailing.add_fix(fix(18.0)._replace(time_ns=at_ns(18.0 + off_s)))
+    track = trailing.estimate(trailing.newest_ns).trajectory
+    assert track.time_ns[-1] == trailing.newest_ns == at_ns(19.8)
+    assert track.accepted[-10:].all()
 
 
 def test_memory_is_bounded_by_what_an_estimate_takes() -> None:

@@ -280,6 +280,11 @@ class Kept(Closing):
                         for side in ("left", "right"):
                             (self.folder / f"{other:08d}-{side}.png").unlink(missing_ok=True)
 
+    @property
+    def lost(self) -> int:
+        """Records that no longer fitted into memory while the disk was full."""
+        return self.journal.lost
+
     def sync(self) -> bool:
         """Return when all of it is on the disk; False where the disk does not take it."""
         try:

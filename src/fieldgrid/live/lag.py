@@ -33,8 +33,10 @@ BEFORE_NS = 5_000_000_000
 FEWEST_FIXES = 3
 """Of fewer fixes nothing follows."""
 
-AHEAD_S, TIMES_AHEAD = 600.0, 10
-"""A fix that is stamped so far ahead of all else is not used here, unless so many follow it."""
+OFF_S, TIMES_OFF = 10.0, 10
+"""A fix that is stamped so far ahead of all else, or behind the newest fix, is not used here: one
+that is ahead would make all else too old to count. When so many come after each other, the clock
+of the receiver is followed."""
 
 
 class Asked(NamedTuple):
@@ -89,7 +91,7 @@ class Trailing:
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, Step | None]] = deque()
         self._last_fix_ns: int | None = None
-        self._ahead = 0
+        self._off = 0
         self.newest_ns = 0
 
     @property
@@ -100,9 +102,16 @@ class Trailing:
     def add_fix(self, fix: Fix) -> str:
         """A fix, in any order. Returns why it is not used, or nothing."""
         ahead_s = (fix.time_ns - self.newest_ns) / 1e9 if self.newest_ns else 0.0
-        self._ahead = self._ahead + 1 if ahead_s > AHEAD_S else 0
-        if 0 < self._ahead < TIMES_AHEAD:
-            return f"A fix is stamped {ahead_s:.0f} s ahead of all else, so poses do without it."
+        behind_s = (self._last_fix_ns - fix.time_ns) / 1e9 if self._last_fix_ns else 0.0
+        self._off = self._off + 1 if max(ahead_s, behind_s) > OFF_S else 0
+        if 0 < self._off < TIMES_OFF:
+            how = f"{ahead_s:.0f} s ahead of all else"
+            if behind_s > OFF_S:
+                how = f"{behind_s:.0f} s behind the newest"
+            return f"A fix is stamped {how}, so poses do without it."
+        if self._off and behind_s > OFF_S:
+            self._go_back(fix.time_ns)
+        self._off = 0
         self._fixes.append(fix)
         self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
         self._seen(fix.time_ns)
@@ -118,6 +127,14 @@ class Trailing:
         """A frame, in order of time, and the camera's step to it from the one before."""
         self._frames.append((time_ns, step))
         self._seen(time_ns)
+
+    def _go_back(self, time_ns: int) -> None:
+        """Forget the fixes after an instant: the clock by which they were stamped was put back."""
+        self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
+        self._last_fix_ns = None
+        rows_ns = (int(chunks[-1].time_ns[-1]) for chunks in self._parts.values() if chunks)
+        frame_ns = self._frames[-1][0] if self._frames else time_ns
+        self.newest_ns = max(time_ns, frame_ns, *rows_ns)
 
     def _seen(self, time_ns: int) -> None:
         self.newest_ns = max(self.newest_ns, time_ns)

@@ -94,7 +94,7 @@ class Live(Closing):
         self._fixes, self._bad = len(drive.fixes), len(drive.bad)
         self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
         self._pushed = self._heard_ns = 0
-        self._is_full = False
+        self._is_full, self._lost = False, 0
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns: int | None = None
         """The time of the last frame that is kept, by the receiver's clock; None before the
@@ -369,7 +369,10 @@ class Live(Closing):
     def _note_disk(self, taken: bool, time_ns: int) -> None:
         if taken == self._is_full:
             self._is_full = not taken
+            lost, self._lost = self._kept.lost - self._lost, self._kept.lost
             text = "The disk takes what is pushed again."
+            if lost:
+                text += f" {lost} records did not fit into memory meanwhile and are lost."
             if not taken:
                 text = (
                     f"The disk of {self._kept.folder} takes nothing: what is pushed waits in "
