@@ -251,6 +251,31 @@ def test_one_fix_of_another_time_costs_nothing() -> None:
     assert track.accepted[-10:].all()
 
 
+def test_a_frame_without_a_step_waits_for_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a depth camera or a lidar: gyro and wheels place it."""
+    told, poser = watched()
+
+    def put(from_s: float, until_s: float) -> None:
+        for k in range(round(20.0 * from_s), round(20.0 * until_s) + 1):
+            poser.put(("gyro", rows_of("gyro", at_ns(k / 20.0), 0.0)))
+            poser.put(("wheels", rows_of("wheels", at_ns(k / 20.0), SPEED_MPS)))
+
+    put(0.0, 20.0)
+    for k in range(101):
+        poser.put(fix(k / 5.0))
+    poser.put(frame(20.0, None))
+    told.wait(lambda: any(one.frame_id == "20.0" for one in told.of(LivePose)))
+    monkeypatch.setattr("fieldgrid.live.posing.Estimator.is_free", property(lambda _self: False))
+    put(20.0, 20.4)
+    poser.put(frame(20.4, None))
+    told.wait(lambda: any(window.frame_id == "20.4" for window in told.of(LiveWindow)))
+    placed = next(one.pose for one in told.of(LivePose) if one.frame_id == "20.4")
+    assert math.hypot(placed.east_m, placed.north_m - 20.4 * SPEED_MPS) < 0.05
+    assert abs(placed.heading_deg) < 3.0 * placed.heading_sigma_deg
+    assert not any(one.is_settled for one in told.of(LivePose))
+    poser.close()
+
+
 def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
     trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
     for k in range(5 * 600):

@@ -16,6 +16,7 @@ from fieldgrid.mounting import Measured, MountEstimate, estimate_mount
 from fieldgrid.mounting.estimate import AHEAD, UNDER
 from fieldgrid.recording import DriveOptions, open_recording
 from fieldgrid.rig import Mount
+from tests.build import yard
 from tests.conftest import TWO_LANES
 from tests.mounting.drives import AXLE_AHEAD_M, rendered, swept
 
@@ -190,3 +191,11 @@ def test_what_is_not_stated_is_not_compared(two_lanes: MountEstimate) -> None:
     axle = replace(two_lanes.stated, rear_axle_forward_m=None)
     assert len(replace(two_lanes, stated=axle).compared()) == 4
     assert math.isclose(Measured(1.0, 0.1).off(1.2), 2.0)
+
+
+def test_the_motion_within_a_sweep_moves_no_ground(tmp_path: Path) -> None:
+    # A vehicle that turns by 34°/s at 2.5 m/s: its lidar sees the same plane from everywhere.
+    found = estimate_mount(yard.recorded(tmp_path / "drive"), every=1)
+    assert found.height_m.value == pytest.approx(yard.HEIGHT_M, abs=0.003)
+    assert found.tilt_deg.value == pytest.approx(0.0, abs=0.02)
+    assert found.roll_deg.value == pytest.approx(0.0, abs=0.02)

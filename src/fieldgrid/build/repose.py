@@ -18,9 +18,13 @@ from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapFile, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.rig import Rig
+from fieldgrid.rig import Lidar, Rig
 from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.sweep import Sweep, Way
+from fieldgrid.trajectory import Pose, Status, Trajectory
+
+SWEEP_S = 0.1
+"""How long the sweep of a lidar usually takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +81,35 @@ def _repose(
     before = {frame.frame_id: frame.driven for frame in universal.frames(session.name)}
     after = {key: _pose(estimate, pose.time_ns, found, rig) for key, pose in before.items()}
     config = {**session.config, "settings": settings.model_dump(mode="json")}
+    notes = estimate.report.notes
+    if isinstance(rig.sensor, Lidar):
+        driven = universal.trajectory(session.name, as_driven=True)
+        used_ns = [pose.time_ns for pose in after.values() if pose.status is Status.OK]
+        notes += (_of_sweeps(driven, estimate.trajectory, used_ns, settings),)
     universal.repose(session.name, after, estimate.trajectory, config)
-    return _report(session.name, before, after, estimate)
+    return _report(session.name, before, after, estimate, notes)
+
+
+def _of_sweeps(
+    old: Trajectory, new: Trajectory, frame_ns: list[int], settings: BuildSettings
+) -> str:
+    """What the new poses change of the motion within a sweep, whose points the map does not have
+    any more."""
+    ways = Way.of(old), Way.of(new)
+    reach_m, cell_m = settings.grid.spec().reach_m, settings.grid.cell_m
+    sides = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=np.float32)
+    ends = Sweep(np.float32(reach_m) * sides, np.full(3, SWEEP_S, dtype=np.float32))
+    off_m = 0.0
+    for time_ns in frame_ns:
+        before, after = (way.carried(ends, time_ns, np.eye(3)) for way in ways)
+        off_m = max(off_m, float(np.linalg.norm(after - before, axis=1).max()))
+    end = "which is less than half a cell"
+    if off_m > cell_m / 2.0:
+        end = "so build the drive again to have them there"
+    return (
+        f"The points of a sweep stay where they were put by the poses of before; by the new ones "
+        f"the last of {SWEEP_S} s would lie up to {off_m:.3f} m elsewhere, {end}."
+    )
 
 
 def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSettings:
@@ -120,7 +151,11 @@ def _pose(estimate: Estimate, time_ns: int, ground_found: Mapping[int, bool], ri
 
 
 def _report(
-    name: str, before: Mapping[str, Pose], after: Mapping[str, Pose], estimate: Estimate
+    name: str,
+    before: Mapping[str, Pose],
+    after: Mapping[str, Pose],
+    estimate: Estimate,
+    notes: tuple[str, ...],
 ) -> ReposeReport:
     used = [key for key, pose in after.items() if pose.status is Status.OK]
     both = [(before[k], after[k]) for k in used if before[k].status is Status.OK]
@@ -137,7 +172,7 @@ def _report(
         moved_m=_middle_and_most(moved),
         turned_deg=_middle_and_most(turned),
         reasons=Counter(p.reason for p in after.values() if p.status is not Status.OK),
-        notes=estimate.report.notes,
+        notes=notes,
     )
 
 

@@ -12,7 +12,8 @@ from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Pose
 
 CARRIED_S = 2.0
-"""A pose is carried on for so long after the latest that was estimated."""
+"""A step carries a pose on that was estimated so long before the step begins, or less. How long the
+step itself takes does not matter: its error says what it is worth."""
 
 MOST_SHARE = 0.5
 """Of what a cell may be off, the way since then may take so much."""
@@ -21,12 +22,13 @@ STILL_MPS = 0.05
 
 
 class Carried(NamedTuple):
-    """A pose and its gear, and what was added to it since it was estimated: seconds, and 1-sigma
-    errors of the place and of the heading."""
+    """A pose and its gear, and what was added to it since it was estimated: seconds, those of them
+    before its last step, and 1-sigma errors of the place and of the heading."""
 
     pose: Pose
     gear: int
     since_s: float = 0.0
+    before_s: float = 0.0
     added_m: float = 0.0
     added_deg: float = 0.0
 
@@ -52,6 +54,7 @@ class Carried(NamedTuple):
             ),
             self.gear if abs(speed_mps) < STILL_MPS else (1 if speed_mps > 0.0 else -1),
             self.since_s + took_s,
+            self.since_s,
             math.hypot(self.added_m, off_m),
             math.hypot(self.added_deg, step.sigma_deg),
         )
@@ -60,7 +63,7 @@ class Carried(NamedTuple):
         """Whether it is still good enough for the window, as the pose was that it began with."""
         off_m = math.hypot(self.added_m, budget.reach_m * math.radians(self.added_deg))
         return (
-            self.since_s <= CARRIED_S
+            self.before_s <= CARRIED_S
             and off_m <= MOST_SHARE * budget.cell_m
             and self.pose.heading_sigma_deg <= settings.max_heading_sigma_deg
             and self.pose.position_sigma_m <= settings.max_position_sigma_m

@@ -8,7 +8,7 @@ two loses that frame alone.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fieldgrid.array_types import Int64
 from fieldgrid.build import BadFrame
 from fieldgrid.build.parts import found_from_json, found_to_json
 from fieldgrid.build.report import StageTimes
@@ -29,6 +28,7 @@ from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal, read_journal
+from fieldgrid.live.pairs import KeptPairs, pair_numbers
 from fieldgrid.live.sensed import (
     Rows,
     fix_from_json,
@@ -40,10 +40,10 @@ from fieldgrid.live.sensed import (
 from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile
 from fieldgrid.odometry import Refusal
 from fieldgrid.publish import holding, replacing
-from fieldgrid.recording import FixLog, Frame, Image, ImageFile, Recording, StereoFrame
+from fieldgrid.recording import FixLog, Image, Recording
 from fieldgrid.recording.given_poses import with_body_poses
 from fieldgrid.recording.pose_source import PoseBody
-from fieldgrid.rig import Rig, StereoCamera
+from fieldgrid.rig import Lidar, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
 MOST_PAIRS = 12
@@ -131,6 +131,8 @@ class Drive:
     """Of each frame that was staged: its number in the stage file, and the step to it."""
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     dropped: int = 0
+    as_seen: int = 0
+    """Clouds that were taken as they were seen."""
     times: StageTimes = field(default_factory=StageTimes)
 
 
@@ -179,6 +181,8 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
         drive.bad.append((time_ns, BadFrame(*bad)))
     elif kind == "dropped":
         drive.dropped += 1
+    elif kind == "as seen":
+        drive.as_seen += 1
 
 
 class Kept(Closing):
@@ -260,6 +264,10 @@ class Kept(Closing):
         """Keep that a frame was dropped."""
         return self.journal.append("dropped", [frame_id, time_ns])
 
+    def add_as_seen(self, frame_id: str) -> bool:
+        """Keep that nothing told how the vehicle went while a cloud was taken."""
+        return self.journal.append("as seen", frame_id)
+
     def wants_pair(self, number: int) -> bool:
         """Whether the pair of this frame is one by which the cameras are checked."""
         return number % self._pairs_every == 0
@@ -272,7 +280,7 @@ class Kept(Closing):
             for side, image in (("right", right), ("left", left)):
                 with replacing(self.folder / f"{number:08d}-{side}.png") as draft:
                     draft.write_bytes(cv2.imencode(".png", image, fast)[1].tobytes())
-            kept = _pairs(self.folder)
+            kept = pair_numbers(self.folder)
             if len(kept) > MOST_PAIRS:
                 self._pairs_every *= 2
                 for other in kept:
@@ -325,6 +333,11 @@ class Kept(Closing):
         notes = about.notes
         if drive.dropped:
             notes += (f"{drive.dropped} frames were dropped while it was driven.",)
+        if isinstance(rig.sensor, Lidar) and drive.frames:
+            notes += (
+                "Points with times were carried to the stamps of their clouds by the motion that "
+                f"was known while driving, but for {drive.as_seen} of {len(drive.frames)} clouds.",
+            )
         recording = Recording(
             path=self.folder,
             name=about.name,
@@ -335,7 +348,7 @@ class Kept(Closing):
             rig=rig,
             datum_hint=about.datum_hint,
             notes=notes,
-            source=_Pairs(self.folder, times_ns),
+            source=KeptPairs(self.folder, times_ns),
         )
         if about.poses is None:
             return recording
@@ -366,31 +379,3 @@ class _Numbered:
 
     def __getitem__(self, index: int) -> StagedFrame:
         return self.stage[self.numbers[index]]
-
-
-def _pairs(folder: Path) -> list[int]:
-    return sorted(int(path.name[:8]) for path in folder.glob("????????-left.png"))
-
-
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """A `FrameSource` of a drive whose images are gone, but for some pairs: a frame is the nearest
-    of these, which is enough to check the cameras."""
-
-    folder: Path
-    times_ns: Int64
-
-    @property
-    def roles(self) -> tuple[str, ...]:
-        return "left", "right"
-
-    def frames(self, start: int, stop: int) -> Iterator[Frame]:
-        kept = _pairs(self.folder)
-        for number in range(start, stop) if kept else ():
-            nearest = min(kept, key=lambda other: abs(other - number))
-            left, right = (
-                ImageFile(self.folder / f"{nearest:08d}-{side}.png") for side in ("left", "right")
-            )
-            size_px = left.size_px()
-            time_ns = int(self.times_ns[number])
-            yield StereoFrame(str(number), time_ns, left, right, size_px)

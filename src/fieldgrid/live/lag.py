@@ -224,6 +224,12 @@ def pose_at(trajectory: Trajectory, time_ns: int) -> tuple[Pose, int]:
     return pose, int(trajectory.gear[row]) if pose.status is not Status.REJECTED else 0
 
 
+def last_known_ns(trajectory: Trajectory) -> int | None:
+    """The last instant with an accepted pose; None without."""
+    known = trajectory.time_ns[trajectory.accepted]
+    return int(known[-1]) if len(known) else None
+
+
 def unknown_pose(time_ns: int, reason: str) -> Pose:
     """A pose of which nothing is known, and why."""
     nan = math.nan

@@ -21,7 +21,7 @@ from fieldgrid.live.finish import check_target, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
 from fieldgrid.live.kept import About, Kept
 from fieldgrid.live.lag import GIVEN_KEPT_S
-from fieldgrid.live.perceiving import Perceiver, Seen
+from fieldgrid.live.perceiving import Perceiver
 from fieldgrid.live.posing import LiveOptions, Poser
 from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
@@ -114,7 +114,8 @@ class Live(Closing):
             odometry=odometry,
             most_waiting=options.queue_frames,
             tell=self._tell,
-            pass_on=self._perceived,
+            pass_on=self._poser.put,
+            way=self._poser.going.around,
         )
         self._kept.forget()
         self._stopping = threading.Event()
@@ -202,13 +203,14 @@ class Live(Closing):
         points_m: npt.NDArray[np.float32],
         time_ns: int,
         *,
+        after_s: npt.NDArray[np.float32] | None = None,
         frame_id: str | None = None,
         wait: bool = False,
     ) -> bool:
-        """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres; the rest as in
-        `push_pair`."""
+        """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres, and by how much
+        later than `time_ns` each was taken, seconds [n]; the rest as in `push_pair`."""
         name = self._frame_id(frame_id)
-        frame = CloudFrame(name, int(time_ns), Pushed(f"{name}/cloud", points_m))
+        frame = CloudFrame(name, int(time_ns), Pushed(f"{name}/cloud", points_m, after_s))
         return self.push_frame(frame, wait=wait)
 
     def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:
@@ -342,9 +344,6 @@ class Live(Closing):
         self._outbox.close()
         if self._deliverer is not None:
             self._deliverer.join(CLIENT_S)
-
-    def _perceived(self, seen: Seen) -> None:
-        self._poser.put(seen)
 
     def push_rows(self, part: str, rows: Rows) -> None:
         """Rows of a part of the motion (`live.sensed.PARTS`), in any order, or of poses."""

@@ -22,7 +22,8 @@ from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import Features, Step, step
-from fieldgrid.recording import Frame, StereoFrame
+from fieldgrid.recording import CloudFrame, Frame, StereoFrame
+from fieldgrid.sweep import Way
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -52,6 +53,7 @@ class _Waiting(NamedTuple):
 class Perceiver:
     """Takes frames in order of time, and keeps and tells what they saw.
 
+    The points of a cloud are carried to its stamp by the `way` around it, where that is known.
     When as many wait as may, the oldest of them is dropped: what is in front of the vehicle now
     matters more than what was.
     """
@@ -65,9 +67,11 @@ class Perceiver:
         most_waiting: int,
         tell: Callable[[LiveResult], None],
         pass_on: Callable[[Seen], None],
+        way: Callable[[int], Way | None],
     ) -> None:
         self._kept, self._gridder, self._odometry = kept, gridder, odometry
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
+        self._way = way
         self._queue: deque[_Waiting] = deque()
         self._changed = threading.Condition()
         self._closed = False
@@ -150,10 +154,12 @@ class Perceiver:
                 self._changed.notify_all()
             problem, looked = None, None
             try:
+                way = self._way_of(waiting.frame)
                 looked = stage_frame(
                     waiting.frame,
                     self._gridder,
                     odometry=self._odometry,
+                    way=way,
                     gridded=partial(self._gridded, waiting, turn),
                 )
             except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
@@ -185,6 +191,15 @@ class Perceiver:
             time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
+
+    def _way_of(self, frame: Frame) -> Way | None:
+        """Of a cloud, how the vehicle went while it was taken, as far as that is known by now."""
+        if not isinstance(frame, CloudFrame):
+            return None
+        way = self._way(frame.time_ns + self._gridder.rig.image_time_offset_ns)
+        if way is None:
+            self._kept.add_as_seen(frame.frame_id)
+        return way
 
     def _bad(self, frame: Frame, reason: str) -> None:
         time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns

@@ -1,6 +1,7 @@
 """Poses and the window around the vehicle, again with each frame: a thread of its own.
 
-Estimates are made beside it; a frame that is newer than they are is placed by the camera's step.
+Estimates are made beside it; a frame that is newer than they are is placed by the camera's step,
+or by gyro and wheels.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
 from fieldgrid.live.carrying import Carried
 from fieldgrid.live.estimating import Estimated, Estimator, estimated
-from fieldgrid.live.lag import Asked, Trailing, pose_at, unknown_pose
+from fieldgrid.live.going import Going
+from fieldgrid.live.lag import Asked, Trailing, last_known_ns, pose_at, unknown_pose
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
@@ -111,6 +113,8 @@ class Poser:
             *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
             *(options.map_side_m, settings.grid.spec().reach_m),
         )
+        self.going = Going(rig.rear_axle_forward_m)
+        """How the vehicle goes just now."""
         self._budget, self._settings = cell_budget(rig, settings), settings.pose
         self._inbox: deque[Fix | Seen | Estimated | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
@@ -138,6 +142,8 @@ class Poser:
 
     def put(self, said: Fix | Seen | Estimated | tuple[str, Rows]) -> None:
         """Take what was pushed, or what was estimated of it; it never blocks."""
+        if type(said) is tuple:
+            self.going.add_rows(*said)
         with self._changed:
             self._inbox.append(said)
             if not isinstance(said, Estimated):
@@ -227,6 +233,7 @@ class Poser:
             return
         track = made.estimate.trajectory
         self._trailing.datum = track.datum
+        self.going.know(track)
         self._used = np.isin(self._fixes.time_ns, track.time_ns[track.accepted])
         self._say_refused(made.estimate)
 
@@ -316,22 +323,23 @@ class Poser:
         return found
 
     def _pose_of(self, seen: Seen, before: Carried | None, doubt: str) -> Carried:
-        """The pose of a frame by the latest estimate, or by the camera's step from the frame before
-        where it is newer than that."""
-        pose, gear = unknown_pose(seen.time_ns, doubt), 0
-        if self._estimate is not None:
-            pose, gear = pose_at(self._estimate.trajectory, seen.time_ns)
-        if (
-            self._estimate is not None
-            and seen.time_ns > self._estimated_ns
-            and seen.step is not None
-            and before is not None
-            and before.pose.status is not Status.REJECTED
-        ):
-            carried = before.on(seen.time_ns, seen.step)
-            if carried.is_good(self._settings, self._budget):
-                return carried
-        return Carried(pose, gear)
+        """The pose of a frame by the latest estimate; where it is newer than that, by the camera's
+        step from the frame before, or by gyro and wheels from the end of the estimate."""
+        if self._estimate is None:
+            return Carried(unknown_pose(seen.time_ns, doubt), 0)
+        track = self._estimate.trajectory
+        found = Carried(*pose_at(track, seen.time_ns))
+        if seen.time_ns <= self._estimated_ns:
+            return found
+        carried = []
+        if seen.step is not None and before is not None and _is_good(before):
+            carried.append(before.on(seen.time_ns, seen.step))
+        elif not _is_good(found) and (known_ns := last_known_ns(track)):
+            rolled = self.going.step(known_ns, seen.time_ns)
+            if rolled is not None:
+                carried.append(Carried(*pose_at(track, known_ns)).on(seen.time_ns, rolled))
+        good = (one for one in carried if one.is_good(self._settings, self._budget))
+        return next(good, found)
 
     def _show(self, datum: Datum, moving: list[Placed], doubt: str, code: Doubt) -> None:
         newest, now_ns = self._newest, self._trailing.newest_ns
@@ -370,3 +378,7 @@ class Poser:
 
     def _say(self, what: What, text: str) -> None:
         self._tell(LiveEvent(what, text, self._trailing.newest_ns))
+
+
+def _is_good(found: Carried) -> bool:
+    return found.pose.status is not Status.REJECTED

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float32, Float64
 from fieldgrid.build.staging import stage_frame
+from fieldgrid.errors import RecordingError
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.odometry import step
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
@@ -26,14 +27,21 @@ class Pushed:
 
     name: str
     values: Any
+    after_s: Float32 | None = None
+    """Of a cloud, when its points were taken, after its stamp."""
 
     def read(self) -> Any:
         """The values."""
         return self.values
 
     def sweep(self) -> Sweep:
-        """The values as points, whose times nobody tells."""
-        return Sweep(self.values)
+        """The values as points, and their times. RecordingError where these are of other points."""
+        if self.after_s is not None and self.after_s.shape != (len(self.values),):
+            raise RecordingError(
+                f"There are times of the shape {self.after_s.shape} for {len(self.values)} points; "
+                "give one for each."
+            )
+        return Sweep(self.values, self.after_s)
 
     def sha256(self) -> str:
         """The hash of the values, row by row."""

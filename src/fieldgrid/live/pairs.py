@@ -1,0 +1,41 @@
+"""The pairs that a session keeps of its drive, by which the cameras are checked at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fieldgrid.array_types import Int64
+from fieldgrid.recording import Frame, ImageFile, StereoFrame
+
+
+def pair_numbers(folder: Path) -> list[int]:
+    """The numbers of the frames whose pairs are in a folder."""
+    return sorted(int(path.name[:8]) for path in folder.glob("????????-left.png"))
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPairs:
+    """A `FrameSource` of a drive whose images are gone, but for some pairs: a frame is the nearest
+    of these, which is enough to check the cameras."""
+
+    folder: Path
+    times_ns: Int64
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Those of a pair."""
+        return "left", "right"
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """For each frame the nearest pair."""
+        kept = pair_numbers(self.folder)
+        for number in range(start, stop) if kept else ():
+            nearest = min(kept, key=lambda other: abs(other - number))
+            left, right = (
+                ImageFile(self.folder / f"{nearest:08d}-{side}.png") for side in ("left", "right")
+            )
+            size_px = left.size_px()
+            time_ns = int(self.times_ns[number])
+            yield StereoFrame(str(number), time_ns, left, right, size_px)

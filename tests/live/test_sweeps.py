@@ -1,0 +1,62 @@
+"""Clouds of a lidar that turns while it drives: carried by what is known of the way just then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.build import SessionReport
+from fieldgrid.errors import RecordingError
+from fieldgrid.live import Live
+from fieldgrid.live.pushed import Pushed
+from fieldgrid.recording import CloudFrame, open_recording
+from fieldgrid.settings import resolve
+from tests.build.yard import SETTINGS, SPEED_MPS, SWEEPS, off_m, recorded
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("yard") / "drive")
+
+
+def driven(drive: Path, out: Path, *, wheels: bool) -> SessionReport:
+    """The drive pushed, all that sensors say of a sweep before it."""
+    with open_recording(drive) as recording:
+        settings, datum = resolve(None, SETTINGS), recording.datum_hint
+        live = Live(out, recording.rig, settings, name="yard", datum_hint=datum)
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        live.push_gyro(gyro.time_ns, gyro.rate_rad_s)
+        if wheels:
+            live.push_wheels(gyro.time_ns, np.full(len(gyro.time_ns), SPEED_MPS))
+        for fix in recording.fixes():
+            live.push_fix(fix)
+        for frame in recording.frames():
+            assert isinstance(frame, CloudFrame)
+            points_m, after_s = frame.source.sweep()
+            live.push_cloud(points_m, frame.time_ns, after_s=after_s, wait=True)
+        assert live.drain()
+        return live.finish()
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_walls_are_where_they_are_if_the_way_is_known(
+    drive: Path, tmp_path: Path, wheels: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of an estimate in time the speed would be known, too.
+    monkeypatch.setattr("fieldgrid.live.going.Going.know", lambda _self, _track: None)
+    report = driven(drive, tmp_path / "map.gpkg", wheels=wheels)
+    assert report.used == SWEEPS
+    (note,) = (note for note in report.notes if "stamps of their clouds" in note)
+    assert f"but for {0 if wheels else SWEEPS} of {SWEEPS} clouds" in note
+    off = np.percentile(off_m(tmp_path / "map.gpkg"), 95)
+    assert off < 0.10 if wheels else off > 0.25
+
+
+def test_times_of_other_points_are_no_times() -> None:
+    points_m = np.zeros((5, 3), np.float32)
+    assert Pushed("cloud", points_m).sweep().after_s is None
+    with pytest.raises(RecordingError, match="for 5 points"):
+        Pushed("cloud", points_m, np.zeros(4, np.float32)).sweep()
