@@ -180,16 +180,25 @@ def test_the_same_question_has_the_same_answer() -> None:
 
 
 def test_a_turn_needs_reverse_where_ground_is_narrow() -> None:
-    view = field((12.0, 3.2))
-    route = route_in_view(view, at(6, 1.6, 90), at(6, 1.6, -90), SMALL)
+    # Half a turn forward takes 2.83 m: two radii, half the width, and where the nose comes to.
+    view = field((12.0, 2.8))
+    route = route_in_view(view, at(6, 1.4, 90), at(6, 1.4, -90), SMALL)
     assert route.cusps > 0
     assert route.reverse_share > 0.0
     assert_holds(route, view)
     with pytest.raises(NoRouteError, match="no reverse"):
         route_in_view(
-            view, at(6, 1.6, 90), at(6, 1.6, -90),
+            view, at(6, 1.4, 90), at(6, 1.4, -90),
             Vehicle(0.8, 0.4, 0.6, turning_radius_m=1.0, reverse=False),
         )  # fmt: skip
+
+
+def test_half_a_turn_is_found_where_there_is_hardly_room_for_it() -> None:
+    view = field((12.0, 3.2))  # 2.83 m and the clearance on both sides
+    vehicle = Vehicle(0.8, 0.4, 0.6, turning_radius_m=1.0, clearance_m=0.1, reverse=False)
+    route = route_in_view(view, at(6, 1.6, 90), at(6, 1.6, -90), vehicle)
+    assert route.cusps == 0
+    assert_holds(route, view)
 
 
 def test_unseen_ground_is_entered_only_when_that_is_allowed() -> None:

@@ -178,23 +178,40 @@ def _slot(table, key):  # type: ignore[no-untyped-def]
     return k
 
 
+@part_of_kernel
+def _cell_of(x, y, yaw, move, lattice):  # type: ignore[no-untyped-def]
+    """The number of the cell of the lattice that a move ends in."""
+    share = (yaw % (2.0 * math.pi)) / (2.0 * math.pi)
+    bearing = min(int(share * _HEADINGS), _HEADINGS - 1)
+    # A change of gear costs, so the lattice tells the gears of one pose apart.
+    return (int(x / lattice) * 1_000_003 + int(y / lattice)) * 256 + 2 * bearing + move // 5
+
+
 @kernel
 def expand(  # type: ignore[no-untyped-def]
-    here, goal_x, goal_y, goal_yaws, radius, moves, lattice, left, left_cell, step, hulls, discs,
-    clearance, blocked, to_blocked, cell, states, links, heap, places, table, counters, tried_at,
+    here, goal_x, goal_y, goal_yaws, radius, moves, move_m, arcs, lattice, left, left_cell, hulls,
+    discs, clearance, blocked, to_blocked, cell, states, links, heap, places, table, counters,
+    tried_at,
 ):  # fmt: skip
     """Make the moves from a state (-1 for none), and then from the best one of the queue, until a
     curve from a state to the goal is worth trying; that state, -1 when the queue is empty, -2 when
-    there is no room for more."""
-    move_m = 1.6 * lattice
-    pieces = math.ceil(move_m / step)
-    piece = move_m / pieces
+    there is no room for more.
+
+    `moves` of the moves `arcs` [10, n, at least 3] may be made: poses along each from one at the
+    corner that faces east. They are `move_m` long.
+    """
+    pieces = arcs.shape[1] - 1
     while True:
         if here < 0:
             if counters[QUEUED] == 0:
                 return -1
             here = _pop(heap, places, counters[QUEUED])
             counters[QUEUED] -= 1
+            if links[here, PARENT] >= 0:
+                yaw, last = states[here, YAW], links[here, MOVE]
+                key = _cell_of(states[here, X], states[here, Y], yaw, last, lattice)
+                if table[_slot(table, key), 1] != here:
+                    continue  # A cheaper way has reached the cell since, and is in the queue.
             counters[TRIES] += 1
             # Curves are costly: they are tried when the search has come nearer, and now and then.
             if links[here, PARENT] >= 0 and (
@@ -203,43 +220,40 @@ def expand(  # type: ignore[no-untyped-def]
             ):
                 tried_at[0] = min(tried_at[0], states[here, ESTIMATE])
                 return here
+        x, y, yaw = states[here, X], states[here, Y], states[here, YAW]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        before = links[here, MOVE]
         for m in range(moves):
-            gear = 1.0 if m < 5 else -1.0
-            turn = (m % 5 - 2) * 0.5 / radius * gear * piece
-            qx, qy, yaw, free = states[here, X], states[here, Y], states[here, YAW], True
-            for _ in range(pieces):
-                bx, by, back = qx, qy, yaw
-                if turn == 0.0:
-                    qx += gear * piece * math.cos(yaw)
-                    qy += gear * piece * math.sin(yaw)
-                else:
-                    qx += gear * piece / turn * (math.sin(yaw + turn) - math.sin(yaw))
-                    qy += gear * piece / turn * (math.cos(yaw) - math.cos(yaw + turn))
-                    yaw += turn
-                if gear < 0.0:
-                    bx, by, back = qx, qy, yaw
+            ahead, aside = arcs[m, pieces, 0], arcs[m, pieces, 1]
+            qx, qy = x + ahead * cos - aside * sin, y + ahead * sin + aside * cos
+            turned = yaw + arcs[m, pieces, 2]
+            j, i = int(qy / left_cell), int(qx / left_cell)
+            if qx < 0.0 or qy < 0.0 or j >= left.shape[0] or i >= left.shape[1]:
+                continue
+            rest = left[j, i]
+            if not np.isfinite(rest):
+                continue
+            spent = states[here, SPENT] + move_m * (REVERSE_COST if m >= 5 else 1.0)
+            if arcs[m, pieces, 2] != 0.0:
+                spent += (_TURN_COST - 1.0) * move_m
+            if before >= 0 and (before < 5) != (m < 5):
+                spent += CUSP_M
+            key = _cell_of(qx, qy, turned, m, lattice)
+            slot = _slot(table, key)
+            if table[slot, 0] == key and states[table[slot, 1], SPENT] <= spent + 1e-9:
+                continue
+            # What a step sweeps is looked up last, since it takes longest.
+            free = True
+            for k in range(pieces):
+                k += m // 5  # The pose behind a step is the one after it in reverse.
+                ahead, aside = arcs[m, k, 0], arcs[m, k, 1]
                 if not step_is_free(
-                    bx, by, back, m % 5, hulls, discs, clearance, blocked, to_blocked, cell
-                ):
+                    x + ahead * cos - aside * sin, y + ahead * sin + aside * cos,
+                    yaw + arcs[m, k, 2], m % 5, hulls, discs, clearance, blocked, to_blocked, cell,
+                ):  # fmt: skip
                     free = False
                     break
             if not free:
-                continue
-            rest = left[int(qy / left_cell), int(qx / left_cell)]
-            if not np.isfinite(rest):
-                continue
-            spent = states[here, SPENT] + move_m * (REVERSE_COST if gear < 0.0 else 1.0)
-            if turn != 0.0:
-                spent += (_TURN_COST - 1.0) * move_m
-            before = links[here, MOVE]
-            if before >= 0 and (before < 5) != (m < 5):
-                spent += CUSP_M
-            # A change of gear costs, so the lattice tells the gears of one pose apart.
-            share = (yaw % (2.0 * math.pi)) / (2.0 * math.pi)
-            bearing = min(int(share * _HEADINGS), _HEADINGS - 1)
-            key = (int(qx / lattice) * 1_000_003 + int(qy / lattice)) * 256 + 2 * bearing + m // 5
-            slot = _slot(table, key)
-            if table[slot, 0] == key and states[table[slot, 1], SPENT] <= spent + 1e-9:
                 continue
             count = counters[COUNT]
             if count >= len(states):
@@ -250,10 +264,10 @@ def expand(  # type: ignore[no-untyped-def]
             if math.hypot(goal_x - qx, goal_y - qy) < 6.0 * radius:
                 off = math.pi
                 for k in range(len(goal_yaws)):
-                    away = abs((goal_yaws[k] - yaw + math.pi) % (2.0 * math.pi) - math.pi)
+                    away = abs((goal_yaws[k] - turned + math.pi) % (2.0 * math.pi) - math.pi)
                     off = min(off, away)
                 rest = max(rest, off * radius)
-            states[count, X], states[count, Y], states[count, YAW] = qx, qy, yaw
+            states[count, X], states[count, Y], states[count, YAW] = qx, qy, turned
             states[count, SPENT], states[count, ESTIMATE] = spent, rest
             if rest < states[counters[NEAREST], ESTIMATE]:
                 counters[NEAREST] = count

@@ -83,6 +83,7 @@ class Searcher:
         self._step = (shape.step_m, shape.hulls, shape.discs, shape.clearance_m, *self._ground)
         self._samples = np.zeros((_MAX_SAMPLES, 5))
         self._lattice = min(max(0.15 * vehicle.turning_radius_m, 0.15), 0.5)
+        self._move_m = 1.6 * self._lattice
 
     def gaps_m(self, poses: Float64, reach_m: float) -> Float64:
         """From the footprint to the nearest blocked cell, in poses [n, 3]: lower bounds above
@@ -148,7 +149,8 @@ class Searcher:
             here = expand(
                 np.int64(here), goals[0].x, goals[0].y, np.array([goal.yaw for goal in goals]),
                 self.vehicle.turning_radius_m, np.int64(MOVES if self.vehicle.reverse else 5),
-                self._lattice, left_m, self._coarse_m, *self._step, states, links, heap, places,
+                self._move_m, self._stacked, self._lattice, left_m, self._coarse_m,
+                *self._step[1:], states, links, heap, places,
                 table, counters, tried_at,
             )  # fmt: skip
             if here < 0:
@@ -188,7 +190,7 @@ class Searcher:
     @cached_property
     def _arcs(self) -> list[Float64]:
         """Each move from a pose at the corner that faces east."""
-        length, arcs = 1.6 * self._lattice, []
+        length, arcs = self._move_m, []
         for move in range(MOVES):
             gear = 1.0 if move < MOVES // 2 else -1.0
             curvature = CURVATURES[move % len(CURVATURES)] * self.vehicle.curvature_1pm
@@ -199,6 +201,11 @@ class Searcher:
                 ahead, left = np.sin(turned) / curvature, (1.0 - np.cos(turned)) / curvature
             arcs.append(np.column_stack([ahead, left, turned, gear * same, curvature * same]))
         return arcs
+
+    @cached_property
+    def _stacked(self) -> Float64:
+        """The same [10, n, 5]: all moves are equally long."""
+        return np.stack(self._arcs)
 
     def _may_be_free(self, start: Pose, goal: Pose, left_m: float) -> bool:
         """Whether a curve between poses may be free, that are so far apart by `distance_left`: none
