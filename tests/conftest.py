@@ -13,6 +13,7 @@ import pytest
 from hypothesis import settings
 
 from fieldgrid.recording import DriveOptions
+from tests.once import made_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -26,6 +27,7 @@ settings.load_profile("untimed")
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = ROOT / ".." / "shared" / "data"
 TWO_LANES = ROOT / "examples" / "two_lanes"
+MAP = "vineyard.gpkg"
 
 # Beside other programs the threads of BLAS wait for each other longer than they work on bands as
 # narrow as the smoother's. It is read when NumPy is imported, which comes after this.
@@ -49,14 +51,18 @@ def shared_data() -> Callable[[str], Path]:
 def built_two_lanes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SessionReport]:
     """The map of the whole example, with its RTK log, and the report of the build.
 
-    It is made once: read it, or copy it.
+    It is made once, for all processes of the run: read it, or copy it.
     """
     from fieldgrid.build import build_map
     from fieldgrid.settings import BuildSettings
 
-    out = tmp_path_factory.mktemp("two_lanes") / "vineyard.gpkg"
-    (report,) = build_map([TWO_LANES], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
-    return out, report
+    def build(folder: Path) -> SessionReport:
+        out = folder / MAP
+        (report,) = build_map([TWO_LANES], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
+        return report
+
+    folder, report = made_once(tmp_path_factory, "two_lanes", build)
+    return folder / MAP, report
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -30,7 +29,7 @@ from fieldgrid.mapfile import open_map
 from fieldgrid.reasons import grouped_reasons
 from fieldgrid.settings import BuildSettings
 from fieldgrid.transfer import Transfer
-from tests.cli.conftest import Run, in_a_process
+from tests.cli.conftest import Result, Run, in_a_process
 from tests.conftest import TWO_LANES
 
 MakeDrive = Callable[..., Path]
@@ -558,6 +557,7 @@ LIMIT = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
 def test_a_disk_with_too_little_room(
     mode: str,
     room: int,
+    fieldgrid: Run,
     fieldgrid_process: Run,
     make_drive: MakeDrive,
     out: Path,
@@ -579,7 +579,7 @@ def test_a_disk_with_too_little_room(
     kept = {name for name in left if name.startswith("m.gpkg.parts/")}
     assert bool(kept) == ("the same command with --resume goes on" in result.sentence())
     assert {name: data for name, data in left.items() if name not in kept} == before
-    fieldgrid_process("build", drive, "-o", out, *flags, "--jobs", 1, "--resume").output()
+    fieldgrid("build", drive, "-o", out, *flags, "--jobs", 1, "--resume").output()
     assert set(tree(out.parent)) == {"m.gpkg"}
 
 
@@ -602,41 +602,50 @@ def test_a_folder_that_may_not_be_written(
     assert tree(out.parent) == {}
 
 
-def started(drive: Path, out: Path) -> subprocess.Popen[str]:
-    """A build that has begun to write, and will take some seconds more."""
-    child = subprocess.Popen(
-        in_a_process("build", drive, "-o", out, "--jobs", 1, "--matcher", "sgbm"),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until = time.monotonic() + 60.0
-    while not any(out.parent.iterdir()) and time.monotonic() < until:
-        assert child.poll() is None
-        time.sleep(0.01)
-    return child
+SIGNALLED = """
+import os, signal
+from pathlib import Path
+from fieldgrid.build import staging
+
+usual = staging.perceive_frame
+
+def perceive_frame(*frame, **options):
+    if any(Path({folder!r}).iterdir()):
+        staging.perceive_frame = usual
+        os.kill(os.getpid(), signal.{name})
+    return usual(*frame, **options)
+
+staging.perceive_frame = perceive_frame
+"""
+"""Python to run first in a build, which gets a signal with the first frame after it has begun to
+write into a folder."""
 
 
-def test_ctrl_c_leaves_nothing(out: Path, make_drive: MakeDrive) -> None:
-    child = started(make_drive(frames=range(50)), out)
-    child.send_signal(signal.SIGINT)
-    text, errors = child.communicate(timeout=60)
-    assert child.returncode == 130
-    assert text == ""
-    assert "Traceback" not in errors
+def signalled(
+    fieldgrid_process: Run, made_by: signal.Signals, make_drive: MakeDrive, out: Path
+) -> Result:
+    """A build that got a signal while it read its frames."""
+    before = SIGNALLED.format(folder=str(out.parent), name=made_by.name)
+    drive = make_drive(frames=range(3, 9))
+    return fieldgrid_process("build", drive, "-o", out, "--jobs", 1, before=before)
+
+
+def test_ctrl_c_is_answered_and_leaves_nothing(
+    fieldgrid_process: Run, out: Path, make_drive: MakeDrive
+) -> None:
+    result = signalled(fieldgrid_process, signal.SIGINT, make_drive, out)
+    assert result.status == 130
+    assert result.out == ""
+    assert result.err.startswith("fieldgrid: interrupted")
+    assert "Traceback" not in result.err
     assert tree(out.parent) == {}
 
 
-def test_ctrl_c_is_answered(out: Path, make_drive: MakeDrive) -> None:
-    child = started(make_drive(frames=range(50)), out)
-    child.send_signal(signal.SIGINT)
-    assert child.communicate(timeout=60)[1].startswith("fieldgrid: interrupted")
-
-
-def test_a_terminated_build_leaves_nothing(out: Path, make_drive: MakeDrive) -> None:
-    child = started(make_drive(frames=range(50)), out)
-    child.terminate()
-    child.communicate(timeout=60)
+def test_a_terminated_build_leaves_nothing(
+    fieldgrid_process: Run, out: Path, make_drive: MakeDrive
+) -> None:
+    result = signalled(fieldgrid_process, signal.SIGTERM, make_drive, out)
+    assert result.status not in (0, 1, 2)
     assert tree(out.parent) == {}
 
 

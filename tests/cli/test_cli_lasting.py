@@ -17,23 +17,38 @@ import pytest
 import rasterio
 import shapely
 
+from fieldgrid.build import build_map
 from fieldgrid.mapfile import Change, open_map, read_datum
 from fieldgrid.palette import CHANGED, rgb
+from fieldgrid.settings import BuildSettings
 from tests.changes.worlds import Box, Drive, lane, world_map
 from tests.cli.conftest import Run
+from tests.conftest import make_small_drive
 from tests.mapfile.content import content
 from tests.mapfile.maps import one_cell, write_map
 from tests.mapfile.test_cells import later
+from tests.once import made_once
 
 MakeDrive = Callable[..., Path]
 
 
+@pytest.fixture(scope="module")
+def small_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of a few frames of the example; copy it."""
+
+    def build(folder: Path) -> None:
+        drive = make_small_drive(folder / "two_lanes", range(20, 24))
+        build_map([drive], folder / "vineyard.gpkg", BuildSettings())
+
+    return made_once(tmp_path_factory, "small_map", build)[0] / "vineyard.gpkg"
+
+
 @pytest.fixture
-def path(two_lanes_map: Path, tmp_path: Path) -> Path:
-    """The map of the example, to be changed."""
+def path(small_map: Path, tmp_path: Path) -> Path:
+    """The map of a few frames of the example, to be changed."""
     copy = tmp_path / "maps" / "vineyard.gpkg"
     copy.parent.mkdir()
-    shutil.copy(two_lanes_map, copy)
+    shutil.copy(small_map, copy)
     return copy
 
 
@@ -120,7 +135,7 @@ def test_sessions_as_json_say_what_made_them(fieldgrid: Run, two_lanes_map: Path
 
 def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     text = fieldgrid("verify", path).output()
-    assert re.search(r"vineyard\.gpkg: sound; 1 sessions \(0 removed\), 50 frames, \d+ tiles", text)
+    assert re.search(r"vineyard\.gpkg: sound; 1 sessions \(0 removed\), 4 frames, \d+ tiles", text)
     expected = content(path)
     database = sqlite3.connect(path, isolation_level=None)
     database.execute(

@@ -57,7 +57,9 @@ def test_a_replay_takes_poses_of_another_program(
     assert "--poses-axes" in turned.sentence()
 
 
-@pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "request_to_end", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)]
+)
 def test_a_request_to_end_makes_the_map_of_what_was_driven(
     request_to_end: signal.Signals, tmp_path: Path
 ) -> None:
@@ -117,7 +119,9 @@ def test_wrong_uses(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("request_to_end", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "request_to_end", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
     drive: Path, request_to_end: signal.Signals, tmp_path: Path
 ) -> None:
