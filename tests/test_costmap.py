@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from fieldgrid import CostCurve, Costmap
+from fieldgrid import CostCurve, Costmap, costmap
 from fieldgrid.cost import LETHAL
 from fieldgrid.costmap import MAX_CELLS
 from fieldgrid.errors import ConfigError
@@ -277,3 +277,26 @@ def test_marks_count_and_are_evidence_of_nothing(tmp_path: Path) -> None:
         assert Costmap.from_map(universal).cost(*bad) == 0
         universal.remove_marks([1, 2])
         np.testing.assert_array_equal(Costmap.from_map(universal).costs, plain.costs)
+
+
+def test_distances_of_a_view_are_worked_out_when_they_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    density = np.full((40, 50), 10, np.uint8)
+    density[20, 30] = 255
+    view = view_of(density, np.ones(density.shape), i0=0, j0=0)
+    made: list[npt.NDArray[np.float32]] = []
+    cells = costmap._distance_cells
+
+    def making(other: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+        made.append(cells(other))
+        return made[-1]
+
+    monkeypatch.setattr(costmap, "_distance_cells", making)
+    found = Costmap.from_view(view)
+    assert found.cost(30.5 * CELL_M, 20.5 * CELL_M) == LETHAL
+    assert not made
+    assert found.clearance_m(30.5 * CELL_M, 24.5 * CELL_M) == pytest.approx(4 * CELL_M)
+    assert found.unknown_m(0.5 * CELL_M, 20.5 * CELL_M) == pytest.approx(CELL_M)
+    found.at(1.0, 1.0)
+    assert len(made) == 2

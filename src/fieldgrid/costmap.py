@@ -63,6 +63,26 @@ class Inflation:
             raise ConfigError(f"A decay of {self.decay_per_m} per metre is outside 0..1000.")
 
 
+class _Distances:
+    """How far cells are from others, worked out of their costs when it is first asked for."""
+
+    def __init__(self, costs: UInt8) -> None:
+        self._costs = costs
+        self._to: dict[int, Float32] = {}
+
+    def to(self, cost: int) -> Float32:
+        """Of each cell to the nearest one of this cost, in cells; inf when there is none. Of
+        obstacles NaN in the border, beyond which they are not known of."""
+        found = self._to.get(cost)
+        if found is None:
+            found = _distance_cells(self._costs != cost)
+            if cost == LETHAL:
+                for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+                    found[edge] = np.nan
+            self._to[cost] = found
+        return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Costmap:
     """Costs and distances of a part of a map, with a border of what lies outside.
@@ -81,8 +101,7 @@ class Costmap:
     window: Window
     datum: Datum
     _costs: UInt8 = field(repr=False)
-    _to_obstacle: Float32 = field(repr=False)
-    _to_unknown: Float32 = field(repr=False)
+    _distances: _Distances = field(repr=False)
 
     @classmethod
     def from_map(
@@ -113,7 +132,10 @@ class Costmap:
             )
         wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
         view = universal.read(bounds, cell_m, layers=tuple(wanted), at=at)
-        return cls._of(view, curve or CostCurve(), settings, layer)
+        costmap = cls._of(view, curve or CostCurve(), settings, layer)
+        for cost in (LETHAL, UNKNOWN_COST):  # so that the first question takes no longer
+            costmap._distances.to(cost)
+        return costmap
 
     @classmethod
     def from_view(
@@ -126,7 +148,8 @@ class Costmap:
         decay_per_m: float = 3.0,
     ) -> Self:
         """The costs of a view that was read already, with the layers that `MapFile.deciding` names:
-        those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`."""
+        those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`. Its
+        distances are worked out when they are first asked for."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         return cls._of(view, curve or CostCurve(), settings, "density")
 
@@ -135,12 +158,10 @@ class Costmap:
         _check_size(view)
         costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
         costs[1:-1, 1:-1] = curve.cost(*view.decision(layer, curve.least_drop_m))
-        to_obstacle = _distance_cells(costs != LETHAL)
-        to_unknown = _distance_cells(costs != UNKNOWN_COST)
-        _inflate(costs, to_obstacle, inflation, view.lattice)
-        for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
-            to_obstacle[edge] = np.nan
-        return cls(view.lattice, view.window, view.datum, costs, to_obstacle, to_unknown)
+        distances = _Distances(costs)
+        # It changes no cell that is an obstacle or unknown.
+        _inflate(costs, distances, inflation, view.lattice)
+        return cls(view.lattice, view.window, view.datum, costs, distances)
 
     @property
     def bounds(self) -> Bounds:
@@ -159,11 +180,11 @@ class Costmap:
 
     def clearance_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Float64:
         """Metres to the nearest obstacle: 0 in one, inf where there is none, NaN outside."""
-        return self._metres(self._to_obstacle, self._places(east_m, north_m))
+        return self._metres(self._distances.to(LETHAL), self._places(east_m, north_m))
 
     def unknown_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Float64:
         """Metres to the nearest cell that is unknown or outside: 0 in one."""
-        return self._metres(self._to_unknown, self._places(east_m, north_m))
+        return self._metres(self._distances.to(UNKNOWN_COST), self._places(east_m, north_m))
 
     def is_known(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Bool:
         """Whether a point lies in a cell that was observed."""
@@ -176,8 +197,8 @@ class Costmap:
         costs = self._costs.take(places)
         return Answer(
             costs,
-            self._metres(self._to_obstacle, places),
-            self._metres(self._to_unknown, places),
+            self._metres(self._distances.to(LETHAL), places),
+            self._metres(self._distances.to(UNKNOWN_COST), places),
             costs != UNKNOWN_COST,
         )
 
@@ -229,13 +250,14 @@ def _distance_cells(other: Bool) -> Float32:
     return np.asarray(found, dtype=np.float32)
 
 
-def _inflate(costs: UInt8, to_obstacle: Float32, inflation: Inflation, lattice: Lattice) -> None:
+def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice: Lattice) -> None:
     """Raise the costs of known cells near obstacles, in place, some rows at a time."""
     radius_m = inflation.robot_radius_m
     inscribed = radius_m * lattice.cells_per_m * _ROUNDING
     reach = max(inflation.inflation_m * lattice.cells_per_m * _ROUNDING, inscribed)
     if reach < 1.0:
         return
+    to_obstacle = distances.to(LETHAL)
     for first in range(0, costs.shape[0], _BLOCK_ROWS):
         rows = slice(first, first + _BLOCK_ROWS)
         cost, distance = costs[rows], to_obstacle[rows]

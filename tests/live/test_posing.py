@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ import pytest
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.live.lag import TIMES_OFF, Trailing
+from fieldgrid.live.estimating import Estimator
+from fieldgrid.live.lag import TIMES_OFF, Asked, Trailing
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.posing import LiveOptions, Poser
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveWindow, Outbox, What
@@ -276,6 +279,36 @@ def test_a_frame_without_a_step_waits_for_no_estimate(monkeypatch: pytest.Monkey
     poser.close()
 
 
+def test_a_window_is_told_before_the_estimate_that_has_its_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told, poser = watched()
+    asked_of: list[tuple[str, bool]] = []
+
+    def asking(_self: Estimator, asked: Asked) -> None:
+        name = f"{(asked.frame_ns[-1] - START_NS) / 1e9:.1f}"
+        asked_of.append((name, is_shown(told, name)))
+
+    for k in range(51):
+        poser.put(fix(k / 5.0))
+    poser.put(("gyro", rows_of("gyro", at_ns(0.0) + np.arange(600) * 20_000_000, np.zeros(600))))
+    poser.put(frame(10.0, None))
+    told.wait(lambda: is_shown(told, "10.0"))
+    monkeypatch.setattr("fieldgrid.live.posing.Estimator.ask", asking)
+    monkeypatch.setattr("fieldgrid.live.posing.Estimator.is_free", property(lambda _self: True))
+    names = [f"{k / 5.0:.1f}" for k in range(51, 56)]
+    for name in names:
+        poser.put(frame(float(name), 0.2))
+        told.wait(lambda name=name: is_shown(told, name))
+    poser.close()
+    assert {name for name, _ in asked_of} >= set(names[:-1])
+    assert all(was_shown for _, was_shown in asked_of)
+
+
+def is_shown(told: Told, name: str) -> bool:
+    return any(window.frame_id == name for window in told.of(LiveWindow))
+
+
 def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
     trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
     for k in range(5 * 600):
@@ -334,3 +367,54 @@ def test_a_window_that_moves_along_has_what_a_fold_over_all_has() -> None:
     np.testing.assert_array_equal(view.observed[alone], observed[alone])
     assert np.nanmin(age_s) == pytest.approx(2.0)
     assert sigma_m[age_s == np.nanmin(age_s)] == pytest.approx(0.4)
+
+
+def test_frames_that_stay_where_they_were_are_not_placed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    placed = [
+        Placed(
+            LocalGrid(SPEC, np.full(SPEC.shape, 20 * k, np.uint8), GRID.observed),
+            Pose(at_ns(k), 0.0, 0.2 * k, 0.0, 3.0 * k, 0.02, 0.3, 1.0),
+            *(at_ns(k), 0.1 + k),
+        )
+        for k in range(8)
+    ]
+    moved = [one._replace(pose=replace(one.pose, east_m=0.3)) for one in placed]
+    window = RollingWindow(0.1, Transfer.AREA, 12.0, SPEC.reach_m)
+    added: list[int] = []
+    add = RollingWindow._add
+
+    def adding(self: RollingWindow, cells: Any, frame: Placed) -> None:
+        added.append(frame.time_ns)
+        add(self, cells, frame)
+
+    monkeypatch.setattr(RollingWindow, "_add", adding)
+
+    def shown(frames: list[Placed], fewest: int, *, settled: int = 0) -> None:
+        """The same as a window that never saw them, with so many added."""
+        added.clear()
+        found = window.view(frames, DATUM, at_ns(9.0))
+        assert len(added) == fewest
+        fresh = RollingWindow(0.1, Transfer.AREA, 12.0, SPEC.reach_m)
+        fresh.settle(placed[:settled])
+        given = fresh.view(frames, DATUM, at_ns(9.0))
+        for ours, theirs in zip(
+            (found[0].density, *found[1:]), (given[0].density, *given[1:]), strict=True
+        ):
+            np.testing.assert_array_equal(ours, theirs)
+        kept.append((found, [found[0].density.copy(), *(one.copy() for one in found[1:])]))
+
+    kept: list[Any] = []
+    shown(placed[:3], 3)
+    shown(placed[:3], 0)
+    shown(placed[:5], 2)
+    shown([*placed[:4], moved[4]], 5)
+    shown(placed[:2], 2)
+    window.settle(placed[:2])
+    shown(placed[2:6], 4, settled=2)
+    shown(placed[2:7], 1, settled=2)
+    # What was given out before has not changed since.
+    for found, copied in kept:
+        for ours, then in zip((found[0].density, *found[1:]), copied, strict=True):
+            np.testing.assert_array_equal(ours, then)

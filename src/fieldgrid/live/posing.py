@@ -31,7 +31,7 @@ from fieldgrid.live.lag import Asked, Trailing, last_known_ns, pose_at, unknown_
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
-from fieldgrid.live.window import Placed, RollingWindow
+from fieldgrid.live.window import MOVES_M, Placed, RollingWindow
 from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
@@ -127,6 +127,7 @@ class Poser:
         self._latest: Carried | None = None
         self._shown_s = -math.inf
         self._is_asked = self._is_shown = True
+        self._is_newest_in = False
         self._waiting: list[Seen] = []
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
@@ -175,7 +176,7 @@ class Poser:
                 return
 
     def _go_on(self, said: Sequence[object], *, closed: bool) -> None:
-        """Let an estimate be made of what was said, and show the window if that is new."""
+        """Show the window if that is new, and let an estimate be made of what was said."""
         still_s = 0.0 if said else time.monotonic() - self._heard_s
         # What comes while an estimate is made, or just after a window, counts in the next one.
         self._is_asked &= all(isinstance(one, Estimated) for one in said)
@@ -183,14 +184,19 @@ class Poser:
         if closed:
             self._estimator.close()
             self._ask(estimated)
-        elif self._estimator.is_free and (not self._is_asked or still_s > SILENT_S):
-            self._ask(self._estimator.ask)
-            self._is_asked = True
         is_due = time.monotonic() - self._shown_s >= EVERY_S
         is_due &= not self._is_shown or still_s > SILENT_S
-        if closed or is_due or any(isinstance(one, Seen) for one in said):
+        is_due |= any(isinstance(one, Seen) for one in said)
+        is_due |= not self._is_newest_in and any(isinstance(one, Estimated) for one in said)
+        if closed or is_due:
             self._tell_all(still_s)
             self._shown_s, self._is_shown = time.monotonic(), True
+        elif any(isinstance(one, Estimated) for one in said):
+            self._prepare()
+        # Not before: an estimate that begins would take turns with what is shown.
+        if not closed and self._estimator.is_free and (not self._is_asked or still_s > SILENT_S):
+            self._ask(self._estimator.ask)
+            self._is_asked = True
 
     def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
         """Ask for an estimate; one that is made at once is taken at once."""
@@ -221,7 +227,7 @@ class Poser:
     def _take_estimate(self, made: Estimated) -> None:
         """Let an estimate, or that there is none, take the place of the one before."""
         self._estimate, self._why = made.estimate, made.why
-        self._answered_ns = self._asked_ns
+        self._answered_ns, self._is_shown = self._asked_ns, False
         if made.problem:
             self._say(What.POSE, f"Poses could not be estimated: {made.problem}")
         if made.asked is not None:
@@ -237,6 +243,14 @@ class Poser:
         self._used = np.isin(self._fixes.time_ns, track.time_ns[track.accepted])
         self._say_refused(made.estimate)
 
+    def _prepare(self) -> None:
+        """Place all frames anew by an estimate, so that the next one finds that done."""
+        placed = self._placed(self._why)
+        if self._estimate is not None:
+            self._window.follow(self._now(self._estimate)[0], MOVES_M / 2.0)
+        self._window.settle(placed.settled)
+        self._window.place(placed.moving)
+
     def _tell_all(self, still_s: float) -> None:
         """Place what was seen, and tell; nothing was pushed for so long."""
         doubt, code = self._why, Doubt.NO_FIXES
@@ -244,8 +258,7 @@ class Poser:
         if self._estimate is not None:
             self._pose, self._gear, doubt = self._now(self._estimate)
             code = Doubt.POSE if doubt else Doubt.NONE
-            if self._pose.status is not Status.REJECTED:
-                self._window.follow(self._pose)
+            self._window.follow(self._pose)
         if self._newest is not None and not doubt:
             silent_s = (self._trailing.newest_ns - self._newest.time_ns) / 1e9
             if silent_s > SILENT_S:
@@ -354,6 +367,7 @@ class Poser:
         )
         # Its time counts once the newest frame is in it.
         is_in = newest is not None and any(one.time_ns == newest.time_ns for one in moving)
+        self._is_newest_in = is_in
         latency_s = time.monotonic() - newest.pushed_s if is_in and newest else None
         self._tell(
             LiveWindow(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -12,7 +12,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import MapView
-from fieldgrid.trajectory import Pose
+from fieldgrid.trajectory import Pose, Status
 from fieldgrid.transfer import MeanFold, Transfer, footprint, mean_density
 
 UNSEEN_NS = -(1 << 62)
@@ -59,15 +59,19 @@ class RollingWindow:
         self._side = round(max(side_m, 2.0 * (reach_m + 2.0 * MOVES_M)) / cell_m)
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
         self._cells = _Cells.empty(self._window)
+        self._moving: tuple[list[Placed], _Cells] = [], self._cells
         self.frames = 0
         """Frames that were placed for good."""
 
-    def follow(self, pose: Pose) -> None:
-        """Move along with the vehicle; what is left behind is forgotten here."""
+    def follow(self, pose: Pose, within_m: float = MOVES_M) -> None:
+        """Move along with the vehicle, where it is farther than this from the middle; what is left
+        behind is forgotten here. By a pose that is rejected it does not move."""
+        if pose.status is Status.REJECTED:
+            return
         i, j = (int(value) for value in self.lattice.index(pose.east_m, pose.north_m))
         old, half = self._window, self._side // 2
         away = max(abs(i - old.i0 - half), abs(j - old.j0 - half))
-        if away <= MOVES_M * self.lattice.cells_per_m:
+        if away <= within_m * self.lattice.cells_per_m:
             return
         self._window = Window(i - half, j - half, self._side, self._side)
         kept, self._cells = self._cells, _Cells.empty(self._window)
@@ -77,21 +81,37 @@ class RollingWindow:
             self._cells.sums[(..., *to)] = kept.sums[(..., *from_)]
             self._cells.seen_ns[to] = kept.seen_ns[from_]
             self._cells.sigma_m[to] = kept.sigma_m[from_]
+        self._moving = [], self._cells
 
     def settle(self, frames: Iterable[Placed]) -> None:
         """Place frames for good."""
+        before = self.frames
         for frame in frames:
             self._add(self._cells, frame)
             self.frames += 1
+        if self.frames != before:
+            self._moving = [], self._cells
+
+    def place(self, frames: Sequence[Placed]) -> None:
+        """Place frames that are not settled yet, in place of those of before. Those that are where
+        they were cost nothing, if others only follow them."""
+        placed, cells = self._moving
+        count = len(placed)
+        if len(frames) < count or any(map(_differs, placed, frames)):
+            count, cells = 0, self._cells
+        if cells is self._cells or len(frames) > count:
+            cells = cells.copy()  # what was given out of them stays
+        for frame in frames[count:]:
+            self._add(cells, frame)
+        self._moving = list(frames), cells
 
     def view(
-        self, frames: Iterable[Placed], datum: Datum, now_ns: int
+        self, frames: Sequence[Placed], datum: Datum, now_ns: int
     ) -> tuple[MapView, Float32, Float32]:
         """What is known with further frames that are not settled yet; the age of each cell in
         seconds at `now_ns`, and its sigma in metres, NaN where nothing was seen."""
-        cells = self._cells.copy()
-        for frame in frames:
-            self._add(cells, frame)
+        self.place(frames)
+        cells = self._moving[1]
         density, observed = mean_density(*cells.sums)
         age_s = np.full(self._window.shape, np.nan, dtype=np.float32)
         age_s[observed] = (now_ns - cells.seen_ns[observed]) / 1e9
@@ -109,3 +129,7 @@ class RollingWindow:
         newer = (sums[0] > 0) & (cells.seen_ns[place] <= frame.time_ns)
         cells.seen_ns[place][newer] = frame.time_ns
         cells.sigma_m[place][newer] = frame.sigma_m
+
+
+def _differs(one: Placed, other: Placed) -> bool:
+    return one.grid is not other.grid or one[1:] != other[1:]
