@@ -18,6 +18,7 @@ from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
 from fieldgrid.pose.clock import clock_offset
 from fieldgrid.pose.convention import Comparison, compare
+from fieldgrid.pose.denied import denied_by, unsure_declared
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
 from fieldgrid.pose.given import place_poses
@@ -86,12 +87,12 @@ def estimate_poses(
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    denied: dict[int, str] = {}
+    strays: dict[int, str] = {}
     for _ in range(MOST_ROUNDS):
         if not (more := stray_fixes(drive, log)):
             break
-        denied |= more
-        log = conditioned(log.fixes, settings, log.datum, denied)
+        strays |= more
+        log = conditioned(log.fixes, settings, log.datum, strays)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     drive, motion, unfit_gyro = with_trusted_gyro(
         drive, log.accepted, log.fixes.time_ns, motion, axle, hints
@@ -125,11 +126,12 @@ def estimate_poses(
     elif rig is not None:
         slope = slope_seen(log.accepted)
         table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
-    table = _carried(table, rig, source)
+    clock = clock_offset(drive, log.accepted, motion, axle, hints)
+    denied = denied_by(drive, declared, clock)
+    table = unsure_declared(_carried(table, rig, source), drive, denied)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
-    clock = clock_offset(drive, log.accepted, motion, axle, hints)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -143,7 +145,10 @@ def estimate_poses(
             *(note for note in (wrong_gyro, unfit_gyro) if note is not None),
             *notes,
             *slope_notes(slope, rig),
-            *drive_notes(drive, log.accepted, declared, axle, source, settings, clock, trajectory),
+            *drive_notes(
+                *(drive, log.accepted, declared, axle, denied),
+                *(source, settings, clock, trajectory),
+            ),
         ),
     )
     return Estimate(trajectory, fix_row, report)

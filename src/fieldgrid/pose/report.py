@@ -16,6 +16,7 @@ from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.convention import Comparison
+from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.seams import LEAP_S
@@ -25,19 +26,6 @@ from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
-
-CLEAR_SIGMAS = 4.0
-"""A drive contradicts what was declared only by so many sigmas."""
-
-LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
-"""Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
-
-
-LEAST_SEEN_SHARE = 0.5
-"""A camera that saw less of a drive contradicts nothing."""
-
-LEAST_DOUBT_DEG = 1.0
-"""What does not fit together and moves no heading by more is not worth a word."""
 
 
 class FixOffset(NamedTuple):
@@ -125,6 +113,7 @@ def drive_notes(
     fixes: AcceptedFixes,
     rig: Vehicle | None,
     axle: Axle,
+    denied: Denied,
     source: HeadingSource,
     settings: PoseSettings,
     clock: ClockOffset | None,
@@ -136,8 +125,7 @@ def drive_notes(
     yield from _clock_note(clock)
     if not names_axle(rig):
         yield _no_axle(rig, axle)
-    if drive.at.has_gyro() or _camera_share(drive) >= LEAST_SEEN_SHARE:
-        yield from _contradictions(drive, rig)
+    yield from denied_notes(drive, denied)
     if not trajectory.accepted.any():
         yield _remedy(trajectory, fixes, settings)
 
@@ -193,49 +181,6 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
         return f"{unknown}, so headings are unsure in turns: {turns}. {remedy}"
     taken = "it is taken to be above it. Ahead of it, headings are off in turns"
     return f"{unknown}; {taken}: {turns}. {remedy}"
-
-
-def _camera_share(drive: Drive) -> float:
-    """The share of the drive's time that the camera's steps cover."""
-    time_s, nodes = drive.measured.time_s, drive.measured.step_nodes
-    lasted_s = float(time_s[-1] - time_s[0])
-    return float(np.diff(time_s[nodes], axis=1).sum()) / max(lasted_s, 1e-9)
-
-
-def _contradictions(drive: Drive, rig: Vehicle | None) -> Iterator[str]:
-    """What was declared of antenna and clock, and a drive whose turns were seen denies."""
-    found, told = drive.smoothed.declared, False
-    for one, more, less in (
-        (found.ahead_m, "farther ahead", "farther back"),
-        (found.right_m, "farther right", "farther left"),
-    ):
-        named = isinstance(rig, Rig) and (one is found.right_m or names_axle(rig))
-        if named and abs(one.value) > max(CLEAR_SIGMAS * one.sigma, LEAST_LEVER_M):
-            told, way = True, more if one.value > 0.0 else less
-            yield (
-                f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
-                "than mounting.json says; measure its place and correct it."
-            )
-    delay = found.late_s
-    if abs(delay.value) > max(CLEAR_SIGMAS * delay.sigma, LEAST_DELAY_S):
-        told, late = True, "late" if delay.value > 0.0 else "early"
-        yield (
-            f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against gyro and camera; look at how they were logged."
-        )
-    most_deg = float(np.degrees(drive.smoothed.response.at_most[drive.gear != 0]).max(initial=0.0))
-    if found.contradicts and not told and most_deg > LEAST_DOUBT_DEG:
-        suspects = "the antenna's place aside", "its place ahead", "the stamps", "the gyro's scale"
-        alone = [
-            what
-            for what, left in zip(suspects, found.left, strict=True)
-            if left < found.misfit / 2.0
-        ]
-        check = " or ".join(alone) or ", ".join(suspects)
-        yield (
-            f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, "
-            f"so headings may be up to {most_deg:.1f}° off. Check {check}."
-        )
 
 
 def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings) -> str:

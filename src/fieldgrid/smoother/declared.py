@@ -45,8 +45,9 @@ class Declared(NamedTuple):
     and ahead (metres), to how late the fixes are stamped (seconds), and to the gyro's scale (a
     share; of a gyro that is upside down it is near -2).
 
-    `misfit` is how many sigmas all of them together are from nothing, and `left` how many would
-    be left with each of them alone, in this order.
+    `misfit` is how many sigmas all of them together are from nothing. `alone` is what each of them
+    would be if the others were as declared, in this order, and `left` how many sigmas would be left
+    then.
     """
 
     right_m: Constant
@@ -54,12 +55,17 @@ class Declared(NamedTuple):
     late_s: Constant
     gyro_scale: Constant
     misfit: float
+    alone: tuple[float, float, float, float]
     left: tuple[float, float, float, float]
 
     @property
     def contradicts(self) -> bool:
         """Whether sensors and declarations do not fit together."""
         return self.misfit > MOST_MISFIT
+
+    def explains(self, k: int) -> bool:
+        """Whether most of what does not fit together would with the k-th of them alone."""
+        return self.left[k] < self.misfit / 2.0
 
     @property
     def blames_gyro(self) -> bool:
@@ -104,14 +110,16 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     together = float(values @ right)
     left = np.sqrt(np.maximum(together - right**2 / np.diagonal(schur), 0.0))
     right_m, ahead_m, late_s, gyro = map(Constant, values.tolist(), sigmas.tolist())
-    misfit, (r, a, t, g) = math.sqrt(max(together, 0.0)), left.tolist()
-    declared = Declared(right_m, ahead_m, late_s, gyro, misfit, (r, a, t, g))
-    heading = -followed[PHI::STATES]
     alone = right / np.diagonal(schur)
+    misfit = math.sqrt(max(together, 0.0))
+    declared = Declared(
+        *(right_m, ahead_m, late_s, gyro), misfit, tuple(alone.tolist()), tuple(left.tolist())
+    )
+    heading = -followed[PHI::STATES]
     at_most = np.abs(heading @ values)
     turned = _rates(found.x[:, PHI], measured.time_s)
     for k in range(len(alone)):
-        if left[k] < misfit / 2.0:
+        if declared.explains(k):
             # Nobody knows whose stamps are late: those of the gyro are late by as much as those of
             # the fixes seem early, and headings with them.
             late = np.abs(turned) if k == LATE else 0.0

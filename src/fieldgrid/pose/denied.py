@@ -1,0 +1,151 @@
+"""What was declared of antenna and stamps, and a drive denies.
+
+Nobody knows whether the declaration is wrong or what speaks against it, so nothing is corrected: it
+is told, and positions are as unsure as the two are apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.pose.axle import names_axle
+from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.table import PoseTable
+from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.smoother import Constant
+
+CLEAR_SIGMAS = 4.0
+"""A drive denies what was declared only by so many sigmas."""
+
+LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
+"""Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
+
+LEAST_SEEN_SHARE = 0.5
+"""A camera that saw less of a drive denies nothing: of five frames it has put the antenna 3 m aside
+by six sigmas."""
+
+LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
+"""What does not fit together and moves no heading or position by more is not worth a word."""
+
+
+class Denied(NamedTuple):
+    """What the drive would add to the place of the antenna (to the right and ahead, metres) and to
+    how late the fixes are stamped (seconds); None of what it does not clearly deny.
+
+    `off_m` [n] is how far the positions of its nodes are off if that is so, or if images are
+    stamped as the camera's motion has it. Where sensors and declarations do not fit together and
+    none of them is clearly wrong, it is the most that one of those would make that explain it
+    alone.
+    """
+
+    right_m: Constant | None
+    ahead_m: Constant | None
+    late_s: Constant | None
+    off_m: Float64
+
+    @property
+    def clear(self) -> bool:
+        """Whether one of them is denied."""
+        return any(one is not None for one in (self.right_m, self.ahead_m, self.late_s))
+
+
+def denied_by(drive: Drive, vehicle: Vehicle | None, clock: ClockOffset | None) -> Denied:
+    """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
+    speed_mps = np.abs(drive.speed_mps)
+    by_clock_m = speed_mps * abs(clock.offset_s if clock is not None and clock.is_certain else 0.0)
+    if not _sees_turns(drive):
+        return Denied(None, None, None, by_clock_m)
+    found = drive.smoothed.declared
+    # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
+    # its place is no contradiction, and moves no position.
+    places = isinstance(vehicle, Rig), isinstance(vehicle, Rig) and names_axle(vehicle)
+    right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
+    ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
+    late_s = _clear(found.late_s, LEAST_DELAY_S)
+    off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
+    denied = Denied(right_m, ahead_m, late_s, off_m)
+    if found.contradicts and not denied.clear:
+        per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
+        for k, moved in enumerate((*per_unit, speed_mps)):
+            if found.explains(k):
+                off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
+    return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+
+
+def _sees_turns(drive: Drive) -> bool:
+    return drive.at.has_gyro() or _camera_share(drive) >= LEAST_SEEN_SHARE
+
+
+def _camera_share(drive: Drive) -> float:
+    """The share of the drive's time that the camera's steps cover."""
+    time_s, nodes = drive.measured.time_s, drive.measured.step_nodes
+    lasted_s = float(time_s[-1] - time_s[0])
+    return float(np.diff(time_s[nodes], axis=1).sum()) / max(lasted_s, 1e-9)
+
+
+def _clear(one: Constant, least: float) -> Constant | None:
+    return one if abs(one.value) > max(CLEAR_SIGMAS * one.sigma, least) else None
+
+
+def _value(one: Constant | None) -> float:
+    return 0.0 if one is None else one.value
+
+
+def unsure_declared(table: PoseTable, drive: Drive, denied: Denied) -> PoseTable:
+    """The same poses, their positions as unsure as they would be off. Neighbours share it."""
+    node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(denied.off_m) - 1)
+    sigma_m = np.hypot(table.position_sigma_m, denied.off_m[node] / np.sqrt(2.0))
+    return table._replace(position_sigma_m=sigma_m)
+
+
+def denied_notes(drive: Drive, denied: Denied) -> Iterator[str]:
+    """A sentence on each thing that is denied, or one on what does not fit together."""
+    for one, more, less in (
+        (denied.ahead_m, "farther ahead", "farther back"),
+        (denied.right_m, "farther right", "farther left"),
+    ):
+        if one is not None:
+            way = more if one.value > 0.0 else less
+            yield (
+                f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
+                "than mounting.json says; measure its place and correct it. Until then positions "
+                "count as that unsure."
+            )
+    if (delay := denied.late_s) is not None:
+        late = "late" if delay.value > 0.0 else "early"
+        yield (
+            f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
+            f"{late} against gyro and camera; look at how they were logged. Until then positions "
+            "count as unsure by what is driven in that time."
+        )
+    if drive.smoothed.declared.contradicts and not denied.clear and _sees_turns(drive):
+        yield from _unfit_note(drive, denied)
+
+
+def _unfit_note(drive: Drive, denied: Denied) -> Iterator[str]:
+    """That something does not fit together, and what would explain it alone."""
+    found = drive.smoothed.declared
+    moving = drive.gear != 0
+    most_deg = float(np.degrees(drive.smoothed.response.at_most[moving]).max(initial=0.0))
+    most_m = float(denied.off_m[moving].max(initial=0.0))
+    if most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M:
+        return
+    right_m, ahead_m, late_s, _ = found.alone
+    alone = (
+        f"the antenna's place aside ({right_m:+.2f} m to the right would explain it)",
+        f"its place ahead ({ahead_m:+.2f} m would)",
+        f"the stamps (fixes {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} would)",
+        "the gyro's scale",
+    )
+    check = " or ".join(what for k, what in enumerate(alone) if found.explains(k))
+    yield (
+        f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, so "
+        f"headings may be up to {most_deg:.1f}° off, and positions {most_m:.2f} m. Check "
+        f"{check or 'the place of the antenna, the stamps and the scale of the gyro'}."
+    )
