@@ -94,9 +94,8 @@ def estimate_poses(
         strays |= more
         log = conditioned(log.fixes, settings, log.datum, strays)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    drive, motion, unfit_gyro = with_trusted_gyro(
-        drive, log.accepted, log.fixes.time_ns, motion, axle, hints
-    )
+    trusted = with_trusted_gyro(drive, log.accepted, log.fixes.time_ns, motion, axle, hints)
+    drive, motion = trusted.drive, trusted.motion
     told = axle_by_gyro(axle, drive.smoothed.declared.ahead_m) if drive.at.has_gyro() else axle
     if told != axle:
         axle = told
@@ -120,6 +119,9 @@ def estimate_poses(
         drive = with_recorded(drive, log.accepted, motion, axle, recorded, hints)
     # A row for each fix and each instant between, carried to the grid origin and judged.
     table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
+    if source.kind == "smooth":
+        unsure_deg = trusted.unsure_at(table.time_ns)
+        table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
     slope = FLAT
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
@@ -142,7 +144,7 @@ def estimate_poses(
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
-            *(note for note in (wrong_gyro, unfit_gyro) if note is not None),
+            *(note for note in (wrong_gyro, trusted.note) if note is not None),
             *notes,
             *slope_notes(slope, rig),
             *drive_notes(

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Int64
+from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
@@ -39,7 +40,35 @@ wrong axes or units: an antenna ahead of the axle or a scale make less."""
 
 FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
 
+USUAL_SCALE = 0.12
+"""A gyro whose scale is off by more, three times what is usual, may have another fault, or the
+fixes have."""
+
+PLAUSIBLE_RATIO = 0.3
+"""A gyro that tells the path's turns but for such a share has the right axes and units."""
+
+STEADY_M = 0.1
+"""Fixes that state less do not wander: the gyro is wrong."""
+
+NEAR_S = 2.0
+"""Two headings that cross agree for a moment; how far they are apart is the most around it."""
+
 CHECK = "was not used: check imu_axes (it may be upside down), its unit (rad/s) and its stamps."
+
+
+class Trusted(NamedTuple):
+    """A drive and its motion with a gyro that fits, or without one; what was wrong with it, None
+    where nothing was. `unsure_deg` [n] is how far the headings with it and without it are apart at
+    the nodes where nobody knows which of them is right, else 0."""
+
+    drive: Drive
+    motion: Motion
+    unsure_deg: Float64
+    note: str | None = None
+
+    def unsure_at(self, time_ns: Int64) -> Float64:
+        """The same at other instants."""
+        return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
 
 
 class Ratio(NamedTuple):
@@ -131,35 +160,47 @@ def with_trusted_gyro(
     motion: Motion,
     axle: Axle,
     hints: GearHints,
-) -> tuple[Drive, Motion, str | None]:
-    """The drive and its motion with a gyro that fits, or without one; and what was wrong with it,
-    None where nothing was."""
+) -> Trusted:
+    """The drive with a gyro that fits, with its scale corrected if need be, or without it."""
     found = drive.smoothed.declared
+    fits = Trusted(drive, motion, np.zeros(len(drive.time_ns)))
+    wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     if not drive.at.has_gyro() or not found.contradicts:
-        return drive, motion, None
+        return fits
+    without = motion._replace(gyro=None, inertial=None)
+    rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
     scale = found.gyro_scale
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         scaled = _scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
         if again.smoothed.declared.misfit < MOST_MISFIT / 2.0:
             size = "small" if scale.value > 0.0 else "large"
-            return (
-                again,
-                scaled,
+            note = (
                 f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
                 f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out. "
-                "Calibrate its scale.",
+                "Calibrate its scale."
             )
-    without = motion._replace(gyro=None, inertial=None)
-    rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
+            either = wanders and abs(scale.value) > USUAL_SCALE
+            return Trusted(again, scaled, _apart_deg(again, rest) * float(either), note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
-        return drive, motion, None
-    return (
-        rest,
-        without,
-        f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}",
-    )
+        return fits
+    # One that turns as the path does may be right where the fixes wander.
+    gyro = motion.gyro
+    ratio = None if gyro is None else turn_ratio(fixes, gyro)
+    either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
+    note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
+    return Trusted(rest, without, _apart_deg(rest, drive) * float(either), note)
+
+
+def _apart_deg(one: Drive, other: Drive) -> Float64:
+    """How far two estimates of a drive are apart in heading at the nodes of the first."""
+    heading_rad = np.unwrap(np.radians(other.heading_deg))
+    beside_deg = np.degrees(np.interp(one.time_ns, other.time_ns, heading_rad))
+    apart_deg = np.abs(wrap_deg(one.heading_deg - beside_deg))
+    near_ns = np.linspace(-NEAR_S, NEAR_S, 17) * 1e9
+    around = [np.interp(one.time_ns + by, one.time_ns, apart_deg) for by in near_ns]
+    return np.asarray(np.max(around, axis=0))
 
 
 def _scaled(motion: Motion, size: float) -> Motion:
