@@ -53,6 +53,16 @@ def test_a_runaway_height_is_rejected_with_its_surroundings() -> None:
     assert verdicts[170].reason == "height runs away within 10 s: the solution has come apart"
 
 
+def test_a_solution_that_has_come_apart_most_of_the_time_is_not_trusted_afterwards() -> None:
+    """Where it comes to rest is as far off as it ran away."""
+    height = np.concatenate([-1.2 * np.arange(300), np.full(200, -360.0)])
+    verdicts = judge(drive(height))
+    assert {verdict.gate for verdict in verdicts} == {Gate.CLIMB}
+    assert (
+        verdicts[499].reason == "height runs away in most of the log: the solution has come apart"
+    )
+
+
 def test_the_limit_is_settable() -> None:
     height = 1.2 * np.arange(100)
     verdicts = judge(drive(height), GateLimits(max_climb_mps=10.0))

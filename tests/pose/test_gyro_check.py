@@ -11,11 +11,13 @@ import pytest
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
 from fieldgrid.build import visual_odometry
+from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.pose.estimate import conditioned
 from fieldgrid.pose.gyro_check import turn_ratio
+from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import PoseSettings
@@ -129,6 +131,36 @@ def test_an_antenna_that_is_declared_wrongly_does_not_blame_the_gyro() -> None:
     assert np.isfinite(found.report.gyro_bias_dps)
     assert any("farther ahead than mounting.json says" in note for note in found.report.notes)
     assert within_3_sigma(found, drive) > 0.97
+
+
+def wandering(drive: Drive, slow_m: float, seed: int = 4) -> FixColumns:
+    """Fixes that are smooth from one to the next and wander by so much in some seconds."""
+    fixes = fixes_of(drive, 0.2, 0.01)
+    knots = np.random.default_rng(seed).normal(size=(2, len(fixes) // 25 + 2)) * slow_m
+    at = np.arange(len(fixes)) / 25.0
+    east, north, up = DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    east, north = (
+        axis + np.interp(at, np.arange(knots.shape[1]), knot)
+        for axis, knot in zip((east, north), knots, strict=True)
+    )
+    lat, lon, height = DATUM.to_geodetic(east, north, up)
+    return fixes.replace(lat_deg=lat, lon_deg=lon, height_m=height)
+
+
+@pytest.mark.parametrize("seed", range(4, 14))
+def test_what_wandering_fixes_make_of_a_gyro_is_in_the_sigma(seed: int) -> None:
+    """Nothing says how good the receiver is: be the gyro corrected or left out by it, headings are
+    as unsure as with and without it are apart."""
+    drive = simulate(SLALOM, 35.0)
+    fixes = wandering(drive, 1.0, seed)
+    n = len(fixes)
+    fixes = fixes.replace(quality=np.full(n, Quality.UNKNOWN), sigma_m=np.full(n, np.nan))
+    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=gyro(drive)))
+    trajectory = found.trajectory
+    truth = drive.at((trajectory.time_ns - trajectory.time_ns[found.fix_row[0]]) / 1e9)
+    off = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    assert found.report.notes
+    assert np.mean(off < 3.0 * trajectory.heading_sigma_deg) > 0.95
 
 
 def poor_estimate(

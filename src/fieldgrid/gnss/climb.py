@@ -20,6 +20,9 @@ SPIKE_S = 1.0
 SPOILT_S = 10.0
 """How long before and after a climb the solution is not trusted either."""
 
+MOST_APART = 0.5
+"""Of a solution that climbs as nothing on wheels can in more of its fixes, none is trusted."""
+
 
 def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
     """Rate of climb at each of n fixes ordered by time, m/s; 0 where too few are near."""
@@ -37,10 +40,10 @@ def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
 
 
 def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
-    """Which of n fixes lie in or near a climb that no vehicle makes."""
+    """Which of n fixes lie in or near a climb that no vehicle makes: all, where most climb so."""
     at = time_ns[climbing]
-    if at.size == 0:
-        return np.zeros(len(time_ns), dtype=np.bool_)
+    if at.size == 0 or at.size > MOST_APART * len(time_ns):
+        return np.full(len(time_ns), at.size > 0)
     reach_ns = int(SPOILT_S * 1e9)
     near = np.searchsorted(at, time_ns + reach_ns, side="right") - np.searchsorted(
         at, time_ns - reach_ns

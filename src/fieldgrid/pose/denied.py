@@ -144,8 +144,9 @@ def _unfit_note(drive: Drive, denied: Denied) -> Iterator[str]:
         "the gyro's scale",
     )
     check = " or ".join(what for k, what in enumerate(alone) if found.explains(k))
+    positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
     yield (
         f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, so "
-        f"headings may be up to {most_deg:.1f}° off, and positions {most_m:.2f} m. Check "
+        f"headings may be up to {most_deg:.1f}° off{positions}. Check "
         f"{check or 'the place of the antenna, the stamps and the scale of the gyro'}."
     )

@@ -40,9 +40,9 @@ wrong axes or units: an antenna ahead of the axle or a scale make less."""
 
 FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
 
-USUAL_SCALE = 0.12
-"""A gyro whose scale is off by more, three times what is usual, may have another fault, or the
-fixes have."""
+UNUSUAL_SCALE = 0.12
+"""A scale that is off by so much, three times what is usual, is as likely another fault of the
+gyro, or of the fixes; one that is off by half of it a quarter of that."""
 
 PLAUSIBLE_RATIO = 0.3
 """A gyro that tells the path's turns but for such a share has the right axes and units."""
@@ -180,8 +180,8 @@ def with_trusted_gyro(
                 f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out. "
                 "Calibrate its scale."
             )
-            either = wanders and abs(scale.value) > USUAL_SCALE
-            return Trusted(again, scaled, _apart_deg(again, rest) * float(either), note)
+            unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
+            return Trusted(again, scaled, _apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
