@@ -140,8 +140,7 @@ def test_cars_and_rovers_are_kept_whole(shared_data: SharedData) -> None:
             ]  # fmt: skip
             verdicts, summary = judged(fixes)
             if path.stem.endswith("0093"):  # without satellites, 170 m down in half a minute
-                assert {v.gate for v in verdicts[:330]} == {Gate.CLIMB}
-                assert 20 < summary.accepted < 110
+                assert {v.gate for v in verdicts} == {Gate.CLIMB}
             else:
                 assert (summary.accepted, summary.seams) == (len(fixes), ()), path.name
     for path in sorted(shared_data("gnss/acorn_rover").glob("*.csv")):
