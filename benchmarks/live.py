@@ -36,6 +36,12 @@ from fieldgrid.trajectory import Pose, Status
 SHARED = EXAMPLE.parents[2] / "shared" / "data"
 KITTI = SHARED / "kitti_2011_09_30_drive_0020" / "2011_09_30" / "2011_09_30_drive_0020_sync"
 LATER = SHARED / "vineyard_two_lanes_later"
+DRIVES = (
+    ("example, RTK", EXAMPLE, "gnss_rtk.nmea"),
+    ("example, decimetres, jumps", EXAMPLE, "gnss_sf1.nmea"),
+    ("two months later, RTK", LATER, "gnss_rtk.nmea"),
+    ("two months later, decimetres", LATER, "gnss_sf1.nmea"),
+)
 TEN_HZ = 16.0
 """The example has a pair each 1.6 s: its sensors come as many times faster, too."""
 
@@ -45,7 +51,11 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
     options.add_argument("--sessions", action="store_true", help="only latency, drops and load")
+    options.add_argument("--lags", action="store_true", help="only what longer lags would give")
     chosen = options.parse_args()
+    if chosen.lags:
+        longer_lags()
+        return
     if not chosen.sessions:
         fixed_lags()
     if not chosen.poses:
@@ -60,12 +70,7 @@ def fixed_lags() -> None:
         f"{'':<30}{'used':>10}{'heading 95 %, °':>20}{'< 3 sigma':>14}{'apart 95 %, m':>16}"
         f"{'< 3 sigma':>11}{'ms an estimate':>16}"
     )
-    for name, folder, log in (
-        ("example, RTK", EXAMPLE, "gnss_rtk.nmea"),
-        ("example, decimetres, jumps", EXAMPLE, "gnss_sf1.nmea"),
-        ("two months later, RTK", LATER, "gnss_rtk.nmea"),
-        ("two months later, decimetres", LATER, "gnss_sf1.nmea"),
-    ):
+    for name, folder, log in DRIVES:
         if not (folder / "gnss" / log).exists():
             continue
         with open_recording(folder, gnss=log) as recording:
@@ -73,7 +78,7 @@ def fixed_lags() -> None:
             batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
             times_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
             of_batch = [batch.at(time_ns) for time_ns in times_ns.tolist()]
-            of_lag, spent_s = fixed_lag(recording, steps, lag_s)
+            of_lag, spent_s = fixed_lag(recording, steps, lag_s, LiveOptions().window_s)
             headings = {
                 pose.time_ns: pose.heading_deg for pose in read_truth(folder / "truth").poses
             }
@@ -123,12 +128,36 @@ def apart(poses: list[Pose], others: list[Pose]) -> tuple[float, float]:
     return float(np.percentile(moved, 95.0)), within
 
 
-def fixed_lag(recording: Recording, steps: Steps, lag_s: float) -> tuple[list[Pose], float]:
+def longer_lags() -> None:
+    """How much of the heading's error is owed to what comes after the lag, and to what lies before
+    the window."""
+    ways = [(2.0, 20.0), (2.0, 50.0), (5.0, 20.0), (10.0, 20.0), (10.0, 50.0)]
+    print("heading error 95 % beside that of the batch, by lag and window")
+    print(f"{'':<30}" + "".join(f"{f'{lag:g} s, {window:g} s':>14}" for lag, window in ways))
+    for name, folder, log in DRIVES:
+        if not (folder / "gnss" / log).exists():
+            continue
+        with open_recording(folder, gnss=log) as recording:
+            steps = visual_odometry(recording)
+            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            frame_ns = recording.frame_times_ns()
+            whole = [batch.at(t) for t in (frame_ns + recording.rig.image_time_offset_ns).tolist()]
+            headings = {p.time_ns: p.heading_deg for p in read_truth(folder / "truth").poses}
+            true_deg = [headings[time_ns] for time_ns in frame_ns.tolist()]
+            of_batch = Compared.of(whole, true_deg).error_deg
+            times = []
+            for lag_s, window_s in ways:
+                poses, _ = fixed_lag(recording, steps, lag_s, window_s)
+                times.append(Compared.of(poses, true_deg).error_deg / of_batch)
+        print(f"{name:<30}" + "".join(f"{one:>14.2f}" for one in times), flush=True)
+
+
+def fixed_lag(
+    recording: Recording, steps: Steps, lag_s: float, window_s: float
+) -> tuple[list[Pose], float]:
     """The pose of each frame by what was pushed until `lag_s` after it, and the median processor
     time of an estimate."""
-    trailing = Trailing(
-        recording.rig, BuildSettings(), recording.datum_hint, LiveOptions().window_s
-    )
+    trailing = Trailing(recording.rig, BuildSettings(), recording.datum_hint, window_s)
     fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
     values = {part: getattr(recording.motion(), part) for part in PARTS}
     rows = {part: one for part, one in values.items() if one is not None}

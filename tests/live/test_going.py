@@ -7,7 +7,7 @@ import pytest
 
 from fieldgrid.array_types import Float64
 from fieldgrid.geodesy import Datum
-from fieldgrid.live.going import ROLLED_S, Going
+from fieldgrid.live.going import MOST_NEW, ROLLED_S, Going
 from fieldgrid.live.sensed import rows_of
 from fieldgrid.odometry import Step
 from fieldgrid.trajectory import Status, Trajectory
@@ -100,5 +100,7 @@ def test_rows_come_in_any_order_and_old_ones_go() -> None:
     rows(going, "wheels", SPEED_MPS, 60.0)
     rows(going, "gyro", RATE_RAD_S, 60.0, from_s=59.0)
     rows(going, "gyro", RATE_RAD_S, 59.0, from_s=50.0)
-    assert len(going._wheels.time_ns) <= 15 * 20 + 1
+    assert len(going._new["wheels"]) < MOST_NEW
     assert going.step(at_ns(55.0), at_ns(55.5)) is not None
+    assert len(going._tracks["wheels"].time_ns) <= 15 * 20 + 1
+    assert not any(going._new.values())

@@ -39,6 +39,9 @@ slides on a metre, 1 sigma: the smoother's."""
 
 TICK_S = 0.02
 
+MOST_NEW = 1000
+"""So many pushes wait to be put in order until something is asked."""
+
 
 class _Track(NamedTuple):
     """Values of one sensor in order of time."""
@@ -86,18 +89,28 @@ class Going:
     def __init__(self, rear_axle_forward_m: float | None) -> None:
         self._axle_m = rear_axle_forward_m or 0.0
         self._lock = threading.Lock()
-        self._gyro = self._wheels = _NOTHING
+        self._tracks = {"gyro": _NOTHING, "wheels": _NOTHING}
+        self._new: dict[str, list[Rows]] = {part: [] for part in self._tracks}
         self._known: _Known | None = None
 
     def add_rows(self, part: str, rows: Rows) -> None:
         """Rows of any part; those of others say nothing here."""
-        if part not in ("gyro", "wheels") or not len(rows.time_ns):
+        if part not in self._tracks or not len(rows.time_ns):
             return
         with self._lock:
-            if part == "gyro":
-                self._gyro = self._gyro.with_rows(rows.time_ns, rows.columns[0])
-            else:
-                self._wheels = self._wheels.with_rows(rows.time_ns, rows.columns[0])
+            self._new[part].append(rows)
+            if len(self._new[part]) >= MOST_NEW:
+                self._merge()
+
+    def _merge(self) -> tuple[_Track, _Track]:
+        """The values of gyro and wheels, with what is new of them; under the lock."""
+        for part, new in self._new.items():
+            if new:
+                time_ns = np.concatenate([rows.time_ns for rows in new])
+                value = np.concatenate([rows.columns[0] for rows in new])
+                self._tracks[part] = self._tracks[part].with_rows(time_ns, value)
+                new.clear()
+        return self._tracks["gyro"], self._tracks["wheels"]
 
     def know(self, track: Trajectory) -> None:
         """The latest estimate."""
@@ -108,7 +121,7 @@ class Going:
         since = time_ns >= time_ns[-1] - round(KEPT_S * 1e9)
         time_ns, heading = time_ns[since], np.unwrap(np.radians(track.heading_deg[ok][since]))
         with self._lock:
-            gyro = self._gyro
+            gyro, _ = self._merge()
         bias_rad_s = 0.0
         took_s = (time_ns[-1] - time_ns[0]) / 1e9
         if took_s >= LEAST_BIAS_S and gyro.holds(int(time_ns[0]), int(time_ns[-1])):
@@ -133,7 +146,7 @@ class Going:
             return None
         right_m, forward_m = float(way.east_m[-1]), float(way.north_m[-1])
         with self._lock:
-            by_wheels = self._wheels.holds(from_ns, to_ns)
+            by_wheels = self._merge()[1].holds(from_ns, to_ns)
         gone_m = math.hypot(right_m, forward_m)
         along_m = ACCELERATION_MPS2 * math.sqrt(took_s**3 / 3.0)
         if by_wheels:
@@ -150,7 +163,7 @@ class Going:
         """The way from one instant to another and so far beyond both, which begins at 0, 0 with
         the heading 0."""
         with self._lock:
-            gyro, wheels, known = self._gyro, self._wheels, self._known
+            (gyro, wheels), known = self._merge(), self._known
         if not gyro.holds(from_ns, to_ns):
             return None
         ticks = _ticks(from_ns - beyond_ns, to_ns + beyond_ns)

@@ -131,7 +131,7 @@ class Drive:
     """Of each frame that was staged: its number in the stage file, and the step to it."""
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     dropped: int = 0
-    as_seen: int = 0
+    as_seen: set[str] = field(default_factory=set)
     """Clouds that were taken as they were seen."""
     times: StageTimes = field(default_factory=StageTimes)
 
@@ -182,7 +182,7 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
     elif kind == "dropped":
         drive.dropped += 1
     elif kind == "as seen":
-        drive.as_seen += 1
+        drive.as_seen.add(str(value))
 
 
 class Kept(Closing):
@@ -334,9 +334,11 @@ class Kept(Closing):
         if drive.dropped:
             notes += (f"{drive.dropped} frames were dropped while it was driven.",)
         if isinstance(rig.sensor, Lidar) and drive.frames:
+            names = [self.stage.entries[number].frame_id for number, _ in drive.frames]
+            as_seen = sum(name in drive.as_seen for name in names)
             notes += (
                 "Points with times were carried to the stamps of their clouds by the motion that "
-                f"was known while driving, but for {drive.as_seen} of {len(drive.frames)} clouds.",
+                f"was known while driving, but for {as_seen} of {len(names)} clouds.",
             )
         recording = Recording(
             path=self.folder,
