@@ -115,6 +115,20 @@ def test_fixes_may_come_late_twice_and_in_any_order(
         np.testing.assert_array_equal(ours.read().density, theirs.read().density)
 
 
+def test_a_receiver_whose_clock_jumps_costs_no_frame(short_drive: Path, tmp_path: Path) -> None:
+    told = Told()
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg", on_result=told)
+        for k, fix in enumerate(recording.fixes()):
+            ahead_s = 300 if 40 <= k < 45 else 0
+            live.push_fix(fix._replace(time_ns=fix.time_ns + ahead_s * 10**9))
+        for frame in recording.frames():
+            live.push_frame(frame, wait=True)
+        live.drain()
+        assert live.finish().used == 6
+    assert len([text for text in told.texts("fix refused") if "ahead of all else" in text]) == 5
+
+
 def test_images_that_come_late_or_twice_are_left_out_and_told(
     short_drive: Path, built: Path, tmp_path: Path
 ) -> None:

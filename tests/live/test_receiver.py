@@ -71,7 +71,8 @@ def test_a_receiver_that_is_not_there_yet_is_tried_until_it_is() -> None:
             with link:
                 link.sendall(LOG)
                 notes.wait_told("is there again")
-    assert len(notes.told) == 2  # each loss is told once, however often it is tried
+                # Each loss is told once, however often it is tried; the end of this link is another.
+                assert len(notes.told) == 2
 
 
 def test_a_silent_receiver_is_told_and_a_dead_link_opened_again() -> None:
