@@ -71,7 +71,7 @@ def test_a_receiver_that_is_not_there_yet_is_tried_until_it_is() -> None:
             with link:
                 link.sendall(LOG)
                 notes.wait_told("is there again")
-                # Each loss is told once, however often it is tried; the end of this link is another.
+                # Each loss is told once, however often it is tried; the end of the link, too.
                 assert len(notes.told) == 2
 
 
