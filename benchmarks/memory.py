@@ -42,6 +42,9 @@ WHAT: dict[str, Sequence[str]] = {
             ("zarr", ".zarr"),
             ("netcdf", ".nc"),
             ("kmz", ".kmz"),
+            ("mbtiles", ".mbtiles"),
+            ("las", ".las"),
+            ("ply", ".ply"),
             ("csv", ".csv"),
             ("parquet", ".parquet"),
         )
@@ -51,7 +54,10 @@ WHAT: dict[str, Sequence[str]] = {
     "verify": ("verify", "MAP"),
     "Costmap.from_map": (),
     "rows": ("rows", "MAP"),
-    "export geojson": ("export", "MAP", "out.geojson", "--min-area", "0.5"),
+    **{
+        f"export {ending}": ("export", "MAP", f"out.{ending}", "--min-area", "0.5")
+        for ending in ("geojson", "gpkg", "fgb", "dxf", "shp.zip")
+    },
 }
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,9 @@ import xarray
 import zarr
 
 from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, export_map
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export import Selection, arrays, export_map
+from fieldgrid.lattice import TILE_CELLS
+from fieldgrid.mapfile import MapFile, blocks, cf_dataset, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,
@@ -166,3 +169,58 @@ def test_an_unknown_layer(universal: MapFile, tmp_path: Path, name: str) -> None
     with pytest.raises(ConfigError, match="'heigth' is no layer"):
         export_map(universal, tmp_path / name, Selection(layer="heigth"))
     assert list(tmp_path.iterdir()) == []
+
+
+# A file may grow to so many bytes only: a disk that fills up at the start, in the middle, or late.
+FULL = """
+import resource, sys
+from pathlib import Path
+from fieldgrid.errors import MapWriteError
+from fieldgrid.export import arrays, export_map
+from fieldgrid.mapfile import open_map
+
+arrays.CHUNK_CELLS = 64
+folder = Path(sys.argv[2])
+with open_map(sys.argv[1]) as universal:
+    export_map(universal, folder / "whole.nc")
+    size = (folder / "whole.nc").stat().st_size
+    for room in (0, 5_000, size // 3, size // 2, size - 200, size):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+        try:
+            export_map(universal, folder / "out.nc")
+            print("written")
+        except MapWriteError as error:
+            print("File too large" in str(error), not (folder / "out.nc").exists())
+"""
+
+
+def test_a_netcdf_on_a_disk_that_fills_up_anywhere(universal: MapFile, tmp_path: Path) -> None:
+    """HDF5 ends the program when it cannot write, so it never hears of it."""
+    pytest.importorskip("resource", reason="this system has no limit of a file's size")
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(universal.path), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == ["True True"] * 5 + ["written"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "whole.nc"]
+    assert (tmp_path / "out.nc").read_bytes() == (tmp_path / "whole.nc").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["a.zarr", "a.nc"])
+def test_pieces_and_chunks_leave_no_trace(
+    universal: MapFile, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file is that of the whole view, whatever is read and compressed at once."""
+    monkeypatch.setattr(arrays, "CHUNK_CELLS", 64)
+    monkeypatch.setattr(blocks, "_ROWS", TILE_CELLS)
+    monkeypatch.setattr(blocks, "_COLUMNS", TILE_CELLS)
+    selection = Selection(layer="ground")
+    export_map(universal, tmp_path / name, selection)
+    expected = xarray.decode_cf(
+        cf_dataset(selection.view(universal, ("count",))), decode_coords="all"
+    )
+    with opened(tmp_path / name) as found:
+        xarray.testing.assert_identical(found.load(), expected)

@@ -8,11 +8,13 @@ A cell that nobody saw is NaN, or has `_FillValue`: no comparison takes it for f
 from __future__ import annotations
 
 import importlib
+import io
 import shutil
 import zipfile
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +25,9 @@ from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, Format, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
+from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Window
-from fieldgrid.mapfile import LAYERS, MapView, Readable, cf_dataset, masked
+from fieldgrid.mapfile import LAYERS, Blocks, MapView, Readable, cf_dataset, masked
 from fieldgrid.mapfile.view import empty_view
 from fieldgrid.publish import mentions, replacing, replacing_folder, working_beside
 from fieldgrid.settings import Settings
@@ -70,8 +73,7 @@ def export_npz(
                 for name, raw in raws.items():
                     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                         raw.copy_to(member)
-    rows = (("cells", f"{window.width} x {window.height}"),)
-    return Exported((path,), rows, extent(lattice, window, datum))
+        return _exported(path, blocks, universal)
 
 
 def _cells(view: MapView) -> dict[str, AnyArray]:
@@ -124,11 +126,30 @@ def export_zarr(
 
     Raises ConfigError when xarray or zarr is not installed.
     """
-    view, dataset = _dataset(universal, selection, "Zarr", "zarr")
-    with replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft:
+    zarr = _libraries("Zarr", "zarr")
+    with (
+        replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft,
+        selection.blocks(universal, ("count",)) as blocks,
+    ):
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
-        dataset.to_zarr(draft, mode="w", zarr_format=2, consolidated=True)
-    return Exported((path,), _size(view), extent(view.lattice, view.window, view.datum))
+        group = zarr.open_group(draft, mode="w", zarr_format=2)
+
+        def create(name: str, one: _Variable) -> Any:
+            said = {key: _json(value) for key, value in one.attributes.items()}
+            return group.create_array(
+                name,
+                shape=one.shape,
+                chunks=one.chunks or one.shape or "auto",
+                dtype=one.dtype,
+                fill_value=one.fill,
+                attributes={**said, "_ARRAY_DIMENSIONS": list(one.axes)},
+            )
+
+        group.attrs.update(
+            {k: _json(v) for k, v in _written(blocks, universal.datum, selection, create).items()}
+        )
+        zarr.consolidate_metadata(draft)
+        return _exported(path, blocks, universal)
 
 
 def export_netcdf(
@@ -138,27 +159,167 @@ def export_netcdf(
 
     Raises ConfigError when xarray or h5netcdf is not installed.
     """
-    view, dataset = _dataset(universal, selection, "NetCDF", "h5netcdf", "h5py")
-    packed = {name: {"zlib": True, "complevel": 4} for name in dataset if name != "crs"}
-    with replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file:
-        # In memory: HDF5 ends the program when the disk fills up.
-        file.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=packed))
-    return Exported((path,), _size(view), extent(view.lattice, view.window, view.datum))
+    h5netcdf = _libraries("NetCDF", "h5netcdf", "h5py")
+    with (
+        replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file,
+        selection.blocks(universal, ("count",)) as blocks,
+        file.open("w+b", buffering=0) as raw,
+    ):
+        disk = _Disk(raw)
+        with h5netcdf.File(disk, "w") as out:
+            out.dimensions = dict(zip(_AXES, blocks.window.shape, strict=True))
+
+            def create(name: str, one: _Variable) -> Any:
+                packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+                made = out.create_variable(
+                    name,
+                    one.axes,
+                    one.dtype,
+                    fillvalue=one.fill,
+                    chunks=one.chunks,
+                    **(packed if one.chunks else {}),
+                )
+                made.attrs.update(one.attributes)
+                disk.check()
+                return made
+
+            out.attrs.update(_written(blocks, universal.datum, selection, create, disk.check))
+        disk.check()
+        return _exported(path, blocks, universal)
 
 
-def _dataset(
-    universal: Readable, selection: Selection, what: str, *libraries: str
-) -> tuple[MapView, Any]:
+_AXES = ("north_m", "east_m")
+CHUNK_CELLS = 1024
+"""A side of what is compressed at once."""
+
+
+class _Variable(NamedTuple):
+    """How a variable is stored; `chunks` is None for what is no array of cells, `fill` for what has
+    a value everywhere."""
+
+    axes: tuple[str, ...]
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...] | None
+    dtype: np.dtype[Any]
+    fill: Any
+    attributes: dict[str, Any]
+
+
+def _written(
+    blocks: Blocks,
+    datum: Datum,
+    selection: Selection,
+    create: Callable[[str, _Variable], Any],
+    after_each: Callable[[], None] = lambda: None,
+) -> dict[str, Any]:
+    """Write the dataset of the blocks, a block at a time, into variables as `create` makes them.
+
+    Cells of no block have the fill value. Returns the attributes of the dataset.
+    """
+    lattice, window = blocks.lattice, blocks.window
+    names = [name for name in dict.fromkeys((selection.layer, "count")) if name != "density"]
+    corner = Window(window.i0, window.j0, 1, 1)
+    empty = cf_dataset(empty_view(lattice, corner, datum, names))
+    east_m, north_m = lattice.centres(window)
+    whole = {"east_m": east_m, "north_m": north_m, "crs": empty["crs"].values}
+    cells = {}
+    for name, variable in empty.variables.items():
+        sizes = dict(zip(_AXES, window.shape, strict=True))
+        shape = tuple(sizes[axis] for axis in variable.dims)
+        attributes = dict(variable.attrs)
+        fill = attributes.pop("_FillValue", None)
+        chunks = tuple(min(side, CHUNK_CELLS) for side in shape) if name not in whole else None
+        one = _Variable(variable.dims, shape, chunks, variable.dtype, fill, attributes)
+        made = create(name, one)
+        if name in whole:
+            made[...] = whole[name]
+        else:
+            cells[name] = made
+    for view in blocks.views:
+        row, column = view.window.j0 - window.j0, view.window.i0 - window.i0
+        here = np.s_[row : row + view.window.height, column : column + view.window.width]
+        part = cf_dataset(view)
+        for name, made in cells.items():
+            made[here] = part[name].values
+            after_each()
+    return dict(empty.attrs)
+
+
+class _Disk(io.RawIOBase):
+    """A file for HDF5, which ends the program when a write fails: here none does, until somebody
+    asks. What follows a write that failed is thrown away."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._failed: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the error of the first write that failed."""
+        if self._failed is not None:
+            raise self._failed
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        data = self._file.read(len(view))
+        view[:] = data.ljust(len(view), b"\0")  # HDF5 may look for what was thrown away
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        if self._failed is None:
+            try:
+                done = 0
+                while done < len(view):
+                    done += self._file.write(view[done:])
+            except OSError as error:
+                self._failed = error
+        return len(view)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        if self._failed is None:
+            try:
+                return self._file.truncate(size)
+            except OSError as error:
+                self._failed = error
+        return self._file.tell() if size is None else size
+
+
+def _libraries(what: str, *names: str) -> Any:
+    """The first of the libraries, when xarray and all of them are installed."""
     try:
-        for name in ("xarray", *libraries):
+        for name in ("xarray", *names):
             importlib.import_module(name)
     except ImportError as error:
         raise ConfigError(
-            f"Writing {what} needs xarray and {' and '.join(libraries)}, which are not installed; "
+            f"Writing {what} needs xarray and {' and '.join(names)}, which are not installed; "
             "run: pip install 'fieldgrid[tables]'"
         ) from error
-    view = selection.view(universal, ("count",))
-    return view, cf_dataset(view)
+    return importlib.import_module(names[0])
+
+
+def _json(value: Any) -> Any:
+    """An attribute as JSON has it."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _exported(path: Path, blocks: Blocks, universal: Readable) -> Exported:
+    rows = (("cells", f"{blocks.window.width} x {blocks.window.height}"),)
+    return Exported((path,), rows, extent(blocks.lattice, blocks.window, universal.datum))
 
 
 def _is_netcdf(file: Path) -> bool:
@@ -173,10 +334,6 @@ def _is_zarr(folder: Path) -> bool:
     return mentions(folder / ".zattrs", b"datum_lat_deg") and all(
         entry.name.startswith(".z") or (entry / ".zarray").is_file() for entry in folder.iterdir()
     )
-
-
-def _size(view: MapView) -> tuple[tuple[str, str], ...]:
-    return (("cells", f"{view.window.width} x {view.window.height}"),)
 
 
 register(
@@ -198,7 +355,7 @@ register(
         several=True,
         readers="xarray, rioxarray, dask",
         extras=("tables",),
-        limits="4·10^8 cells",
+        limits="10^10 cells",
     ),
     Format(
         "netcdf",
@@ -208,6 +365,6 @@ register(
         several=True,
         readers="xarray, GDAL, Panoply",
         extras=("tables",),
-        limits="4·10^8 cells",
+        limits="10^10 cells",
     ),
 )
