@@ -272,6 +272,54 @@ def test_trunks_of_an_orchard_are_rows_by_its_parameters() -> None:
     assert not found.gaps
 
 
+@pytest.mark.parametrize(("spacing_m", "apart_m", "half_m"), [(6.0, 5.0, 0.3), (6.0, 5.0, 0.8)])
+def test_trees_as_far_from_each_other_as_rows_stand_in_rows_one_way(
+    spacing_m: float, apart_m: float, half_m: float
+) -> None:
+    rows = straight(8, 60.0, spacing_m, 10.0)
+    missing = [
+        (k, apart_m * n + half_m, apart_m * (n + 1) - half_m) for k in range(8) for n in range(12)
+    ]
+    view = view_of(rows, half_width_m=half_m, missing=missing)
+    found = rows_of_view(view, crop="orchard")
+    assert len(found.rows) == 8
+    for row in rows:
+        assert rms_m(line_of(found, row), row) < 0.1
+    assert len(found.lanes) == 7
+
+
+def test_a_speck_in_a_hole_does_not_end_a_row() -> None:
+    rows = straight(4, 50.0)
+    view = view_of(rows, missing=[(1, 30.0, 36.0)], things=[(2.5, 33.0, 0.12)])
+    found = rows_of_view(view)
+    at, _ = project(line_of(found, rows[1]), rows[1])
+    assert at.min() < 1.0
+    assert at.max() > 49.0
+
+
+@pytest.mark.parametrize(("oblique_deg", "wide_m"), [(0.0, 5.0), (30.0, 3.5)])
+def test_a_road_across_all_rows_parts_two_blocks(oblique_deg: float, wide_m: float) -> None:
+    rows = straight(6, 60.0)
+    half = 0.5 * wide_m / np.cos(np.radians(oblique_deg))
+    middle = [30.0 + 2.5 * k * np.tan(np.radians(oblique_deg)) for k in range(6)]
+    missing = [(k, at - half, at + half) for k, at in enumerate(middle)]
+    found = rows_of_view(view_of(rows, missing=missing))
+    assert [(block.rows, block.lanes) for block in found.blocks] == [(6, 5), (6, 5)]
+    assert not found.gaps
+    for row in found.rows:
+        ends = np.asarray(row.line.coords)[[0, -1]]
+        k = round(float(ends[0, 0]) / 2.5)
+        stops = np.array([0.0, middle[k] - half, middle[k] + half, 60.0])
+        assert np.abs(stops[:, None] - ends[:, 1]).min(axis=0).max() < 0.5
+
+
+def test_a_clearing_that_ends_at_rows_parts_nothing() -> None:
+    rows = straight(7, 60.0)
+    found = rows_of_view(view_of(rows, missing=[(k, 27.0, 33.0) for k in range(1, 6)]))
+    assert [(block.rows, block.lanes) for block in found.blocks] == [(7, 6)]
+    assert len(found.gaps) == 5
+
+
 def test_sown_rows_are_found_by_their_parameters() -> None:
     rows = straight(8, 15.0, 0.6, 12.0)
     sight = Sight(noise_per_m2=0.05, hole_share=0.02, margin_m=2.0, headland_m=2.0)

@@ -23,6 +23,9 @@ _CORE = 0.7
 _FLANK = 0.8
 """Ground from this share of the way to the middle between two rows is beside the row."""
 
+_APART = 4.0
+"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
+
 _LEAST_RATIO = 3.0
 _LEAST_SEEN = 0.2
 _CHANCE = 1e-4
@@ -39,12 +42,22 @@ def chance_of_noise(
     flank = strip.cells[:, beside_m > _FLANK * reach_m]
     # What was not seen of the ground beside a row may be as noisy as what was.
     seen = max(float((flank != UNSEEN).mean()), _LEAST_SEEN)
-    part_m = max(0.5 * crop.plant_spacing_m, 0.5)
+    parts_m = [max(0.5 * crop.plant_spacing_m, 0.5)]
+    if crop.plant_spacing_m > _APART * crop.half_width_m:
+        # Between trunks every other such part is bare, as it is not in longer ones.
+        parts_m.append(crop.plant_spacing_m)
+    chances = [_chance(core == OBSTACLE, flank == OBSTACLE, seen, part_m) for part_m in parts_m]
+    # The best of some tests is that often a chance.
+    return min(1.0, len(chances) * min(chances))
+
+
+def _chance(core: Bool, flank: Bool, seen: float, part_m: float) -> float:
+    """How likely noise has so many more obstacle cells [n, m] on a row than beside it, of which
+    such a share was seen, in parts of that length."""
     count = int(len(core) * _STEP_M / part_m)
     if count < 2:
         return 1.0
-    on, off = (_shares(cells == OBSTACLE, count) for cells in (core, flank))
-    off /= seen
+    on, off = _shares(core, count), _shares(flank, count) / seen
     if on.mean() <= _LEAST_RATIO * off.mean():
         return 1.0
     error = float((on - off).std(ddof=1)) / np.sqrt(count)

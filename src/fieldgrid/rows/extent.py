@@ -65,7 +65,8 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     """The stretch of a line that is one row: the longest run of cells, and runs beyond its holes.
 
     What lies beyond a hole belongs to the row if it is long for that hole: a trailer that stands in
-    line with a row does not lengthen it. None when there is no run.
+    line with a row does not lengthen it, and a speck in a hole does not end it. None when there is
+    no run.
     """
     some = weight > 0.0
     if not some.any():
@@ -73,24 +74,18 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
     parts = _closed(runs(occupied), crop.plant_spacing_m / step_m)
     sizes = [b - a for a, b in parts]
-    core = int(np.argmax(sizes))
-    first = last = core
-    while True:
-        hole_before = parts[first][0] - parts[first - 1][1] if first else np.inf
-        hole_after = parts[last + 1][0] - parts[last][1] if last + 1 < len(parts) else np.inf
-        before, after = (
-            hole * step_m <= crop.max_bridge_m and size * step_m >= max(1.0, 0.5 * hole * step_m)
-            for hole, size in (
-                (hole_before, sizes[first - 1] if first else 0),
-                (hole_after, sizes[last + 1] if last + 1 < len(parts) else 0),
-            )
-        )
-        if before:
-            first -= 1
-        elif after:
-            last += 1
-        else:
-            return parts[first][0], parts[last][1]
+    first = last = int(np.argmax(sizes))
+
+    def is_more(hole: int, size: int) -> bool:
+        """Whether what is so long beyond so long a hole is more of the row."""
+        return hole * step_m <= crop.max_bridge_m and size * step_m >= max(1.0, 0.5 * hole * step_m)
+
+    # A speck in a hole is passed over.
+    for k in range(first - 1, -1, -1):
+        first = k if is_more(parts[first][0] - parts[k][1], sizes[k]) else first
+    for k in range(last + 1, len(parts)):
+        last = k if is_more(parts[k][0] - parts[last][1], sizes[k]) else last
+    return parts[first][0], parts[last][1]
 
 
 def _closed(parts: list[tuple[int, int]], hole: float) -> list[tuple[int, int]]:

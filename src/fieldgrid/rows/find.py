@@ -29,6 +29,7 @@ from fieldgrid.rows.ground import (
 from fieldgrid.rows.measure import Measured, measure_rows
 from fieldgrid.rows.neighbours import oriented
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
+from fieldgrid.rows.roads import split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
 from fieldgrid.trajectory import Status
 
@@ -155,7 +156,7 @@ def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
     if not len(segments.half_m):
         return []
     lines = oriented(reference_lines(segments, link(segments, crop), crop))
-    return measure_rows(evidence, lines, crop)
+    return split_at_roads(measure_rows(evidence, lines, crop), crop)
 
 
 def _rows(evidence: Evidence, ordered: Ordered, drives: Drives | None) -> tuple[Row, ...]:

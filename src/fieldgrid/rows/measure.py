@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64
@@ -23,6 +24,7 @@ _BEYOND_M = 4.0
 _WIDTH_SIGMA_M = 0.05
 """How much the canopies of two rows of a field differ in half width."""
 
+_PARALLEL = np.cos(np.radians(30.0))
 _GATE = 0.42
 """Cells that are nearer than this share of the way to the next row belong to a row."""
 
@@ -64,6 +66,18 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
     return _standing_out(candidates)
 
 
+def _uncrossed(candidates: list[tuple[Measured, float]]) -> list[tuple[Measured, float]]:
+    """The candidates but for those that lead across two others which are less likely noise: trees
+    on a grid stand in line that way, too."""
+    if len(candidates) < 3:
+        return candidates
+    lines = [shapely.LineString(row.line) for row, _ in candidates]
+    first, second = shapely.STRtree(lines).query(lines, predicate="crosses")
+    chance = np.array([chance for _, chance in candidates])
+    crossed = np.bincount(first[chance[second] < chance[first]], minlength=len(lines))
+    return [pair for pair, count in zip(candidates, crossed, strict=True) if count < 2]
+
+
 def _all_settled(
     evidence: Evidence, lines: list[Float64], gates: list[float], crop: Crop
 ) -> list[tuple[Profile, float]]:
@@ -92,6 +106,7 @@ def _candidates(
 
 
 def _standing_out(candidates: list[tuple[Measured, float]]) -> list[Measured]:
+    candidates = _uncrossed(candidates)
     are_rows = stand_out(np.array([chance for _, chance in candidates]))
     return [row for (row, _), is_row in zip(candidates, are_rows, strict=True) if is_row]
 
@@ -107,7 +122,12 @@ def _gates(lines: list[Float64], crop: Crop) -> list[float]:
     nearest = np.full(len(every), np.inf)
     tree = cKDTree(every)
     distance, index = tree.query(every, k=24, distance_upper_bound=4.0 * crop.max_spacing_m)
-    other = owner[np.minimum(index, len(every) - 1)] != owner[:, None]
+    beside = owner[np.minimum(index, len(every) - 1)]
+    # Trees on a grid make lines across the rows, too, which are no neighbours.
+    along = np.array([line[-1] - line[0] for line in lines])
+    along /= np.hypot(along[:, 0], along[:, 1])[:, None]
+    is_parallel = np.abs((along[owner][:, None] * along[beside]).sum(axis=2)) > _PARALLEL
+    other = (beside != owner[:, None]) & is_parallel
     nearest = np.where(other, distance, np.inf).min(axis=1)
     spacing = np.array([np.median(nearest[owner == k]) for k in range(len(lines))])
     usual = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else most

@@ -1,0 +1,124 @@
+"""Roads across rows: where all rows of a block have a hole side by side, they end and others begin.
+
+Rows on both sides of a road often stand in line, and a hole in one row says nothing: plants are
+missing. A hole in every row from the first to the last is a way through.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fieldgrid.polyline import lengths, part, project
+from fieldgrid.rows.crops import Crop
+from fieldgrid.rows.extent import Extent, Span
+from fieldgrid.rows.measure import Measured
+from fieldgrid.rows.neighbours import Pair, neighbour_pairs
+
+_ROAD_M = 2.5
+"""A way across rows is no narrower."""
+
+_LEAST_ROWS = 4
+"""In fewer rows plants may be missing side by side by chance."""
+
+_SHARED = 0.25
+"""Holes lie side by side when the shorter shares so much with the other: a road may be oblique."""
+
+_PIECE = 0.6
+"""A piece of a row is a row when it has this share of the shortest one."""
+
+
+class _Hole(NamedTuple):
+    """A hole of a row, by its number, from and to along it, and whether its ground was seen."""
+
+    row: int
+    span_m: Span
+    is_seen: bool
+
+
+def split_at_roads(rows: list[Measured], crop: Crop) -> list[Measured]:
+    """The rows, those that a road crosses as one on each side of it."""
+    holes = [
+        _Hole(k, span, is_seen)
+        for k, row in enumerate(rows)
+        for spans, is_seen in ((row.extent.gaps_m, True), (row.extent.unseen_m, False))
+        for span in spans
+        if span[1] - span[0] >= _ROAD_M
+    ]
+    if sum(hole.is_seen for hole in holes) < _LEAST_ROWS:
+        return rows
+    pairs, _ = neighbour_pairs([row.line for row in rows], crop)
+    cuts: dict[int, list[Span]] = {}
+    for road in _roads(rows, holes, pairs):
+        for hole in road:
+            cuts.setdefault(hole.row, []).append(hole.span_m)
+    found = []
+    for k, row in enumerate(rows):
+        found += _pieces(row, sorted(cuts.get(k, [])), crop)
+    return found
+
+
+def _roads(rows: list[Measured], holes: list[_Hole], pairs: list[Pair]) -> list[list[_Hole]]:
+    """Holes side by side that no row beside them closes."""
+    of_row: dict[int, list[int]] = {}
+    for place, hole in enumerate(holes):
+        of_row.setdefault(hole.row, []).append(place)
+    links, closed = [], np.zeros(len(holes), dtype=np.bool_)
+    both = [(pair.left, pair.right) for pair in pairs if pair.is_lane]
+    for row, other in both + [pair[::-1] for pair in both]:
+        for place in of_row.get(row, []):
+            low, high = _beside(rows[row], holes[place].span_m, rows[other])
+            size = rows[other].extent.stop_m
+            shares = [
+                (min(high, span[1]) - max(low, span[0])) / min(high - low, span[1] - span[0])
+                for span in (holes[at].span_m for at in of_row.get(other, []))
+            ]
+            met = [at for at, share in zip(of_row.get(other, []), shares, strict=True)
+                   if share >= _SHARED]  # fmt: skip
+            links += [(place, at) for at in met]
+            # A row that ends before the hole, or begins after it, leaves it open.
+            closed[place] |= not met and low > 0.0 and high < size
+    ends = np.array(links).reshape(-1, 2)
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(holes),) * 2)
+    _, label = connected_components(graph, directed=False)
+    found = []
+    for number in range(int(label.max()) + 1):
+        places = np.flatnonzero(label == number)
+        road = [holes[place] for place in places]
+        if not closed[places].any() and len({h.row for h in road if h.is_seen}) >= _LEAST_ROWS:
+            found.append(road)
+    return found
+
+
+def _beside(row: Measured, span_m: Span, other: Measured) -> Span:
+    """A stretch of a row, along the line of another one that runs the same way or against it."""
+    s, _ = project(part(row.line, *span_m)[[0, -1]], other.line)
+    return float(s.min()), float(s.max())
+
+
+def _pieces(row: Measured, cuts: list[Span], crop: Crop) -> list[Measured]:
+    """A row without some stretches; all of it when a piece would be no row."""
+    starts = [0.0, *(cut[1] for cut in cuts)]
+    stops = [*(cut[0] for cut in cuts), row.extent.stop_m]
+    spans = list(zip(starts, stops, strict=True))
+    if len(spans) < 2 or min(b - a for a, b in spans) < _PIECE * crop.min_row_m:
+        return [row]
+    along, whole, found = lengths(row.line), sum(b - a for a, b in spans), []
+    for start, stop in spans:
+        line = part(row.line, start, stop)
+        gaps, unseen = (
+            tuple((a - start, b - start) for a, b in holes if start <= a and b <= stop)
+            for holes in (row.extent.gaps_m, row.extent.unseen_m)
+        )
+        found.append(
+            row._replace(
+                line=line,
+                sigma_m=np.interp(start + lengths(line), along, row.sigma_m),
+                extent=Extent(0.0, stop - start, gaps, unseen),
+                cells=round(row.cells * (stop - start) / whole),
+            )
+        )
+    return found
