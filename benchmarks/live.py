@@ -190,12 +190,14 @@ def fixed_lag(
 
 
 def sessions() -> None:
-    """Latency, drops, processor time and memory of replays."""
+    """Latency, drops, processor time and memory of replays. A frame has waited when a window
+    without it was told after it was perceived."""
     print(
         "\nasked: no frame dropped at 10 Hz of 640 x 480, 60 ms to the grid, 150 ms to the costmap"
     )
     print(
         f"{'':<30}{'kept':>6}{'dropped':>9}{'to the grid, ms':>18}{'to the costmap, ms':>20}"
+        f"{'waited':>8}"
         f"{'processor':>16}{'memory':>9}{'of it for a grid':>23}"
     )
     drives = [
@@ -220,12 +222,19 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None) -> Non
     """Replay a drive and print what it took; medians and 99 %."""
     to_grid: list[float] = []
     to_map: dict[str, float] = {}
+    waited: set[str] = set()
+    lacks = False
 
     def take(result: LiveResult) -> None:
+        nonlocal lacks
         if isinstance(result, LiveGrid):
             to_grid.append(1e3 * result.latency_s)
-        elif isinstance(result, LiveWindow) and result.latency_s is not None:
-            to_map.setdefault(result.frame_id, 1e3 * result.latency_s)
+        elif isinstance(result, LiveWindow):
+            if result.latency_s is not None:
+                to_map.setdefault(result.frame_id, 1e3 * result.latency_s)
+                if lacks:
+                    waited.add(result.frame_id)
+            lacks = result.latency_s is None  # the newest frame is not in it
 
     with tempfile.TemporaryDirectory() as place, open_recording(folder, gnss=log) as recording:
         live = Live(
@@ -246,7 +255,7 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None) -> Non
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(
         f"{name:<30}{counts.frames:>6}{counts.dropped:>9}{shown(to_grid):>18}"
-        f"{shown(list(to_map.values())):>20}{spent_s / took_s:>9.2f} cores"
+        f"{shown(list(to_map.values())):>20}{len(waited):>8}{spent_s / took_s:>9.2f} cores"
         f"{memory_mb:>6.0f} MB{frame_ms / max(counts.frames, 1):>20.0f} ms"
     )
 
