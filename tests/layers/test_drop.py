@@ -106,6 +106,26 @@ def test_frames_and_drives_vote(
         path.unlink()
 
 
+@pytest.mark.parametrize(
+    ("frames", "density", "log_odds"),
+    [
+        ([CLEAR] * 2, 0, -0.8),
+        ([BEYOND] * 9, 0, 0.0),  # nothing is known of the ground there
+        ([BEYOND, BEYOND, CLEAR], 0, -0.4),
+        ([BEYOND], 255, 0.85),  # what stands up from there is an obstacle all the same
+        ([FALLS], 0, 0.85),
+        ([FALLS, CLEAR, CLEAR, CLEAR], 0, -0.35),
+        ([RISE, FAR, OLD], 0, -1.2),
+    ],
+)
+def test_occupancy_takes_an_edge_for_an_obstacle_and_nothing_beyond_for_free(
+    tmp_path: Path, frames: list[Said], density: int, log_odds: float
+) -> None:
+    with open_map(write(tmp_path / "map.gpkg", [frames], density)) as universal:
+        found = inner(universal.read(layers=["occupancy"]).layer("occupancy"))
+    np.testing.assert_allclose(found, 1.0 / (1.0 + np.exp(-log_odds)), rtol=1e-6)
+
+
 def test_a_drive_that_leaves_takes_its_drops_along(tmp_path: Path) -> None:
     left = read(write(tmp_path / "left.gpkg", [[CLEAR] * 3, [FALLS, BEYOND]], without=[1]))
     never = read(write(tmp_path / "never.gpkg", [[CLEAR] * 3]))

@@ -1,10 +1,12 @@
 """How likely a cell is occupied: log-odds with clamping, over what frames say of it.
 
 The inverse sensor model: a frame that sees an obstacle in a cell says that it is occupied with 0.7,
-one that sees free ground, and no obstacle there, with 0.4; one in doubt says nothing. That is
-l = ln(p / (1 - p)), +0.85 and -0.4, added up over the frames of a drive and clamped to -2..3.5, so
-that one drive never outweighs all later ones; then over the drives, and clamped again. The numbers
-are those of OctoMap (Hornung et al. 2013), the idea is that of Moravec and Elfes (1985).
+one that sees free ground, and no obstacle there, with 0.4; one in doubt says nothing. An edge at
+which the ground falls away is an obstacle, and of ground that was only seen beyond one a frame is
+in doubt. That is l = ln(p / (1 - p)), +0.85 and -0.4, added up over the frames of a drive and
+clamped to -2..3.5, so that one drive never outweighs all later ones; then over the drives, and
+clamped again. The numbers are those of OctoMap (Hornung et al. 2013), the idea is that of Moravec
+and Elfes (1985).
 """
 
 from __future__ import annotations
@@ -13,7 +15,13 @@ import numpy as np
 
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.grids import (
+    BEYOND_DROP,
+    DROP_CHANNEL,
+    FREE_UP_TO,
+    NO_DROP_TOLD,
+    OBSTACLE_ABOVE,
+)
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.count import frames_of_weight
@@ -44,6 +52,9 @@ _SAYS = np.full(256, _DOUBT, dtype=np.int32)
 _SAYS[: FREE_UP_TO + 1] = _FREE
 _SAYS[OBSTACLE_ABOVE + 1 :] = _OBSTACLE
 
+_NO_DROPS = np.zeros((0, 0), dtype=np.uint8)
+"""Of a frame that does not tell them."""
+
 _WORTH = np.array([0, FREE, 0, OCCUPIED], dtype=np.int32)
 
 
@@ -57,7 +68,11 @@ class _LogOdds:
     def add(self, frame: FrameInPlace) -> None:
         self._frames += 1
         landing, density = frame.landing, frame.cells.grid.density
-        add_log_odds(density, landing.cell, landing.shift, self._frames, _SAYS, _WORTH, self._cells)
+        drops_cm = frame.cells.channels.get(DROP_CHANNEL, _NO_DROPS)
+        add_log_odds(
+            *(density, np.ascontiguousarray(drops_cm), landing.cell, landing.shift),
+            *(self._frames, _SAYS, _WORTH, self._cells),
+        )
 
     def channels(self) -> UInt64:
         clamped = np.clip(self._cells[:, 0], LEAST, MOST).astype(np.int64)
@@ -65,9 +80,9 @@ class _LogOdds:
 
 
 @kernel
-def add_log_odds(density, cell, shift, number, says, worth, cells):  # type: ignore[no-untyped-def]
+def add_log_odds(density, drops_cm, cell, shift, number, says, worth, cells):  # type: ignore[no-untyped-def]
     """Add what a frame says of each cell to `cells` [cells, 2]: its log-odds, and what the last
-    frame said there, plus 4 times the number of that.
+    frame said there, plus 4 times the number of that. `drops_cm` is empty where it tells none.
 
     A frame counts once in a cell: where it says more, what it said before is taken back.
     """
@@ -79,6 +94,12 @@ def add_log_odds(density, cell, shift, number, says, worth, cells):  # type: ign
             k = np.uint32(cell[r, c])
             said = max(cells[k, 1] - before, np.int32(0))
             now = says[density[r >> shift, c >> shift]]
+            if drops_cm.size:
+                drop = drops_cm[r >> shift, c >> shift]
+                if drop == BEYOND_DROP:
+                    now = max(now, _DOUBT)
+                elif drop > 0 and drop != NO_DROP_TOLD:
+                    now = _OBSTACLE
             if now > said:
                 cells[k, 0] += worth[now] - worth[said]
                 cells[k, 1] = before + now
