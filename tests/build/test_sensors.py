@@ -6,6 +6,7 @@ import csv
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -37,6 +38,7 @@ from tests.conftest import TWO_LANES
 from tests.scenes import depth_rig, lidar_rig, paper_rig
 
 SharedData = Callable[[str], Path]
+Mapped = Callable[[str], tuple[Path, SessionReport]]
 Points = npt.NDArray[np.float64]
 
 RTK = "gnss_rtk.nmea"
@@ -80,29 +82,39 @@ def built(path: Path, out: Path, tables: dict[str, dict[str, object]]) -> Sessio
     return report
 
 
+@pytest.fixture(scope="module")
+def mapped(drives: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Mapped:
+    """Builds the map of one kind of depths once; read it, or copy it."""
+
+    @cache
+    def build(kind: str) -> tuple[Path, SessionReport]:
+        out = tmp_path_factory.mktemp("mapped") / "depths.gpkg"
+        return out, built(drives[kind], out, {})
+
+    return build
+
+
 def obstacles(out: Path) -> ObstacleScores:
     with open_map(out) as universal:
         return evaluate(universal, read_truth(TWO_LANES / "truth")).groups[0].obstacles
 
 
 @pytest.mark.parametrize("kind", ["depth", pytest.param("disparity", marks=pytest.mark.long)])
-def test_a_map_of_depths_is_that_of_the_pairs(
-    kind: str, drives: dict[str, Path], tmp_path: Path
-) -> None:
+def test_a_map_of_depths_is_that_of_the_pairs(kind: str, mapped: Mapped, tmp_path: Path) -> None:
     pairs = built(TWO_LANES, tmp_path / "pairs.gpkg", WITHOUT_CAMERA)
-    report = built(drives[kind], tmp_path / "depths.gpkg", {})
+    depths, report = mapped(kind)
     assert report.used == report.frames == pairs.used
     assert report.max_range_m == pairs.max_range_m
     assert report.stages.match_s == 0.0
     assert (report.camera_steps, report.camera_refusals) == (0, 0)
     assert any("no stereo pairs" in note for note in report.notes)
     assert not any("error of the depths" in note for note in report.notes)
-    theirs, ours = obstacles(tmp_path / "pairs.gpkg"), obstacles(tmp_path / "depths.gpkg")
+    theirs, ours = obstacles(tmp_path / "pairs.gpkg"), obstacles(depths)
     for tolerance in ("0.10", "0.25"):
         assert ours.precision[tolerance] == pytest.approx(theirs.precision[tolerance], abs=0.005)
         assert ours.recall[tolerance] == pytest.approx(theirs.recall[tolerance], abs=0.005)
     assert ours.observable_cells == pytest.approx(theirs.observable_cells, rel=0.01)
-    with open_map(tmp_path / "depths.gpkg") as universal:
+    with open_map(depths) as universal:
         (session,) = universal.sessions()
         assert session.config["rig"]["depth_camera"]["baseline_m"] == pytest.approx(0.18)
         assert "search" not in session.config
@@ -110,9 +122,8 @@ def test_a_map_of_depths_is_that_of_the_pairs(
         assert universal.verify(deep=True).sound
 
 
-def test_poses_can_be_estimated_again(drives: dict[str, Path], tmp_path: Path) -> None:
-    out = tmp_path / "depths.gpkg"
-    built(drives["depth"], out, {})
+def test_poses_can_be_estimated_again(mapped: Mapped, tmp_path: Path) -> None:
+    out = Path(shutil.copy(mapped("depth")[0], tmp_path))
     (report,) = repose_map(out, {"heading": "course"})
     assert report.used > 0
 

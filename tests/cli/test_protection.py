@@ -81,13 +81,11 @@ def test_a_converted_drive_does_not_replace_itself(
     fieldgrid("convert", make_drive("b"), out, "--overwrite").output()  # but it is one of ours
 
 
-def test_our_own_are_replaced(
-    fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path, tmp_path: Path
-) -> None:
+def test_our_own_are_replaced(fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path) -> None:
     drive, map_ = make_drive("june"), tmp_path / "a.gpkg"
     for _ in range(2):
         fieldgrid("build", drive, "-o", map_, "--overwrite").output()
-        fieldgrid("merge", two_lanes_map, "-o", tmp_path / "b.gpkg", "--overwrite").output()
+        fieldgrid("merge", map_, "-o", tmp_path / "b.gpkg", "--overwrite").output()
         fieldgrid("track", drive, "-o", drive / "track.csv").output()
         fieldgrid("show", map_, "-o", tmp_path / "a.png").output()
 
