@@ -71,7 +71,8 @@ def random_field(seed: int) -> Task:
     vehicle = random_vehicle(rng)
     spacing = float(rng.uniform(2.4, 4.0))
     half = float(rng.uniform(0.15, 0.4))
-    need = vehicle.work_width_m + 2.0 * (vehicle.clearance_m + half + 2.0 * _CELL_M)
+    # Rows are drawn up to three cells too wide.
+    need = vehicle.work_width_m + 2.0 * (vehicle.clearance_m + half + 3.0 * _CELL_M)
     # Room for an omega turn: two radii and three quarters, and the vehicle beyond them.
     room = 2.8 * vehicle.turning_radius_m + vehicle.reach_m + vehicle.clearance_m + 1.0
     headland = float(rng.uniform(2.0, 10.0))
