@@ -85,3 +85,22 @@ def test_a_camera_that_saw_little_denies_nothing(
     found = estimate_poses(fixes, rig(), DATUM, motion=Motion(steps=some))
     assert bool(found.report.notes) is (share == 1.0)
     assert sigma_m[0] < sigmas_m(found)[0] < sigma_m[1]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.3, 0.4, 0.45])
+def test_a_gyro_that_ended_early_denies_nothing(share: float) -> None:
+    drive = simulate(ROWS, 35.0)
+    fixes = fixes_of(drive, 0.2, RTK_M, antenna=LeverArm(0.0, 1.5, 3.0))
+    gyro = gyro_of(drive, bias_dps=0.4, noise_dps=0.05)
+    seen = round(share * len(gyro.time_ns))
+    early = Gyro(gyro.time_ns[:seen], gyro.rate_rad_s[:seen])
+    found = estimate_poses(fixes, rig(), DATUM, motion=Motion(gyro=early))
+    assert not any("antenna sits" in note for note in found.report.notes)
+    assert sigmas_m(found)[0] < 0.1
+
+
+def test_an_axle_that_nobody_names_is_no_contradiction() -> None:
+    drive = simulate([*ROWS, *ROWS], 35.0)
+    found = estimate(drive, paper_rig(antenna=LeverArm(0.0, 0.0, 3.0)), ahead_m=1.5)
+    assert not any("do not fit" in note for note in found.report.notes)
+    assert sigmas_m(found)[0] < 0.1

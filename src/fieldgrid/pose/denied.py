@@ -18,7 +18,7 @@ from fieldgrid.pose.clock import ClockOffset
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, Vehicle
-from fieldgrid.smoother import Constant
+from fieldgrid.smoother import AHEAD, Constant
 
 CLEAR_SIGMAS = 4.0
 """A drive denies what was declared only by so many sigmas."""
@@ -27,8 +27,8 @@ LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
 
 LEAST_SEEN_SHARE = 0.5
-"""A camera that saw less of a drive denies nothing: of five frames it has put the antenna 3 m aside
-by six sigmas."""
+"""A camera or a gyro that saw less of a drive denies nothing: of five frames, and of a log that
+ended early, the antenna was 3 m aside by six sigmas."""
 
 LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
 """What does not fit together and moves no heading or position by more is not worth a word."""
@@ -64,13 +64,17 @@ def denied_by(drive: Drive, vehicle: Vehicle | None, clock: ClockOffset | None) 
     found = drive.smoothed.declared
     # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
     # its place is no contradiction, and moves no position.
-    places = isinstance(vehicle, Rig), isinstance(vehicle, Rig) and names_axle(vehicle)
+    placed = isinstance(vehicle, Rig)
+    # An antenna aside is the faster one in a turn, which only those see who see the speed.
+    places = placed and _sees_speed(drive), placed and names_axle(vehicle)
     right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
     ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
     late_s = _clear(found.late_s, LEAST_DELAY_S)
     off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
     denied = Denied(right_m, ahead_m, late_s, off_m)
-    if found.contradicts and not denied.clear:
+    # An axle that nobody names explains what an antenna ahead of it explains.
+    by_axle = not names_axle(vehicle) and found.explains(AHEAD)
+    if found.contradicts and not denied.clear and not by_axle:
         per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
         for k, moved in enumerate((*per_unit, speed_mps)):
             if found.explains(k):
@@ -79,7 +83,14 @@ def denied_by(drive: Drive, vehicle: Vehicle | None, clock: ClockOffset | None) 
 
 
 def _sees_turns(drive: Drive) -> bool:
-    return drive.at.has_gyro() or _camera_share(drive) >= LEAST_SEEN_SHARE
+    step_s, turned = np.diff(drive.measured.time_s), np.isfinite(drive.measured.turned_rad)
+    by_gyro = float(step_s[turned].sum()) / max(float(step_s.sum()), 1e-9)
+    return max(by_gyro, _camera_share(drive)) >= LEAST_SEEN_SHARE
+
+
+def _sees_speed(drive: Drive) -> bool:
+    by_wheels = float(np.mean(np.isfinite(drive.measured.speed_mps)))
+    return max(by_wheels, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
 
 def _camera_share(drive: Drive) -> float:

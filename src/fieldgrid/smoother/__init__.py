@@ -1,11 +1,12 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
 from fieldgrid.smoother.batch import Smoothed, refine, smooth
-from fieldgrid.smoother.declared import MOST_MISFIT, Constant, Declared
+from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, Declared
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
 
 __all__ = [
+    "AHEAD",
     "MOST_MISFIT",
     "STATES",
     "Constant",

@@ -13,8 +13,9 @@ from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
 from fieldgrid.smoother.rounds import Linear, Problem, Solution, inverse
 
-LATE = 2
-"""Which of the constants that are tested is the delay of the fixes."""
+AHEAD, LATE = 1, 2
+"""Which of the constants that are tested are the antenna's place ahead and the delay of the fixes.
+"""
 
 TESTED_SIGMAS = np.array([5.0, 5.0, 5.0, 2.0])
 """What each could be off by, before the drive."""
