@@ -23,6 +23,7 @@ from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
 from fieldgrid.pose.given import place_poses
 from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
+from fieldgrid.pose.gyro_faults import without_faulty_samples
 from fieldgrid.pose.levelled import (
     find_lean,
     leaning,
@@ -84,6 +85,7 @@ def estimate_poses(
     log = conditioned(fixes, settings, datum)
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
+    motion, faulty_gyro = without_faulty_samples(motion)
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
@@ -144,7 +146,7 @@ def estimate_poses(
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
-            *(note for note in (wrong_gyro, trusted.note) if note is not None),
+            *(note for note in (faulty_gyro, wrong_gyro, trusted.note) if note is not None),
             *notes,
             *slope_notes(slope, rig),
             *drive_notes(

@@ -1,0 +1,61 @@
+"""Samples of a gyro that no vehicle makes: a sensor that is stuck, a word that was spoilt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.motion import Gyro, Inertial, Motion
+
+MOST_RATE_RAD_S = 2.0 * np.pi
+"""No vehicle that maps turns around faster than once in a second."""
+
+FEW = 0.01
+"""Of a gyro of which more samples are so, it is how it is logged: its unit, or its resolution."""
+
+STUCK_S, MOST_STUCK = 1.0, 0.4
+"""For so long a working gyro does not say the same to the last digit, if it hardly ever does; and
+it is not stuck for a larger share of a drive."""
+
+
+def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
+    """The motion without samples of its gyro that are spoilt or stuck, and a sentence on them, None
+    where there are none. Those of a whole IMU are left out of it, too."""
+    gyro, sensed = motion.gyro, motion.inertial
+    if gyro is None or len(gyro.time_ns) < 2:
+        return motion, None
+    wild, stuck = _wild(gyro.rate_rad_s), _stuck(gyro.time_ns, gyro.rate_rad_s)
+    faulty = wild | stuck
+    if not faulty.any():
+        return motion, None
+    if sensed is not None:
+        kept = ~np.isin(sensed.time_ns, gyro.time_ns[faulty])
+        sensed = Inertial(sensed.time_ns[kept], sensed.rate_rad_s[kept], sensed.force_mps2[kept])
+    gyro = Gyro(gyro.time_ns[~faulty], gyro.rate_rad_s[~faulty])
+    said = [
+        f"{int(wrong.sum())} {what}"
+        for wrong, what in (
+            (wild, f"turn faster than {np.degrees(MOST_RATE_RAD_S):.0f}°/s"),
+            (stuck & ~wild, f"repeat the same value for more than {STUCK_S:g} s"),
+        )
+        if wrong.any()
+    ]
+    note = f"Of {len(faulty)} samples of the gyro {' and '.join(said)}; they were left out."
+    return motion._replace(gyro=gyro, inertial=sensed), note
+
+
+def _wild(rate_rad_s: Float64) -> Bool:
+    wild = np.abs(rate_rad_s) > MOST_RATE_RAD_S
+    return wild & bool(wild.mean() < FEW)
+
+
+def _stuck(time_ns: Int64, rate_rad_s: Float64) -> Bool:
+    """Runs of equal values that last, of a gyro that is not used to say the same twice."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(rate_rad_s) != 0.0, [True]]))
+    first, last = edges[:-1], edges[1:] - 1
+    long = (time_ns[last] - time_ns[first]) / 1e9 > STUCK_S
+    brief = ~long
+    again = float((last - first)[brief].sum()) / max(float((last - first + 1)[brief].sum()), 1.0)
+    stuck = np.repeat(long, last - first + 1)
+    # A gyro without noise, of a simulator, says the same along each straight row.
+    return stuck & bool(again < FEW and stuck.mean() < MOST_STUCK)
