@@ -9,6 +9,7 @@ import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
+from fieldgrid.build.stuck import REPEATED
 from fieldgrid.choices import Doubt
 from fieldgrid.errors import ConfigError, FieldgridError, GnssError
 from fieldgrid.geodesy import Datum
@@ -189,6 +190,8 @@ def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
         advice = "check the calibration, and the camera's height and tilt in the mounting"
         if isinstance(rig.sensor, Lidar):
             advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
+    if reason == REPEATED:
+        advice = "look at the camera's driver, and record the drive again"
     return GnssError(
         f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
         f"{reason}; {advice}."

@@ -15,6 +15,7 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.build.inputs import Inputs, from_arrays
 from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
+from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import MapFile, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
@@ -78,8 +79,11 @@ def _repose(
     inputs = from_arrays(universal.session_inputs(session.name))
     estimate = _estimate(universal, session, inputs, rig, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
-    before = {frame.frame_id: frame.driven for frame in universal.frames(session.name)}
-    after = {key: _pose(estimate, pose.time_ns, found, rig) for key, pose in before.items()}
+    before, after, camera = {}, {}, StuckCamera()
+    for frame in sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns):
+        before[frame.frame_id] = frame.driven
+        pose = _pose(estimate, frame.driven.time_ns, found, rig)
+        after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     notes = estimate.report.notes
     if isinstance(rig.sensor, Lidar):

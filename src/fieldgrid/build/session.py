@@ -39,6 +39,7 @@ from fieldgrid.build.poses import (
 from fieldgrid.build.report import BadFrame, Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
+from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
@@ -254,11 +255,12 @@ def _place(
     """The second half: every staged frame meets its pose."""
     placed: Pose | None = None
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
-    start = time.thread_time()
+    start, camera = time.thread_time(), StuckCamera()
     for k, entry in enumerate(staged.entries):
         pose = trajectory.at(entry.time_ns)
         if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
+        pose = camera.judged(staged.frames[k].images_sha256, pose)
         session.add_staged(staged.frames, pose, k)
         report.frames += 1
         report.ground_refined += entry.ground_found
