@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sqlite3
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -21,6 +23,40 @@ MAX_VALUE_BYTES = 64 << 20
 """The largest text or blob that is accepted from a file; the largest written is 8 MB."""
 
 
+class _Connection(sqlite3.Connection):
+    """A connection that knows the process that opened it."""
+
+    owner = 0
+
+
+_OPEN: weakref.WeakSet[_Connection] = weakref.WeakSet()
+
+
+def _keep_open() -> None:
+    """In a copy of the process by fork(): the connections of the other one are never closed here.
+
+    SQLite would take its open transaction for ours, and undo it under the other process.
+    """
+    for connection in _OPEN:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(connection))
+
+
+os.register_at_fork(after_in_child=_keep_open)
+
+
+def is_ours(connection: sqlite3.Connection) -> bool:
+    """Whether this process opened it, and it is no copy by fork()."""
+    return not isinstance(connection, _Connection) or connection.owner == os.getpid()
+
+
+def _check_owner(connection: sqlite3.Connection, name: Path) -> None:
+    if not is_ours(connection):
+        raise MapError(
+            f"{name} was opened by another process, of which this one is a copy (fork); open it "
+            "again in this process."
+        )
+
+
 def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
     """Open an existing database; `name` is what errors call it.
 
@@ -34,7 +70,10 @@ def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
             timeout=BUSY_TIMEOUT_S,
             isolation_level=None,  # transactions begin and end where this package says
             check_same_thread=False,  # a forgotten map may be closed by the garbage collector
+            factory=_Connection,
         )
+    connection.owner = os.getpid()
+    _OPEN.add(connection)
     try:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         with explained(name, writing=writable):
@@ -113,6 +152,7 @@ def writing(
     connection: sqlite3.Connection, name: Path, patience: Patience = USUAL_PATIENCE
 ) -> Iterator[None]:
     """One transaction: all of it is in the file afterwards, or, on any error, nothing."""
+    _check_owner(connection, name)
     with explained(name, writing=True):
         _when_free(connection, "BEGIN IMMEDIATE", patience)
         try:
@@ -148,6 +188,7 @@ def _when_free(connection: sqlite3.Connection, statement: str, patience: Patienc
 @contextmanager
 def reading(connection: sqlite3.Connection, name: Path) -> Iterator[None]:
     """One state of the map for several queries, whatever a writer commits meanwhile."""
+    _check_owner(connection, name)
     with explained(name, writing=False):
         if connection.in_transaction:
             yield

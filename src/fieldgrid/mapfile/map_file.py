@@ -20,6 +20,7 @@ from fieldgrid.mapfile.database import (
     Patience,
     clear_journal,
     copy_to,
+    is_ours,
     reading,
     writing,
 )
@@ -97,6 +98,8 @@ class MapFile(MapReader):
 
     def close(self) -> None:
         """Close the map. A new one gets its name now, if it has a session."""
+        if not is_ours(self._connection):  # a copy by fork(): the map is the other process's
+            return
         self._abandon_session()
         self._settle()
         try:
@@ -109,6 +112,8 @@ class MapFile(MapReader):
 
     def discard(self) -> None:
         """Close the map, and give up a new one; what an existing map was given stays."""
+        if not is_ours(self._connection):
+            return
         self._abandon_session()
         self._release()
 
@@ -343,6 +348,8 @@ class MapFile(MapReader):
 
 
 def _release(connection: sqlite3.Connection, draft: Draft | None) -> None:
+    if not is_ours(connection):
+        return
     connection.close()
     if draft is not None:
         draft.discard()

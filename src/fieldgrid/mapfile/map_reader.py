@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
@@ -45,6 +45,12 @@ class MapReader:
         self._connection = connection
         self._header = header
         self._evidence = Evidence(connection, path)
+
+    def __getstate__(self) -> NoReturn:
+        raise TypeError(
+            f"{self.path} is open and cannot be sent to another process; send its path, and open "
+            "it there."
+        )
 
     @property
     def _content(self) -> MapContent:
