@@ -85,12 +85,18 @@ class TruthError(FieldgridError, ValueError):
     """A truth folder that a map cannot be evaluated against."""
 
 
+def printable(text: str) -> str:
+    """A text with escapes for what is not to be printed, and what XML cannot hold, as in names of
+    files."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def shortened(value: object, most: int = 200) -> str:
     """What a library says, on one line, of bounded length and with escapes for what is not to be
     printed."""
     text = " ".join(str(value).split())
     text = text if len(text) <= most else f"{text[:most]}..."
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return printable(text)
 
 
 def quoted(value: object, most: int = 60) -> str:

@@ -8,13 +8,16 @@ rows. The limits are far beyond what recordings need. Each can be set by an envi
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from typing import TextIO, TypeVar
 
-from fieldgrid.errors import ConfigError, LimitError
+from fieldgrid.errors import ConfigError, FieldgridError, LimitError
 
 PREFIX = "FIELDGRID_LIMIT_"
+
+_Row = TypeVar("_Row")
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,22 +25,23 @@ class Limits:
     """An input may unfold to `factor` times its size on the disk, and to `free_mib` in any case.
 
     No chunk, message, image or other piece that is in memory at once may exceed `piece_mib`.
-    A table or log may have `rows`.
+    A table or log may have `rows`, and none of its lines more than `line_kib`. A packed log may
+    unfold to `log_factor` times its size, and to `free_mib` in any case. A document that is parsed
+    as a whole, like GeoJSON, may have `document_mib`.
     """
 
     factor: int = 200
     free_mib: int = 64
     piece_mib: int = 128
     rows: int = 10_000_000
+    line_kib: int = 1024
+    log_factor: int = 50
+    document_mib: int = 16
 
     @property
     def piece_bytes(self) -> int:
         """The most that is in memory at once."""
         return self.piece_mib << 20
-
-    def unfolded_bytes(self, packed_bytes: int) -> int:
-        """What an input of this size on the disk may unfold to."""
-        return max(self.factor * packed_bytes, self.free_mib << 20)
 
 
 def _from_environment() -> Limits:
@@ -75,19 +79,22 @@ def limited(**changes: int) -> Iterator[Limits]:
 class Budget:
     """What one input may still unfold to."""
 
-    def __init__(self, name: object, packed_bytes: int) -> None:
+    def __init__(self, name: object, packed_bytes: int, *, is_log: bool = False) -> None:
         self._name, self._packed_bytes = name, packed_bytes
-        self._left = limits().unfolded_bytes(packed_bytes)
+        now = limits()
+        self._variable = "LOG_FACTOR" if is_log else "FACTOR"
+        self._factor = now.log_factor if is_log else now.factor
+        self._most = max(self._factor * packed_bytes, now.free_mib << 20)
+        self._left = self._most
 
     def spend(self, count: int) -> None:
         """Count unfolded bytes. Raises LimitError beyond the limit."""
         self._left -= count
         if self._left < 0:
-            most = limits().unfolded_bytes(self._packed_bytes)
             raise LimitError(
                 f"{self._name} has {self._packed_bytes} bytes and unfolds to more than "
-                f"{most >> 20} MiB, so it is damaged or was made to do harm; if it is right, set "
-                f"{PREFIX}FACTOR={4 * limits().factor} and try again."
+                f"{self._most >> 20} MiB, so it is damaged or was made to do harm; if it is right, "
+                f"set {PREFIX}{self._variable}={4 * self._factor} and try again."
             )
 
 
@@ -97,4 +104,34 @@ def check_rows(count: int, name: object) -> None:
         raise LimitError(
             f"{name} has more than {limits().rows} rows; cut it into drives, or set "
             f"{PREFIX}ROWS={4 * limits().rows} and try again."
+        )
+
+
+def counted_rows(rows: Iterable[_Row], name: object) -> Iterator[_Row]:
+    """The rows of a table or log, up to as many as it may have."""
+    for count, row in enumerate(rows, start=1):
+        check_rows(count, name)
+        yield row
+
+
+def bounded_lines(file: TextIO, name: object) -> Iterator[str]:
+    """The lines of a text with their ends, as iterating over it gives them; LimitError for one
+    that no table or log has, before it is in memory."""
+    most = limits().line_kib << 10
+    while line := file.readline(most + 1):
+        if len(line) > most:
+            raise LimitError(
+                f"{name} has a line of more than {most >> 10} KiB, so it is no table or log; "
+                f"check the file, or set {PREFIX}LINE_KIB={4 * (most >> 10)} and try again."
+            )
+        yield line
+
+
+def check_document(size_bytes: int, name: object, error: type[FieldgridError]) -> None:
+    """Raise `error` for a document, like GeoJSON, that is too large to be parsed as a whole."""
+    most = limits().document_mib
+    if size_bytes > most << 20:
+        raise error(
+            f"{name} has {size_bytes >> 20} MiB, more than the {most} that are read at once; cut "
+            f"it to what is needed, or set {PREFIX}DOCUMENT_MIB={4 * most} and try again."
         )

@@ -22,12 +22,12 @@ import numpy.typing as npt
 
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Float64
-from fieldgrid.errors import ConfigError, MapWriteError
+from fieldgrid.errors import ConfigError, MapWriteError, printable
 from fieldgrid.geodesy import Datum
+from fieldgrid.limits import check_document
 from fieldgrid.publish import made_elsewhere, mentions, replacing, working_beside
 
 _DECIMALS = 9
-_MOST_BYTES = 16 << 20
 _KML = "http://www.opengis.net/kml/2.2"
 
 
@@ -108,14 +108,15 @@ def read_shapes(path: Path, datum: Datum) -> list[Any]:
         return np.column_stack([east_m, north_m])
 
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{path} is over {_MOST_BYTES >> 20} MB; give one with less in it.")
+        check_document(path.stat().st_size, path, ConfigError)
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix.lower() == ".csv":
             rows = [(row["east_m"], row["north_m"]) for row in csv.DictReader(text.splitlines())]
             return [shapely.LineString(np.array(rows, dtype=np.float64))]
         found = shapely.get_parts(shapely.force_2d(shapely.from_geojson(text))).tolist()
         return [shapely.transform(shape, turned) for shape in found]
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
     except (ValueError, KeyError, csv.Error, shapely.errors.ShapelyError) as error:
@@ -174,7 +175,7 @@ def _text(value: Any, key: str = "") -> Any:
 def _write_kml(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:
     root = ElementTree.Element("kml", xmlns=_KML)
     document = ElementTree.SubElement(root, "Document", id="fieldgrid")
-    ElementTree.SubElement(document, "name").text = path.stem
+    ElementTree.SubElement(document, "name").text = printable(path.stem)
     add_placemarks(document, features, datum)
     with _replacing(path, overwrite) as file:
         ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
@@ -204,12 +205,12 @@ def add_placemarks(
 def _placemark(folder: ElementTree.Element, feature: Feature, datum: Datum) -> None:
     mark = ElementTree.SubElement(folder, "Placemark")
     name = feature.properties.get("name") or feature.properties.get("id", "")
-    ElementTree.SubElement(mark, "name").text = str(name)
+    ElementTree.SubElement(mark, "name").text = printable(str(name))
     ElementTree.SubElement(mark, "styleUrl").text = f"#{feature.kind}"
     extended = ElementTree.SubElement(mark, "ExtendedData")
     for key, value in feature.properties.items():
         data = ElementTree.SubElement(extended, "Data", name=key)
-        ElementTree.SubElement(data, "value").text = str(_text(value, key))
+        ElementTree.SubElement(data, "value").text = printable(str(_text(value, key)))
     shape = in_degrees(feature.geometry, datum)
     parts = list(getattr(shape, "geoms", [shape]))
     holder = mark if len(parts) == 1 else ElementTree.SubElement(mark, "MultiGeometry")

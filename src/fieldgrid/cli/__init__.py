@@ -18,9 +18,9 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from fieldgrid.cli.commands import CONTEXT, Commands
-from fieldgrid.cli.output import log_cost, printable
+from fieldgrid.cli.output import log_cost
 from fieldgrid.cli.warming import tell_of_compiling
-from fieldgrid.errors import FieldgridError
+from fieldgrid.errors import FieldgridError, printable
 
 app = typer.Typer(
     name="fieldgrid",

@@ -10,6 +10,7 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.drive_options import Drive
+from fieldgrid.errors import printable
 
 if TYPE_CHECKING:
     from fieldgrid.inspection import Inspection
@@ -74,7 +75,7 @@ def _print(found: Inspection, figure: Path | None) -> None:
     for finding in found.findings:
         remedy = f" {finding.remedy}" if finding.remedy else ""
         severity = output.severity(finding.severity.value)
-        print(f"{severity} {finding.code}: {output.printable(finding.message + remedy)}")
+        print(f"{severity} {finding.code}: {printable(finding.message + remedy)}")
     verdict = "a build goes through" if found.builds else "a build would fail"
     output.print_line(f"inspect {found.path or found.name}: {verdict}")
     if figure is not None:

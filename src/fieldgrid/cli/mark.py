@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _ADD, _UNDO = "Add", "Undo"
 _KINDS = "keepout|free|obstacle|place"
-_MAX_BYTES = 16 << 20
 
 
 def command(
@@ -151,10 +150,10 @@ def _corners(flag: str, text: str) -> tuple[tuple[float, float], ...]:
 def _read(path: Path) -> Any:
     """A GeoJSON as Python has it."""
     from fieldgrid.errors import ConfigError
+    from fieldgrid.limits import check_document
 
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ConfigError(f"{path} is over {_MAX_BYTES >> 20} MB; give fewer marks at a time.")
+        check_document(path.stat().st_size, path, ConfigError)
         return json.loads(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error

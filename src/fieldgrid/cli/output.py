@@ -18,6 +18,7 @@ from typing import Any
 import typer
 
 from fieldgrid.cli.groups import option
+from fieldgrid.errors import printable
 
 _COLOURS = {"error": "31", "warning": "33"}
 
@@ -130,11 +131,6 @@ def severity(word: str) -> str:
     if word not in _COLOURS or not wanted or os.environ.get("TERM") == "dumb":
         return word
     return f"\x1b[{_COLOURS[word]}m{word}\x1b[0m"
-
-
-def printable(text: str) -> str:
-    """The text with control characters escaped, as they come from names of files and sessions."""
-    return "".join(one if one.isprintable() or one == " " else repr(one)[1:-1] for one in text)
 
 
 def known(value: float) -> float | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldgrid.cli import output
+from fieldgrid.errors import printable
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress
@@ -111,7 +112,7 @@ def living() -> Iterator[Callable[[str], None] | None]:
     from rich.console import Console
 
     with Console(stderr=True).status("") as line:
-        yield lambda text: line.update(output.printable(text))
+        yield lambda text: line.update(printable(text))
 
 
 def _bar(*more: str) -> Any:

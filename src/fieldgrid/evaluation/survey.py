@@ -11,10 +11,9 @@ has not is false.
 from __future__ import annotations
 
 import csv
-import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,13 +21,14 @@ import numpy as np
 import shapely
 
 from fieldgrid.array_types import Float64
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import TruthError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
+from fieldgrid.limits import bounded_lines, check_document
 
 ROW, AREA = "row", "area"
 
-MOST_BYTES = 200_000_000
-MOST_FEATURES = 1_000_000
+MOST_FEATURES = 200_000
 
 _LATITUDE = ("latdeg", "lat", "latitude")
 _LONGITUDE = ("londeg", "lon", "long", "lng", "longitude")
@@ -65,19 +65,17 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     """Read a survey into the plane of a datum; a problem is a TruthError that names the file."""
     path = Path(path)
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise TruthError(
-                f"{path} has over {MOST_BYTES / 1e6:.0f} MB; a survey is a list of posts, rows and "
-                "obstacles."
-            )
-        text = path.read_text(encoding="utf-8-sig")
-        found = list(_geojson(text, datum) if _is_json(path) else _csv(text, datum))
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            if _is_json(path):
+                check_document(path.stat().st_size, path, TruthError)
+                things_of_file: Iterable[Surveyed] = _geojson(file.read(), datum)
+            else:
+                things_of_file = _csv(bounded_lines(file, path), datum)
+            found = list(_few(things_of_file))
     except (OSError, UnicodeError) as error:
         raise TruthError(f"{path} cannot be read as a survey: {error}.") from error
     except _SurveyError as error:
         raise TruthError(f"{path}: {error}") from error
-    if len(found) > MOST_FEATURES:
-        raise TruthError(f"{path} has over {MOST_FEATURES} features; cut it to the map.")
     for thing in found:
         _check_place(path, thing, datum)
     areas = [thing.shape for thing in found if thing.kind == AREA]
@@ -99,6 +97,14 @@ class _SurveyError(Exception):
     """What is wrong in a file, without its name."""
 
 
+def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
+    """What is in a survey, while it is not more than can be."""
+    for count, thing in enumerate(things):
+        if count == MOST_FEATURES:
+            raise _SurveyError(f"it has over {MOST_FEATURES} features; cut it to the map.")
+        yield thing
+
+
 def _is_json(path: Path) -> bool:
     return path.suffix.lower() in (".geojson", ".json")
 
@@ -116,10 +122,11 @@ def _check_place(path: Path, thing: Surveyed, datum: Datum) -> None:
 
 def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
     try:
-        document = json.loads(text)
+        document = parse_json(text)
         features = document["features"]
         for number, feature in enumerate(features, 1):
             properties = feature.get("properties") or {}
+            _check_size(feature["geometry"])
             shape = shapely.geometry.shape(feature["geometry"])
             kind = str(properties.get("kind") or "obstacle").strip().lower()
             name = str(properties.get("id") or feature.get("id") or number)
@@ -130,10 +137,24 @@ def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
                     "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
             yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS)))
-    except (TypeError, KeyError, ValueError, AttributeError, RecursionError) as error:
+    except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
     except shapely.errors.ShapelyError as error:
         raise _SurveyError(f"it has a broken geometry ({error}).") from error
+
+
+def _check_size(geometry: Any) -> None:
+    """Refuse a geometry of more corners than anybody has surveyed."""
+    within, corners = [geometry.get("coordinates", ())], 0
+    while within:
+        part = within.pop()
+        if isinstance(part, list) and part and isinstance(part[0], list):
+            corners += len(part)
+            if corners > MOST_FEATURES:
+                raise _SurveyError(f"a feature has over {MOST_FEATURES} corners; simplify it.")
+            within += part
+    for inner in geometry.get("geometries", ()):
+        _check_size(inner)
 
 
 def _in_plane(shape: Any, datum: Datum) -> Any:
@@ -155,13 +176,12 @@ def _radius_m(given: Any) -> float:
     return radius_m
 
 
-def _csv(text: str, datum: Datum) -> Iterable[Surveyed]:
-    reader = csv.DictReader(text.splitlines())
+def _csv(lines: Iterable[str], datum: Datum) -> Iterable[Surveyed]:
+    reader = csv.DictReader(lines)
     try:
         names = {re.sub("[^a-z]", "", n.lower()): n for n in reader.fieldnames or () if n}
-        rows = [(reader.line_num, row) for row in reader]
     except csv.Error as error:
-        raise _SurveyError(f"it is no CSV after line {reader.line_num} ({error}).") from error
+        raise _SurveyError(f"it is no CSV ({error}).") from error
     if "wktm" in names:
         columns: tuple[str, ...] = ("wktm",)
     else:
@@ -179,8 +199,10 @@ def _csv(text: str, datum: Datum) -> Iterable[Surveyed]:
     label = None if "kind" in names or "id" in names or len(others) != 1 else others[0]
     try:
         yield from _joined(
-            [_point(number, row, names, columns, label, datum) for number, row in rows]
+            list(_few(_point(reader.line_num, row, names, columns, label, datum) for row in reader))
         )
+    except csv.Error as error:
+        raise _SurveyError(f"it is no CSV after line {reader.line_num} ({error}).") from error
     except shapely.errors.ShapelyError as error:
         raise _SurveyError(f"it cannot be read ({error}).") from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import tokenize
 import zipfile
@@ -14,11 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, Bool, Int32
-from fieldgrid.errors import TruthError
+from fieldgrid.documents import MAX_BYTES, parse_json
+from fieldgrid.errors import LimitError, TruthError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.limits import bounded_lines, counted_rows
 
-_MAX_TRUTH_CELLS = 200_000_000
+_MAX_TRUTH_CELLS = 100_000_000
+_MAX_TRUTH_BYTES = 4 * _MAX_TRUTH_CELLS + 4096  # int32, and what stands before them
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,10 @@ def read_truth(folder: str | Path) -> Truth:
 
 def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
     try:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            claimed = sum(archive.getinfo(f"{name}.npy").file_size for name in names)
+        if claimed > _MAX_TRUTH_BYTES:
+            raise ValueError(f"it unfolds to {claimed >> 20} MiB, more than a raster can have")
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in names}
     except FileNotFoundError as error:
@@ -98,7 +104,10 @@ def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
 def _read_poses(path: Path) -> tuple[TruthPose, ...]:
     try:
         with path.open(newline="", encoding="utf-8") as lines:
-            return tuple(_truth_pose(row) for row in csv.DictReader(lines))
+            rows = csv.DictReader(bounded_lines(lines, path))
+            return tuple(_truth_pose(row) for row in counted_rows(rows, path))
+    except LimitError:
+        raise
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise TruthError(f"{path} cannot be read as poses by frame: {error!r}.") from error
 
@@ -119,7 +128,9 @@ def _read_datum(folder: Path) -> Datum | None:
     for path in (folder / "session.json", folder.parent / "session.json"):
         if path.is_file():
             try:
-                origin = json.loads(path.read_text(encoding="utf-8"))["ltp_origin"]
+                if path.stat().st_size > MAX_BYTES:
+                    raise ValueError(f"it has more than {MAX_BYTES} bytes")
+                origin = parse_json(path.read_bytes())["ltp_origin"]
                 return Datum(
                     float(origin["lat_deg"]),
                     float(origin["lon_deg"]),

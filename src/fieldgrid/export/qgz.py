@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
 
 from fieldgrid import palette, qgis
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, quoted
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds, check_inside
@@ -49,6 +49,11 @@ def export_qgz(
         raise ConfigError(
             "A QGIS project shows the map file as it is; leave out --cell and --at, or export a "
             "GeoTIFF."
+        )
+    if not str(universal.path).isprintable():
+        raise ConfigError(
+            f"A QGIS project cannot name {quoted(universal.path.name)}; rename the map without control "
+            "characters."
         )
     bounds = selection.bounds or universal.bounds
     check_inside(bounds, universal.bounds)

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, LimitError
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.limits import bounded_lines
 from fieldgrid.settings import Flag, setting
 
 BASE, MULTIPLIER = 100.0, -1.0
@@ -126,9 +127,11 @@ def _turning_poses(path: Path, radius_m: float) -> Float64:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = [
                 (float(row["east_m"]), float(row["north_m"]))
-                for row in csv.DictReader(file)
+                for row in csv.DictReader(bounded_lines(file, path))
                 if abs(float(row["curvature_1pm"])) > 1.0 / radius_m
             ]
+    except LimitError:
+        raise
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
     except (KeyError, TypeError, ValueError, csv.Error) as error:

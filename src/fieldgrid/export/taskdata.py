@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, printable
 from fieldgrid.export.features import feature_layers
 from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
 from fieldgrid.export.registry import Exported, Format, Holds, register
@@ -270,7 +270,7 @@ def _field(
             keepouts.append(_polygon(shape, iso.PolygonType.Obstacle, says, datum))
     return iso.Partfield(
         id="PFD1",
-        designator=universal.path.stem[:NAME],
+        designator=printable(universal.path.stem)[:NAME],
         area=round(mapped.area),
         polygons=[*boundary, *shapes, *keepouts],
         points=flags,

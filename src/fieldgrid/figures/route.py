@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.errors import ConfigError
+from fieldgrid.documents import parse_json
+from fieldgrid.errors import ConfigError, LimitError
 from fieldgrid.geodesy import Datum
-
-_MAX_BYTES = 64 << 20
+from fieldgrid.limits import bounded_lines, check_document, counted_rows
 
 
 def read_route(path: str | Path, datum: Datum) -> Float64:
@@ -26,14 +25,12 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"it has over {_MAX_BYTES >> 20} MB")
         if path.suffix.lower() == ".csv":
             return _poses(path)
-        lines = list(_lines(json.loads(path.read_text(encoding="utf-8"))))
-        places = [np.array([point[:2] for point in line], dtype=np.float64) for line in lines]
-        if any(place.ndim != 2 or place.shape[1] != 2 for place in places):
-            raise ValueError("a position has no two numbers")
+        check_document(path.stat().st_size, path, ConfigError)
+        places = _all_places(path)
+    except (ConfigError, LimitError):
+        raise
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
     except (
@@ -56,13 +53,28 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     return np.concatenate(parts[:-1])
 
 
+def _all_places(path: Path) -> list[Float64]:
+    """Longitude and latitude of the lines of a GeoJSON file, whose document is not kept."""
+    return [_places(line) for line in _lines(parse_json(path.read_bytes()))]
+
+
+def _places(line: Any) -> Float64:
+    """Longitude and latitude [n, 2] of the positions of a line, which may have a height."""
+    if not line or any(len(point) < 2 for point in line):
+        raise ValueError("a position has no two numbers")
+    numbers = (value for point in line for value in point[:2])
+    return np.fromiter(numbers, np.float64, 2 * len(line)).reshape(-1, 2)
+
+
 def _poses(path: Path) -> Float64:
     """The columns east_m and north_m of a table."""
     with path.open(encoding="utf-8", newline="") as file:
-        table = csv.DictReader(file)
+        table = csv.DictReader(bounded_lines(file, path))
         if not {"east_m", "north_m"} <= set(table.fieldnames or ()):
             raise ValueError("it has no columns east_m and north_m")
-        places = [(float(row["east_m"]), float(row["north_m"])) for row in table]
+        places = [
+            (float(row["east_m"]), float(row["north_m"])) for row in counted_rows(table, path)
+        ]
     if len(places) < 2 or not np.isfinite(places).all():
         raise ValueError("it has not two poses in metres")
     return np.array(places)

@@ -17,8 +17,9 @@ from fieldgrid.recording.calibration_kalibr import pinhole
 from fieldgrid.recording.calibration_yaml import load_yaml, matrix
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames, with_motion
-from fieldgrid.recording.files import is_inside, parse_time_ns, read_text
+from fieldgrid.recording.files import is_inside, parse_time_ns, read_lines
 from fieldgrid.recording.format import Format
+from fieldgrid.recording.frame_table import MAX_FRAMES
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.logs import find_log, with_log
 from fieldgrid.recording.motion_files import Series, in_order, inertial_of
@@ -138,7 +139,7 @@ def _images(camera: Path) -> dict[int, str]:
     """The names of the images of a camera by their times, UTC nanoseconds."""
     path = camera / _DATA
     images: dict[int, str] = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in read_lines(path):
         if not line.strip() or line.startswith("#"):
             continue
         stamp, _, name = (part.strip() for part in line.partition(","))
@@ -151,6 +152,10 @@ def _images(camera: Path) -> dict[int, str]:
             time_ns = parse_time_ns({"time_ns": stamp})
         except ValueError as problem:
             raise RecordingError(f"{path}, line {number}: {problem}; correct it.") from problem
+        if len(images) == MAX_FRAMES:
+            raise RecordingError(
+                f"{path} lists more than {MAX_FRAMES} images; split the recording."
+            )
         if time_ns in images:
             raise RecordingError(
                 f"{path}, line {number}: {images[time_ns]} and {name} have the same time {time_ns} "

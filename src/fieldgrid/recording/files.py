@@ -15,6 +15,7 @@ from pathlib import Path, PurePath
 from typing import Any, BinaryIO, cast
 
 from fieldgrid.errors import FieldgridError, RecordingError
+from fieldgrid.limits import Budget, bounded_lines, check_rows
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_LOG_BYTES = 2 << 30
@@ -72,16 +73,33 @@ def read_text(
         raise _no_text(path, problem, error) from problem
 
 
+def read_lines(
+    path: Path, error: type[FieldgridError] = RecordingError
+) -> Iterator[tuple[int, str]]:
+    """Number and text of each line of a UTF-8 text file, read as it is asked for."""
+    _check_size(path, MAX_TEXT_BYTES, error)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            for number, line in enumerate(bounded_lines(file, path), start=1):
+                check_rows(number, path)
+                yield number, line
+    except UnicodeDecodeError as problem:
+        raise _no_text(path, problem, error) from problem
+    except OSError as problem:
+        raise _unreadable(path, problem, error) from problem
+
+
 @contextmanager
 def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
     """A log as a stream of bytes, unpacked where it is packed by gzip, whatever its name."""
-    check_regular(path)
+    size = check_regular(path)
     try:
         with path.open("rb") as file:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
             source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
-            yield cast(BinaryIO, io.BufferedReader(_Limited(source, path), 1 << 16))
+            budget = Budget(path, size, is_log=True) if packed else None
+            yield cast(BinaryIO, io.BufferedReader(_Limited(source, path, budget), 1 << 16))
     except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
         raise RecordingError(
             f"{path} is a damaged gzip file: {problem}; pack it again, or unpack what is whole."
@@ -93,9 +111,10 @@ def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
 class _Limited(io.RawIOBase):
     """A source that ends with an error where a log can no longer be meant."""
 
-    def __init__(self, source: BinaryIO, path: Path) -> None:
+    def __init__(self, source: BinaryIO, path: Path, budget: Budget | None) -> None:
         super().__init__()
         self._source, self._path, self._left = source, path, MAX_LOG_BYTES
+        self._budget = budget
 
     def readable(self) -> bool:
         return True
@@ -103,6 +122,8 @@ class _Limited(io.RawIOBase):
     def readinto(self, buffer: object) -> int:
         view = memoryview(buffer).cast("B")  # type: ignore[arg-type]
         data = self._source.read(len(view))
+        if self._budget is not None:
+            self._budget.spend(len(data))
         self._left -= len(data)
         if self._left < 0:
             raise RecordingError(
@@ -119,7 +140,7 @@ def read_table(
     _check_size(path, MAX_TEXT_BYTES, error)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _rows(csv.reader(file), path, required, error)
+            yield from _rows(csv.reader(bounded_lines(file, path)), path, required, error)
     except csv.Error as problem:
         raise error(f"{path} is not a CSV file: {problem}; correct or export it again.") from None
     except UnicodeDecodeError as problem:

@@ -13,6 +13,9 @@ from fieldgrid.settings import GearSpan
 HEADER = ("from", "to", "gear")
 
 
+MOST_SPANS = 100_000
+
+
 def read_gear_spans(path: Path) -> tuple[GearSpan, ...]:
     """The spans of a table with the columns `from`, `to` (UTC: ISO 8601, or a number since 1970)
     and `gear` (forward or reverse).
@@ -39,6 +42,11 @@ def read_gear_spans(path: Path) -> tuple[GearSpan, ...]:
                 if stops[k] <= starts[k]:
                     words = "does not come after the start of its span"
                     raise table.error(block.line + k, stop, block.cells(stop)[k], words)
+                if len(spans) == MOST_SPANS:
+                    raise RecordingError(
+                        f"{path} has more than {MOST_SPANS} spans of gears; no drive changes them "
+                        "so often, check the file."
+                    )
                 spans.append(GearSpan(start_ns=starts[k], stop_ns=stops[k], gear=known))
     return tuple(spans)
 

@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames
-from fieldgrid.recording.files import read_text
+from fieldgrid.recording.files import read_lines, read_text
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.kitti_calibration import (
@@ -135,12 +135,18 @@ def _listing(folder: Path) -> list[str]:
 def _read_stamps(folder: Path, count: int, what: str) -> list[int]:
     """Times of `timestamps.txt`, UTC nanoseconds, one for each of the `count` files."""
     path = folder / "timestamps.txt"
-    lines = [line for line in read_text(path).splitlines() if line.strip()]
-    if len(lines) != count:
+    times_ns = []
+    found = 0
+    for _, line in read_lines(path):
+        if line.strip():
+            found += 1
+            if found <= count:
+                times_ns.append(_stamp_ns(line.strip(), path))
+    if found != count:
         raise RecordingError(
-            f"{path} has {len(lines)} times for {count} {what}; unpack the drive again."
+            f"{path} has {found} times for {count} {what}; unpack the drive again."
         )
-    return [_stamp_ns(line.strip(), path) for line in lines]
+    return times_ns
 
 
 def _stamp_ns(text: str, path: Path) -> int:

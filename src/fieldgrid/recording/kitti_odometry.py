@@ -6,6 +6,7 @@ It has no GNSS. Its poses can stand in for one, once it is said where and when t
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.quality import Quality
 from fieldgrid.recording.drive import Drive, Recording, as_recording, with_frames
-from fieldgrid.recording.files import read_text
+from fieldgrid.recording.files import read_lines
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.images import SUFFIXES, ImageFile
@@ -104,8 +105,16 @@ def _frames(
     return camera, StoredFrames(path, shots, PairKind((camera.width_px, camera.height_px)))
 
 
+def _numbers(path: Path) -> array[float]:
+    """All numbers of a text."""
+    numbers = array("d")
+    for _, line in read_lines(path):
+        numbers.extend(floats(line, path))
+    return numbers
+
+
 def _times_ns(path: Path, start: Start) -> list[int]:
-    times_s = floats(read_text(path), path)
+    times_s = _numbers(path)
     if not all(0.0 <= time_s < 1e6 for time_s in times_s):
         raise RecordingError(f"{path} holds a time that is no second from the start; restore it.")
     return [start.time_ns + round(time_s * 1e9) for time_s in times_s]
@@ -184,7 +193,7 @@ def _pose_files(path: Path) -> tuple[Path, ...]:
 
 def _poses(path: Path, count: int) -> Float64:
     """Camera 0 in the frame of its first image (x right, y down, z forward), [n, 3, 4]."""
-    values = np.array(floats(read_text(path), path))
+    values = np.array(_numbers(path))
     if values.size != 12 * count or not (np.abs(values) < 1e7).all():
         raise RecordingError(
             f"{path} has {values.size} numbers, not 12 for each of {count} images; restore it."

@@ -21,6 +21,8 @@ _TYPES = {
 }
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
+_BLOCK_LINES = 1 << 13
+
 
 class _Header(NamedTuple):
     """Format, number of vertices, and name and type of their properties."""
@@ -87,7 +89,13 @@ def _ascii(body: bytes, header: _Header, xyz: list[int], name: str) -> npt.NDArr
         raise _too_short(name, header.vertices, len(body))
     lines = body.split(b"\n", header.vertices)[: header.vertices]
     try:
-        values = np.array(b" ".join(lines).split(), dtype=np.float64)
+        # Words take ten times the memory of the text.
+        values = np.concatenate(
+            [
+                np.array(b" ".join(lines[start : start + _BLOCK_LINES]).split(), dtype=np.float64)
+                for start in range(0, max(len(lines), 1), _BLOCK_LINES)
+            ]
+        )
     except ValueError as problem:
         raise RecordingError(f"{name} is damaged: {problem}; copy it again.") from problem
     if values.size != header.vertices * width:

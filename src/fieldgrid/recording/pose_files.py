@@ -9,14 +9,14 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.limits import limits
-from fieldgrid.recording.files import MIN_TIME_NS, read_text
+from fieldgrid.recording.files import MIN_TIME_NS, read_lines
 from fieldgrid.recording.times import UNITS, TimeScale, guess_scale, to_utc_ns
 
 MOST_M = 1e7
 """No trajectory leads farther from its origin."""
 
 _TUM, _KITTI = 8, 12
+_BLOCK_ROWS = 1 << 13
 OFF_UNIT = 0.02
 """By how much a quaternion's length and a matrix's rows may be off, as they are written."""
 
@@ -39,16 +39,12 @@ def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
 
     Raises RecordingError, with the line, for anything else.
     """
-    lines, rows = _rows(path)
-    if not rows or len(rows[0]) not in (_TUM, _KITTI):
-        found = f"{len(rows[0])} numbers" if rows else "nothing"
-        raise RecordingError(
-            f"{path} has {found} a line; give a trajectory of TUM (t x y z qx qy qz qw) or of "
-            "KITTI (12 numbers, the upper three rows of a matrix)."
-        )
-    width = len(rows[0])
-    values = _numbers(path, lines, rows, width)
-    if width == _KITTI:
+    wanted = (
+        "a trajectory of TUM (t x y z qx qy qz qw) or of KITTI (12 numbers, the upper three rows "
+        "of a matrix)"
+    )
+    lines, first, values = _read_numbers(path, (_TUM, _KITTI), wanted)
+    if values.shape[1] == _KITTI:
         matrices = values.reshape(-1, 3, 4)
         R = matrices[:, :, :3]
         off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
@@ -62,15 +58,14 @@ def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
         np.asarray(np.abs(length - 1.0) > OFF_UNIT),
         "its quaternion has not the length 1",
     )
-    times_ns = read_times([row[0] for row in rows], path, lines, offset_ns)
+    times_ns = read_times(first, path, lines, offset_ns)
     return BodyPoses(path.name, times_ns, values[:, 1:4], rotations(values[:, 4:]))
 
 
 def read_time_file(path: Path, offset_ns: int) -> Int64:
     """The times of poses that have none, one a line, UTC nanoseconds."""
-    lines, rows = _rows(path)
-    _numbers(path, lines, rows, 1)
-    return read_times([row[0] for row in rows], path, lines, offset_ns)
+    lines, first, _ = _read_numbers(path, (1,), "one time a line")
+    return read_times(first, path, lines, offset_ns)
 
 
 def read_times(cells: list[str], path: Path, lines: list[int], offset_ns: int) -> Int64:
@@ -94,47 +89,73 @@ def rotations(quaternions: Float64) -> Float64:
     """Rotations [n, 3, 3] of quaternions x, y, z, w [n, 4], which need not have the length 1."""
     q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     x, y, z, w = q.T
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    R = np.empty((len(q), 3, 3))
+    R[:, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    R[:, 0, 1] = 2.0 * (x * y - z * w)
+    R[:, 0, 2] = 2.0 * (x * z + y * w)
+    R[:, 1, 0] = 2.0 * (x * y + z * w)
+    R[:, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    R[:, 1, 2] = 2.0 * (y * z - x * w)
+    R[:, 2, 0] = 2.0 * (x * z - y * w)
+    R[:, 2, 1] = 2.0 * (y * z + x * w)
+    R[:, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return R
 
 
-def _rows(path: Path) -> tuple[list[int], list[list[str]]]:
-    """The words of each line that is no remark, and its number."""
-    lines, rows = [], []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+class _Numbers(NamedTuple):
+    """A text of numbers, n lines that are no remarks: where each is in the file, its first word,
+    and its values [n, width]."""
+
+    lines: list[int]
+    first: list[str]
+    values: Float64
+
+
+def _read_numbers(path: Path, widths: tuple[int, ...], wanted: str) -> _Numbers:
+    """The numbers of a file whose lines have one of these widths, the same in all; `wanted` is
+    what an error asks for. The words are turned into numbers block by block: they take ten times
+    the memory of the file."""
+    lines: list[int] = []
+    first: list[str] = []
+    rows: list[list[str]] = []
+    blocks: list[Float64] = []
+    width = 0
+    for number, line in read_lines(path):
         words = line.partition("#")[0].replace(",", " ").split()
-        if words:
-            lines.append(number)
-            rows.append(words)
-    if len(rows) > limits().rows:
-        raise RecordingError(
-            f"{path} has {len(rows)} poses, more than the {limits().rows} that a drive can need; "
-            "thin it out."
-        )
-    return lines, rows
-
-
-def _numbers(path: Path, lines: list[int], rows: list[list[str]], width: int) -> Float64:
-    for line, row in zip(lines, rows, strict=True):
-        if len(row) != width:
+        if not words:
+            continue
+        width = width or len(words)
+        if width not in widths:
+            break
+        if len(words) != width:
             raise RecordingError(
-                f"{path}, line {line}: {len(row)} numbers, and the first line has {width}; "
+                f"{path}, line {number}: {len(words)} numbers, and the first line has {width}; "
                 "write the file again."
             )
-    try:
-        values = np.array(rows, dtype=np.float64)
-    except ValueError as problem:
-        why = str(problem).replace("could not convert string to float", "no number")
-        raise RecordingError(f"{path}: {why}; write the file again.") from problem
+        lines.append(number)
+        first.append(words[0])
+        rows.append(words)
+        if len(rows) == _BLOCK_ROWS:
+            blocks.append(_numbers(path, rows))
+            rows = []
+    if width not in widths:
+        found = f"{width} numbers" if width else "nothing"
+        raise RecordingError(f"{path} has {found} a line; give {wanted}.")
+    blocks.append(_numbers(path, rows).reshape(len(rows), width))
+    values = np.concatenate(blocks)
     rest = values[:, 1:] if width == _TUM else values
     limit = np.inf if width == 1 else MOST_M
     wrong = np.asarray(~(np.isfinite(values).all(axis=1) & (np.abs(rest) < limit).all(axis=1)))
     _refuse(path, lines, wrong, "it holds NaN, or a number beyond any drive")
-    return values
+    return _Numbers(lines, first, values)
+
+
+def _numbers(path: Path, rows: list[list[str]]) -> Float64:
+    try:
+        return np.array(rows, dtype=np.float64)
+    except ValueError as problem:
+        why = str(problem).replace("could not convert string to float", "no number")
+        raise RecordingError(f"{path}: {why}; write the file again.") from problem
 
 
 def _refuse(path: Path, lines: list[int], wrong: Bool, why: str) -> None:

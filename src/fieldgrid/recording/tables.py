@@ -12,13 +12,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
-from fieldgrid.limits import check_rows
+from fieldgrid.limits import bounded_lines, check_rows
 from fieldgrid.recording.files import open_log_bytes
 
 COMMENTS = ("#", "%")
@@ -27,6 +27,7 @@ NOTHING = frozenset({"", "nan", "na", "n/a", "none", "null", "nil", "-", "--", "
 """What loggers write, in lower case, when they have no value."""
 
 _BLOCK_ROWS = 1 << 13
+_BLOCK_CELLS = 1 << 19
 _MAX_COLUMNS = 4096
 _DATA = re.compile(r"[\s\"]*[+-]?\.?\d")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*")
@@ -49,10 +50,12 @@ class Block(NamedTuple):
 class Table:
     """An open table: its header, and its rows block by block."""
 
-    def __init__(self, path: Path, text: io.TextIOBase) -> None:
+    def __init__(self, path: Path, text: TextIO) -> None:
         self.path = path
         # What a power cut leaves in a file are blocks of NUL.
-        self._lines = (line.replace("\0", "") if "\0" in line else line for line in text)
+        self._lines = (
+            line.replace("\0", "") if "\0" in line else line for line in bounded_lines(text, path)
+        )
         self._line = 0
         first, taken = split_header(self._counted())
         if not first:
@@ -61,7 +64,11 @@ class Table:
         self.header = self._header(first)
         self._line -= len(taken)
         self._rows = csv.reader(chain(taken, self._lines), delimiter=self._delimiter)
-        self._sample = list(islice(self._rows, _BLOCK_ROWS))
+        # A block of a wide table is as large as one of a narrow one.
+        self._block_rows = max(
+            1, min(_BLOCK_ROWS, _BLOCK_CELLS // (1 + first.count(self._delimiter)))
+        )
+        self._sample = list(islice(self._rows, self._block_rows))
         self.decimal_comma = self._delimiter != "," and any(
             _DECIMAL_COMMA.fullmatch(cell) for row in self._sample[:100] for cell in row
         )
@@ -89,7 +96,7 @@ class Table:
             line = block.line + len(block.rows)
             check_rows(line - first, self.path)
             yield block
-            block = Block(line, list(islice(self._rows, _BLOCK_ROWS)))
+            block = Block(line, list(islice(self._rows, self._block_rows)))
 
     def numbers(self, block: Block, column: int) -> Float64:
         """One column as numbers, NaN where there is none; an error names line and cell."""

@@ -6,14 +6,13 @@ Its reference point is the middle of the axle that does not steer; a route is th
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fieldgrid.array_types import Float64
+from fieldgrid.documents import parse_toml
 from fieldgrid.errors import ConfigError
 
 MAX_FILE_BYTES = 100_000
@@ -90,8 +89,10 @@ def read_vehicle(path: str | Path) -> Vehicle:
             raise ConfigError(f"There is no vehicle file {path}; check the name.")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ConfigError(f"{path} is over {MAX_FILE_BYTES // 1000} kB; no vehicle is.")
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        content = parse_toml(path.read_text(encoding="utf-8"))
+    except ConfigError:
+        raise
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{path} cannot be read as TOML ({error}); mend it.") from error
     table = content.get("vehicle", content)
     if not isinstance(table, dict):
