@@ -52,8 +52,8 @@ def export_qgz(
         )
     if not str(universal.path).isprintable():
         raise ConfigError(
-            f"A QGIS project cannot name {quoted(universal.path.name)}; rename the map without control "
-            "characters."
+            f"A QGIS project cannot name {quoted(universal.path.name)}; rename the map without "
+            "control characters."
         )
     bounds = selection.bounds or universal.bounds
     check_inside(bounds, universal.bounds)
