@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import gzip
 import io
+import sqlite3
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,14 @@ import numpy as np
 import zstandard
 
 from fieldgrid.cli.mark import _read
+from fieldgrid.errors import MapError
 from fieldgrid.evaluation.survey import read_survey
 from fieldgrid.evaluation.truth import read_truth
 from fieldgrid.export.speed import _turning_poses
 from fieldgrid.figures.route import read_route
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.journal import _MARK, _RECORD, MAGIC, read_journal
+from fieldgrid.mapfile import open_map
 from fieldgrid.mapfile.marks import marks_of_geojson
 from fieldgrid.recording.calibration_kalibr import read_kalibr
 from fieldgrid.recording.cloud_files import CloudFile
@@ -48,6 +52,7 @@ from fieldgrid.settings.resolve import resolve
 from fieldgrid.vectors import read_shapes
 from tests.gnss.sentences import gga, rmc
 from tests.gnss.test_ubx import pvt
+from tests.mapfile.maps import drive, write_map
 from tests.ros.samples import ROS2, samples, write_old_db3
 from tests.ros.test_hostile import PACK, chunk, rosbag1
 
@@ -577,3 +582,27 @@ def route_figure(folder: Path) -> Read:
 def live_journal(folder: Path) -> Read:
     path = put(folder / "a.journal", lambda: MAGIC + 100_000 * _RECORD.pack(_MARK, 100_000, 0))
     return lambda: sum(1 for _ in read_journal(path))
+
+
+@case
+def map_of_many_sessions(folder: Path) -> Read:
+    path = folder / "field.gpkg"
+    if not path.exists():
+        write_map(path, [drive(1)])
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            names = [row[1] for row in database.execute("PRAGMA table_info(fieldgrid_session)")]
+            others = ", ".join(name for name in names if name not in ("id", "name"))
+            database.execute(
+                "WITH RECURSIVE n(k) AS (SELECT 2 UNION ALL SELECT k + 1 FROM n LIMIT 20000) "
+                f"INSERT INTO fieldgrid_session (id, name, {others}) "
+                f"SELECT k, 's' || k, {others} FROM n, fieldgrid_session WHERE id = 1"
+            )
+
+    def read() -> None:
+        with open_map(path) as universal:
+            assert len(universal.sessions()) == 20_001
+            problems = universal.verify().problems
+        assert 0 < len(problems) < 200, len(problems)
+        raise MapError(problems[0])
+
+    return read
