@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import shutil
 import sqlite3
 import struct
 import zipfile
@@ -37,6 +38,7 @@ from fieldgrid.recording.depth_files import decode_depth_image
 from fieldgrid.recording.euroc import _images
 from fieldgrid.recording.frame_table import read_frames
 from fieldgrid.recording.gear_file import read_gear_spans
+from fieldgrid.recording.growing import open_growing
 from fieldgrid.recording.images import ImageFile
 from fieldgrid.recording.isoxml import read_time_log
 from fieldgrid.recording.kitti import _read_stamps
@@ -57,6 +59,7 @@ from tests.ros.samples import ROS2, samples, write_old_db3
 from tests.ros.test_hostile import PACK, chunk, rosbag1
 
 MILLION = 1_000_000
+TWO_LANES = Path(__file__).parents[2] / "examples" / "two_lanes"
 START_NS = 1_717_243_200_000_000_000
 DATUM = Datum(41.65, -4.72, 787.0)
 DOTS = b".".join([b"a"] * 40_000) + b" = 1\n"
@@ -604,5 +607,20 @@ def map_of_many_sessions(folder: Path) -> Read:
             problems = universal.verify().problems
         assert 0 < len(problems) < 200, len(problems)
         raise MapError(problems[0])
+
+    return read
+
+
+@case
+def growing_table(folder: Path) -> Read:
+    shutil.copytree(TWO_LANES / "calibration", folder / "calibration", dirs_exist_ok=True)
+    head = "time_ns,frame_id,left,right\n"
+    put(folder / "frames.csv", lambda: head + lines("%d,f,l,r", 300_000) + MILLION * "a\n")
+
+    def read() -> None:
+        shots, problems = open_growing(folder).new_shots()
+        assert len(shots) == 300_000
+        assert len(problems) == 1001
+        assert "999000 more new rows" in str(problems[-1])
 
     return read

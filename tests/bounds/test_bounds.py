@@ -26,7 +26,7 @@ READ = {
     "stamps_of_kitti", "table_of_fixes", "sentences", "ubx_messages", "ubx_heads", "taskdata",
     "gyro_and_wheels", "poses_with_times", "poses_without_times", "ply", "pcd_as_text",
     "database_of_zeros", "truth_poses", "survey_features", "marks", "route_poses", "route_figure",
-    "live_journal",
+    "live_journal", "growing_table",
 }  # fmt: skip
 """What is long, but good; the others are refused."""
 

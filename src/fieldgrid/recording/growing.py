@@ -10,7 +10,6 @@ from pathlib import Path
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
-from fieldgrid.recording.files import MAX_TEXT_BYTES
 from fieldgrid.recording.folder import SESSION, mounting_path
 from fieldgrid.recording.frame_table import (
     TABLE,
@@ -32,6 +31,12 @@ from fieldgrid.recording.settings_file import (
 )
 from fieldgrid.recording.stored import FrameKind, PairKind, Shot
 from fieldgrid.rig import Rig
+
+_PIECE_BYTES = 4 << 20
+"""Of a table that grows, what is in memory at once."""
+
+_MOST_PROBLEMS = 1000
+"""Of wrong rows and names, how many are told one by one each time."""
 
 _PAIRS_TELL = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 _OTHERS_TELL = frozenset({".png"})
@@ -70,11 +75,18 @@ class GrowingFolder:
         table = self.path / (self._settings.frames or TABLE)
         shots: list[Shot] = []
         problems: list[RecordingError] = []
+        more = 0
         for found in self._from_table(table) if table.exists() else self._from_names():
             if isinstance(found, Shot):
                 shots.append(found)
-            else:
+            elif len(problems) < _MOST_PROBLEMS:
                 problems.append(found)
+            else:
+                more += 1
+        if more:
+            problems.append(
+                RecordingError(f"{self.path} has {more} more new rows or names that are no frames.")
+            )
         return sorted(shots), problems
 
     def frame(self, shot: Shot) -> Frame:
@@ -141,8 +153,20 @@ class GrowingFolder:
                     "another folder."
                 )
             file.seek(self._read_bytes)
-            data = file.read(MAX_TEXT_BYTES)
-        for raw in data[: data.rfind(b"\n") + 1].splitlines(keepends=True):
+            while data := file.read(_PIECE_BYTES):
+                whole = data[: data.rfind(b"\n") + 1]
+                if not whole and len(data) == _PIECE_BYTES:
+                    raise RecordingError(
+                        f"{table} has a line of more than {_PIECE_BYTES >> 20} MiB, so it is no "
+                        "table of frames; check the file."
+                    )
+                if not whole:
+                    return
+                yield from self._of_lines(table, whole.splitlines(keepends=True))
+                file.seek(self._read_bytes)
+
+    def _of_lines(self, table: Path, lines: list[bytes]) -> Iterator[Shot | RecordingError]:
+        for raw in lines:
             self._read_bytes += len(raw)
             self._lines += 1
             where = f"{table}, line {self._lines}"
