@@ -14,6 +14,7 @@ from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
+from fieldgrid.errors import printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
@@ -224,7 +225,8 @@ def command(
                 "goes on from there."
             )
         what = "drive is" if len(recordings) == 1 else "drives that were not finished are"
-        typer.echo(f"fieldgrid: interrupted; the {what} not in the map.{kept}", err=True)
+        said = f"fieldgrid: interrupted; the {what} not in the map.{kept}"
+        typer.echo(printable(said), err=True)
         raise typer.Exit(130) from None
     except PartlyBuiltError as problem:
         partly, reports = problem, list(problem.reports)

@@ -21,6 +21,7 @@ from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
+from fieldgrid.errors import printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
@@ -256,11 +257,11 @@ def _drive(
             report = live.finish()
             return report, live.counts  # with the frames that still waited
         except KeyboardInterrupt:
-            typer.echo(
+            said = (
                 f"fieldgrid: interrupted; the drive is kept in {live.folder}, and fieldgrid live "
-                f"-o {out} --finish makes the map of it.",
-                err=True,
+                f"-o {out} --finish makes the map of it."
             )
+            typer.echo(printable(said), err=True)
             raise typer.Exit(130) from None
 
 
