@@ -7,12 +7,13 @@ import pytest
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.choices import GearName
+from fieldgrid.motion import Motion
 from fieldgrid.pose import estimate_poses
 from fieldgrid.pose.drive import MISPLACED_S, contradicted_gear, lasting
 from fieldgrid.pose.nodes import Nodes
 from fieldgrid.rig import Carrier
 from fieldgrid.settings import GearSpan, PoseSettings
-from tests.simulated import DATUM, Command, fixes_of, simulate
+from tests.simulated import DATUM, Command, fixes_of, gyro_of, simulate
 
 
 @pytest.mark.parametrize("hz", [1, 5, 20])
@@ -87,3 +88,38 @@ def test_the_shorter_stretch_beside_such_a_hole_is_in_doubt() -> None:
     # With a change of gear in the hole there is nothing to deny.
     changed = np.where(time_s >= 10.0, -1, 1)
     assert not contradicted_gear(at, changed, np.where(time_s > 7.0, -1.0, 1.0)).any()
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.5, -0.5])
+@pytest.mark.parametrize("past_deg", [-8.0, 0.0, 8.0])
+def test_a_gyro_tells_which_way_a_hole_was_turned(turn_rad_s: float, past_deg: float) -> None:
+    """Half a circle in a hole is as likely left as right; a wrong guess cannot be left again."""
+    half = Command((np.pi + np.radians(past_deg)) / 0.5, 1.0, turn_rad_s)
+    bend = [Command(8.0, 1.5), Command(3.0, 1.5, 0.3), Command(3.0, 1.5, -0.3), Command(8.0, 1.5)]
+    drive = simulate([*bend, half, Command(20.0, 1.5)], 35.0)  # the bend shows the gyro's sense
+    fixes = fixes_of(drive, 0.2, 0.01)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    some = fixes[(late_s < 18.0) | (late_s > drive.time_s[-1] - 15.0)]
+    motion = Motion(gyro=gyro_of(drive, bias_dps=0.6, noise_dps=0.05))
+    found = estimate_poses(some, Carrier(0.0), DATUM, motion=motion)
+    trajectory = found.trajectory
+    assert found.report.notes == ()
+    seen = np.isin(trajectory.time_ns, some.time_ns)
+    assert trajectory.accepted[seen].mean() > 0.95
+    truth = drive.at((trajectory.time_ns - fixes.time_ns[0]) / 1e9)
+    off_deg = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    assert off_deg[seen].max() < 2.0
+
+
+def test_a_hole_whose_turns_a_gyro_saw_may_be_crossed_backwards() -> None:
+    """Fixes to 4 s and from 20 s on; in the hole it backs up, as in a turn on a headland."""
+    time_s = np.arange(0.0, 30.1, 0.5)
+    seen = (time_s <= 4.0) | (time_s >= 20.0)
+    fix = np.where(seen, np.cumsum(seen) - 1, -1)
+    turned = np.zeros(len(time_s) - 1)
+    time_ns = np.round(time_s * 1e9).astype(np.int64)
+    forward = np.ones(len(time_s), dtype=np.int64)
+    speed = np.where((time_s > 8.0) & (time_s < 12.0), -1.0, 1.0)
+    assert not contradicted_gear(Nodes(time_ns, fix, turned), forward, speed).any()
+    turned[20] = np.nan
+    assert contradicted_gear(Nodes(time_ns, fix, turned), forward, speed).any()

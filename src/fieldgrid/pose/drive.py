@@ -235,10 +235,10 @@ def lasting(against: Bool, time_s: Float64) -> Bool:
 
 
 def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
-    """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes whose two
-    sides have the same gear, so that one of them is wrong. That is rather the side of which less
-    was seen until the next such hole, and on it what lies before the next hole of any kind; the
-    gear of each node is `assigned`."""
+    """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes, in which
+    no gyro tells how the vehicle turned, and whose two sides have the same gear, so that one of
+    them is wrong. That is rather the side of which less was seen until the next such hole, and on
+    it what lies before the next hole of any kind; the gear of each node is `assigned`."""
     node = np.flatnonzero(at.fix >= 0)
     gap_s = np.diff(at.time_ns[node]) / 1e9
     denied = np.zeros(len(assigned), dtype=np.bool_)
@@ -247,7 +247,10 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     hole = holes(gap_s)
     against_m = np.maximum(-(speed_mps * assigned)[:-1], 0.0) * np.diff(at.time_ns) / 1e9
     back_m = np.diff(np.concatenate([[0.0], np.cumsum(against_m)])[node])
-    wrong = np.flatnonzero(hole & (back_m > BACK_M) & (np.diff(assigned[node]) == 0))
+    # A gyro that saw how it turned in the hole tells which way it stood on both sides.
+    unseen = np.concatenate([[0], np.cumsum(np.isnan(at.turned_rad))])[node]
+    hole_unseen = hole & (np.diff(unseen) > 0)
+    wrong = np.flatnonzero(hole_unseen & (back_m > BACK_M) & (np.diff(assigned[node]) == 0))
     seen_s = np.concatenate([[0.0], np.cumsum(np.where(hole, 0.0, gap_s))])
     ends = np.concatenate([[0], np.flatnonzero(hole) + 1, [len(node)]])
     around = np.concatenate([[-1], wrong, [len(node) - 1]])

@@ -27,6 +27,9 @@ TORN_M = 0.5
 GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
 """The first guess of the heading is the course over at least this."""
 
+WINDING_NS = 2_000_000_000
+"""Between courses that are farther apart a vehicle may turn by more than half a circle."""
+
 STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 """How strongly a camera's step, a wheel's and a compass's sign speak of the gear."""
 
@@ -175,6 +178,11 @@ def first_guess(fixes: AcceptedFixes, at: Nodes, stations_of: StationGears) -> F
     if known.size:
         times = fixes.time_ns[station[known]]
         turns = np.asarray(wrap_deg(np.diff(heading[known])))
+        # From one course to the next nobody turns by more than half a circle, but in a hole. The
+        # gyro's bias, a degree a second, leaves no doubt which way it was.
+        by_gyro = np.nan_to_num(_turned_deg(at, times, times[:0])[1:])
+        by_gyro[np.diff(times) < WINDING_NS] = 0.0
+        turns = by_gyro + wrap_deg(turns - by_gyro)
         angle = np.radians(heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns)]))
         guess[:, 2] = np.interp(at.time_ns, times, angle)
         guess[:, 3] = np.interp(at.time_ns, times, (speed * found.gear)[known])
