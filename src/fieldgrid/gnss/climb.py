@@ -39,10 +39,15 @@ def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
     return np.where(span_s >= HALF_WINDOW_S, rise_m / np.maximum(span_s, 1e-3), 0.0)
 
 
+def has_come_apart(climbing: Bool) -> bool:
+    """Whether most fixes of a solution climb as no vehicle does."""
+    return int(climbing.sum()) > MOST_APART * len(climbing)
+
+
 def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
     """Which of n fixes lie in or near a climb that no vehicle makes: all, where most climb so."""
     at = time_ns[climbing]
-    if at.size == 0 or at.size > MOST_APART * len(time_ns):
+    if at.size == 0 or has_come_apart(climbing):
         return np.full(len(time_ns), at.size > 0)
     reach_ns = int(SPOILT_S * 1e9)
     near = np.searchsorted(at, time_ns + reach_ns, side="right") - np.searchsorted(

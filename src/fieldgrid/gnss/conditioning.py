@@ -18,7 +18,7 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64, Index
 from fieldgrid.fixes import NOT_SAID, FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss.climb import MOST_APART, SPOILT_S, climb_mps, spoilt
+from fieldgrid.gnss.climb import SPOILT_S, climb_mps, has_come_apart, spoilt
 from fieldgrid.gnss.motion_gate import (
     MotionEnvelope,
     Transition,
@@ -213,9 +213,7 @@ def _check_climb(log: _Judged) -> None:
     time_ns = log.fixes.time_ns[rows]
     rate_mps = climb_mps(time_ns, log.fixes.height_m[rows])
     climbing = np.abs(rate_mps) > limit_mps
-    where = f"within {SPOILT_S:g} s"
-    if climbing.sum() > MOST_APART * len(rows):
-        where = "in most of the log"
+    where = "in most of the log" if has_come_apart(climbing) else f"within {SPOILT_S:g} s"
     for k in np.flatnonzero(spoilt(time_ns, climbing)).tolist():
         steep = "climbs" if rate_mps[k] >= 0.0 else "sinks"
         reason = f"height {steep} at {abs(rate_mps[k]):.1f} m/s: the solution has come apart"
