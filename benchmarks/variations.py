@@ -200,6 +200,32 @@ def gyro(scale: float = 1.0, bias_dps: float = 0.0, noise_dps: float = 0.0) -> C
     return make
 
 
+def stuck_gyro(first: float, last: float) -> Change:
+    """One whose driver hands out the same sample from one share of the drive's time to another."""
+
+    def make(drive: Recorded, _: Datum, __: np.random.Generator) -> Recorded:
+        one = drive.motion.gyro
+        if one is None:
+            return drive
+        share = (one.time_ns - one.time_ns[0]) / np.ptp(one.time_ns)
+        inside = np.flatnonzero((share >= first) & (share < last))
+        rate = one.rate_rad_s.copy()
+        rate[inside] = rate[inside[0]]
+        return drive._replace(motion=Motion(gyro=one._replace(rate_rad_s=rate)))
+
+    return make
+
+
+def spoilt_gyro(drive: Recorded, _: Datum, __: np.random.Generator) -> Recorded:
+    """One of which a word in a thousand is spoilt."""
+    one = drive.motion.gyro
+    if one is None:
+        return drive
+    rate = one.rate_rad_s.copy()
+    rate[7::1000] = 50.0
+    return drive._replace(motion=Motion(gyro=one._replace(rate_rad_s=rate)))
+
+
 def antenna(right_m: float, forward_m: float) -> Change:
     """An antenna that sits elsewhere than declared."""
 
@@ -230,7 +256,10 @@ VARIATIONS = (
     Variation("no sigma", unsaid("sigma_m", "hdop")),
     Variation("no sigma, no quality", unsaid("sigma_m", "hdop", "quality")),
     Variation("no speed, no course", unsaid("speed_mps", "course_deg")),
-    Variation("stamps + 0.1 s", stamps(0.1, 0.0), lie=True),
+    *(
+        Variation(f"stamps + {late_s:g} s", stamps(late_s, 0.0), lie=True)
+        for late_s in (0.05, 0.1, 0.2, 0.4)
+    ),
     Variation("stamps late by 30 ms, varying", stamps(0.0, 0.03), lie=True),
     Variation("0.3 m slow, unsaid", noise(0.0, 0.3, 60.0, stated=False), lie=True),
     Variation("leaps by 0.5 m for good", leap(0.5, 0.5, 2.0), leaps=True),
@@ -259,6 +288,8 @@ VARIATIONS = (
     Variation("gyro + 1 deg/s", gyro(bias_dps=1.0)),
     Variation("gyro noise 2 deg/s", gyro(noise_dps=2.0)),
     Variation("gyro upside down", gyro(scale=-1.0)),
+    Variation("gyro stuck for a quarter", stuck_gyro(0.35, 0.6)),
+    Variation("gyro with spoilt samples", spoilt_gyro),
     Variation("antenna 0.1 m aside", antenna(0.1, 0.0), lie=True),
     Variation("antenna 0.5 m aside", antenna(0.5, 0.0), lie=True),
     Variation("antenna 1 m ahead", antenna(0.0, 1.0), lie=True),

@@ -191,7 +191,7 @@ def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
         if isinstance(rig.sensor, Lidar):
             advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
     if reason == REPEATED:
-        advice = "look at the camera's driver, and record the drive again"
+        advice = "look at the driver of the camera or lidar, and record the drive again"
     return GnssError(
         f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
         f"{reason}; {advice}."

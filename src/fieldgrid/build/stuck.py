@@ -17,8 +17,9 @@ from fieldgrid.trajectory import Pose, Status
 MOVED_M, TURNED_DEG = 0.25, 3.0
 """A grid may be so far off: the paper's cell, and the most that a heading's sigma may be."""
 
-
-REPEATED = "its image is that of the frame before, to the last bit, and the vehicle drove on"
+REPEATED = (
+    "its image or cloud repeats that of the frame before to the last bit, though the vehicle moved"
+)
 """Why a frame of a stuck camera is rejected."""
 
 

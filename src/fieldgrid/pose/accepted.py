@@ -141,7 +141,13 @@ def no_fix_sentence(fixes: FixColumns, verdicts: Verdicts) -> str:
     if not len(fixes):
         return "The GNSS log holds no position at all; record one, or choose another with --gnss."
     commonest = commonest_reason(verdicts.reason)
+    remedy = "declare its quality with --quality"
+    if 2 * verdicts.gate.count(Gate.CLIMB) > len(fixes):
+        remedy = (
+            "if its heights alone are wrong, allow them with max_climb_mps of the table pose.gnss "
+            "in --config"
+        )
     return (
         f"None of the {len(fixes)} fixes can be used, mostly because: {commonest}; "
-        "choose another log with --gnss, or declare its quality with --quality."
+        f"choose another log with --gnss, or {remedy}."
     )

@@ -1,0 +1,66 @@
+"""Short stretches of drives that are declared rightly: `python -m benchmarks.stretches`.
+
+Nothing of their antennas, stamps and clocks is to be denied. Each rendered drive is estimated over
+stretches that begin anywhere and last 6 to 70 s, with its gyro, with its camera, and with both; a
+line tells of each whose positions count as less sure for a denial, and one of how many they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.heading_honesty import RENDERED
+from benchmarks.heading_scores import DATA
+from fieldgrid.build.perception import visual_odometry
+from fieldgrid.errors import FieldgridError
+from fieldgrid.motion import Motion
+from fieldgrid.pose import estimate_poses
+from fieldgrid.recording import open_recording
+
+SEED, STRETCHES = 5, 40
+DENIALS = (
+    "By the drive the antenna",
+    "By the drive the fixes",
+    "do not fit together",
+    "seem stamped",
+)
+
+
+def report() -> Iterator[str]:
+    """A line for each denial, and their count."""
+    random = np.random.default_rng(SEED)
+    made = refused = denied = 0
+    for name, logs in RENDERED:
+        if not (DATA / name).exists():
+            yield f"{name}: absent"
+            continue
+        steps = None
+        for log in logs:
+            with open_recording(DATA / name, log) as drive:
+                fixes, motion, rig = drive.fixes(), drive.motion(), drive.rig
+                datum, steps = drive.datum_hint, steps or visual_odometry(drive)
+            motions = motion, Motion(steps=steps), motion._replace(steps=steps)
+            at_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+            for k in range(STRETCHES):
+                lasts_s = random.uniform(6.0, 70.0)
+                from_s = random.uniform(0.0, max(at_s[-1] - lasts_s, 0.0))
+                some = fixes[(at_s >= from_s) & (at_s < from_s + lasts_s)]
+                try:
+                    found = estimate_poses(some, rig, datum, motion=motions[k % 3])
+                except FieldgridError:
+                    refused += 1
+                    continue
+                made += 1
+                notes = [note for note in found.report.notes if any(d in note for d in DENIALS)]
+                denied += bool(notes)
+                what = ("gyro", "camera", "both")[k % 3]
+                for note in notes:
+                    yield f"{name} {log}, {what}, {lasts_s:.0f} s from {from_s:.0f} s: {note}"
+    yield f"{made} stretches (and {refused} refused), {denied} denied falsely"
+
+
+if __name__ == "__main__":
+    for line in report():
+        print(line, flush=True)
