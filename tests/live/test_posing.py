@@ -16,8 +16,9 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimating import Estimator
 from fieldgrid.live.lag import TIMES_OFF, Asked, Trailing
+from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiving import Seen
-from fieldgrid.live.posing import LiveOptions, Poser
+from fieldgrid.live.posing import Poser
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveWindow, Outbox, What
 from fieldgrid.live.sensed import rows_of
 from fieldgrid.live.window import Placed, RollingWindow

@@ -83,7 +83,7 @@ def _repose(
     for frame in sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns):
         before[frame.frame_id] = frame.driven
         pose = _pose(estimate, frame.driven.time_ns, found, rig)
-        after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
+        camera, after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     notes = estimate.report.notes
     if isinstance(rig.sensor, Lidar):

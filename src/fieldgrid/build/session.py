@@ -260,7 +260,7 @@ def _place(
         pose = trajectory.at(entry.time_ns)
         if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        pose = camera.judged(staged.frames[k].images_sha256, pose)
+        camera, pose = camera.judged(staged.frames[k].images_sha256, pose)
         session.add_staged(staged.frames, pose, k)
         report.frames += 1
         report.ground_refined += entry.ground_found

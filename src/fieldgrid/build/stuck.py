@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.trajectory import Pose, Status
@@ -23,28 +24,44 @@ REPEATED = (
 """Why a frame of a stuck camera is rejected."""
 
 
-class StuckCamera:
-    """The frames of a drive in order of time, and since when each of its images is the same."""
+class StuckCamera(NamedTuple):
+    """What the latest frame of a drive showed, and the poses since when each of its images is the
+    same: those of the first frame of a drive are none."""
 
-    def __init__(self) -> None:
-        self._images: tuple[str, ...] = ()
-        self._since: list[Pose] = []
+    images: tuple[str, ...] = ()
+    since: tuple[Pose, ...] = ()
 
-    def judged(self, images_sha256: Sequence[str], pose: Pose) -> Pose:
-        """The next frame's pose, rejected where one of its images is that of an earlier place."""
-        images = tuple(images_sha256)
-        before = self._images if len(self._images) == len(images) else ("",) * len(images)
-        since = self._since if len(self._since) == len(images) else [pose] * len(images)
-        self._images = images
-        self._since = [
-            at if one and one == last else pose
-            for one, last, at in zip(images, before, since, strict=True)
-        ]
-        moved_m = max((_moved_m(at, pose) for at in self._since), default=0.0)
-        turned_deg = max((_turned_deg(at, pose) for at in self._since), default=0.0)
+    def repeats(self, images_sha256: Sequence[str]) -> bool:
+        """Whether one of these images, of the next frame, is that of the latest."""
+        return any(self._again(images_sha256))
+
+    def judged(self, images_sha256: Sequence[str], pose: Pose) -> tuple[StuckCamera, Pose]:
+        """The camera after the next frame, in order of time, and that frame's pose, rejected where
+        one of its images is that of an earlier place."""
+        again = self._again(images_sha256)
+        # How far the vehicle came since a place that is not known cannot be told.
+        since = tuple(
+            self.since[k] if one and _is_known(self.since[k]) else pose
+            for k, one in enumerate(again)
+        )
+        after = StuckCamera(tuple(images_sha256), since)
+        moved_m = max((_moved_m(at, pose) for at in since), default=0.0)
+        turned_deg = max((_turned_deg(at, pose) for at in since), default=0.0)
         if pose.status is Status.REJECTED or (moved_m <= MOVED_M and turned_deg <= TURNED_DEG):
-            return pose
-        return replace(pose, status=Status.REJECTED, reason=REPEATED)
+            return after, pose
+        return after, replace(pose, status=Status.REJECTED, reason=REPEATED)
+
+    def _again(self, images_sha256: Sequence[str]) -> list[bool]:
+        """Which of a frame's images are those of the latest frame."""
+        if len(images_sha256) != len(self.images):
+            return [False] * len(images_sha256)
+        return [
+            bool(one) and one == last for one, last in zip(images_sha256, self.images, strict=True)
+        ]
+
+
+def _is_known(pose: Pose) -> bool:
+    return math.isfinite(pose.east_m + pose.north_m + pose.heading_deg)
 
 
 def _moved_m(one: Pose, other: Pose) -> float:

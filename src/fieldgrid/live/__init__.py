@@ -10,7 +10,7 @@ from fieldgrid.live.intake import Pauses, Sources
 from fieldgrid.live.kept import live_folder
 from fieldgrid.live.live import Live
 from fieldgrid.live.mcap_stream import McapStream
-from fieldgrid.live.posing import LiveOptions
+from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.receiver import Receiver, ReceiverStream
 from fieldgrid.live.replay import replay
 from fieldgrid.live.results import (

@@ -21,8 +21,9 @@ from fieldgrid.live.finish import check_target, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
 from fieldgrid.live.kept import About, Kept
 from fieldgrid.live.lag import GIVEN_KEPT_S
+from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiving import Perceiver
-from fieldgrid.live.posing import LiveOptions, Poser
+from fieldgrid.live.posing import Poser
 from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensed import Rows, rows_of

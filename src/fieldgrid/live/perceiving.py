@@ -40,6 +40,7 @@ class Seen(NamedTuple):
     step: Step | None
     is_kept: bool
     pushed_s: float
+    images_sha256: tuple[str, ...] = ()
 
 
 class _Waiting(NamedTuple):
@@ -243,7 +244,7 @@ class Perceiver:
         self._pass_on(
             Seen(
                 *(frame.frame_id, time_ns, guarded, seen.ground.refined),
-                *(one_step, is_kept, waiting.pushed_s),
+                *(one_step, is_kept, waiting.pushed_s, seen.sources_sha256),
             )
         )
         if is_kept and isinstance(frame, StereoFrame) and kept.wants_pair(number):

@@ -11,16 +11,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.build import cell_budget
 from fieldgrid.build.poses import no_ground
-from fieldgrid.cost import CostCurve
-from fieldgrid.costmap import Costmap, Inflation
-from fieldgrid.errors import ConfigError, FieldgridError
+from fieldgrid.costmap import Costmap
+from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
@@ -28,7 +27,9 @@ from fieldgrid.live.carrying import Carried
 from fieldgrid.live.estimating import Estimated, Estimator, estimated
 from fieldgrid.live.going import Going
 from fieldgrid.live.lag import Asked, Trailing, last_known_ns, pose_at, unknown_pose
+from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiving import Seen
+from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
 from fieldgrid.live.window import MOVES_M, Placed, RollingWindow
@@ -60,39 +61,6 @@ class _Frames(NamedTuple):
 
     settled: list[Placed]
     moving: list[Placed]
-
-
-@dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """What a live session does beside the map.
-
-    `queue_frames` wait at most; of more the oldest is dropped. A pose is settled when there are
-    fixes `lag_s` after it; those that come later count at the end only. An estimate takes the last
-    `window_s` seconds before the newest fix. The map around the vehicle is at least `map_side_m`
-    wide; `curve` and `inflation` make costs of it.
-    """
-
-    queue_frames: int = 2
-    lag_s: float = 2.0
-    window_s: float = 20.0
-    map_side_m: float = 40.0
-    curve: CostCurve = field(default_factory=CostCurve)
-    inflation: Inflation = field(default_factory=Inflation)
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.queue_frames <= 1000:
-            raise ConfigError(
-                f"A queue of {self.queue_frames} frames is outside 1..1000; 2 is usual."
-            )
-        for name, value, least, most, unit in (
-            ("lag", self.lag_s, 0.0, 10.0, "s"),
-            ("window", self.window_s, 5.0, 50.0, "s"),
-            ("map around the vehicle", self.map_side_m, 4.0, 500.0, "m"),
-        ):
-            if not least <= value <= most:
-                raise ConfigError(
-                    f"A {name} of {value} {unit} is outside {least:g}..{most:g} {unit}."
-                )
 
 
 class Poser:
@@ -129,6 +97,7 @@ class Poser:
         self._is_asked = self._is_shown = True
         self._is_newest_in = False
         self._waiting: list[Seen] = []
+        self._repeats = Repeats(lambda text: self._say(What.INPUT, text))
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
         self._newest: Seen | None = None
@@ -215,10 +184,10 @@ class Poser:
             if why := self._trailing.add_fix(said):
                 self._say(What.FIX_REFUSED, why)
         elif isinstance(said, Seen):
-            if said.is_kept:
-                self._trailing.add_frame(said.time_ns, said.step)
-            self._waiting.append(said)
-            self._newest = said
+            seen = self._newest = self._repeats.taken(said)
+            if seen.is_kept:
+                self._trailing.add_frame(seen.time_ns, seen.step)
+            self._waiting.append(seen)
         elif isinstance(said, Estimated):
             self._take_estimate(said)
         else:
@@ -260,9 +229,11 @@ class Poser:
             code = Doubt.POSE if doubt else Doubt.NONE
             self._window.follow(self._pose)
         if self._newest is not None and not doubt:
-            silent_s = (self._trailing.newest_ns - self._newest.time_ns) / 1e9
+            new_ns = min(self._newest.time_ns, self._repeats.new_ns)
+            silent_s = (self._trailing.newest_ns - new_ns) / 1e9
             if silent_s > SILENT_S:
-                doubt, code = f"no frame for {silent_s:.1f} s", Doubt.NO_FRAMES
+                what = "frame" if new_ns == self._newest.time_ns else "new image"
+                doubt, code = f"no {what} for {silent_s:.1f} s", Doubt.NO_FRAMES
         if still_s > SILENT_S and not doubt:
             doubt, code = f"nothing was pushed for {still_s:.0f} s", Doubt.SILENT
         self._window.settle(placed.settled)
@@ -307,7 +278,8 @@ class Poser:
         found = _Frames([], [])
         # It is the estimate that must have fixes after a frame, and the frame's own step.
         # Nor is a frame given up before an estimate was made of what came while it waited.
-        answered_ns, before = self._answered_ns, self._before
+        answered_ns, before, repeats = self._answered_ns, self._before, self._repeats
+        repeats.begin()
         for seen in self._waiting:
             is_settled = (self._known_ns - seen.time_ns) / 1e9 >= self._options.lag_s
             is_settled = is_settled and seen.time_ns <= self._estimated_ns
@@ -318,6 +290,7 @@ class Poser:
             pose, gear = at.pose, at.gear
             if pose.status is not Status.REJECTED and not seen.ground_found:
                 pose = replace(pose, status=Status.REJECTED, reason=no_ground(self._rig))
+            pose = repeats.judged(seen, pose, is_settled=is_settled)
             is_good = pose.status is not Status.REJECTED
             if is_settled or (is_good and seen.time_ns not in self._told):
                 self._tell(LivePose(seen.frame_id, pose, gear, is_settled))

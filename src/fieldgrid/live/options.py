@@ -1,0 +1,42 @@
+"""What a live session does beside the map, as values that are checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from fieldgrid.cost import CostCurve
+from fieldgrid.costmap import Inflation
+from fieldgrid.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """What a live session does beside the map.
+
+    `queue_frames` wait at most; of more the oldest is dropped. A pose is settled when there are
+    fixes `lag_s` after it; those that come later count at the end only. An estimate takes the last
+    `window_s` seconds before the newest fix. The map around the vehicle is at least `map_side_m`
+    wide; `curve` and `inflation` make costs of it.
+    """
+
+    queue_frames: int = 2
+    lag_s: float = 2.0
+    window_s: float = 20.0
+    map_side_m: float = 40.0
+    curve: CostCurve = field(default_factory=CostCurve)
+    inflation: Inflation = field(default_factory=Inflation)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.queue_frames <= 1000:
+            raise ConfigError(
+                f"A queue of {self.queue_frames} frames is outside 1..1000; 2 is usual."
+            )
+        for name, value, least, most, unit in (
+            ("lag", self.lag_s, 0.0, 10.0, "s"),
+            ("window", self.window_s, 5.0, 50.0, "s"),
+            ("map around the vehicle", self.map_side_m, 4.0, 500.0, "m"),
+        ):
+            if not least <= value <= most:
+                raise ConfigError(
+                    f"A {name} of {value} {unit} is outside {least:g}..{most:g} {unit}."
+                )
