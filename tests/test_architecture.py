@@ -17,12 +17,12 @@ PACKAGE = "fieldgrid"
 # A room is a module or a package directly under `fieldgrid`. A room may import rooms of
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
-    ("array_types", "choices", "closing", "limits"),
+    ("array_types", "choices", "closing", "limits", "version"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
         *("plane_fit", "publish", "measured", "reasons"),
     ),
-    ("notebook",),
+    ("notebook", "workers"),
     (
         "fixes",
         "lattice",

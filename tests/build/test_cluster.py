@@ -10,10 +10,11 @@ from pathlib import Path
 import cv2
 import pytest
 
-from fieldgrid.build import PartlyBuiltError, Progress, cluster, drives, parts, remote
+from fieldgrid.build import PartlyBuiltError, Progress, drives, parts, remote
 from fieldgrid.errors import ClusterError, ConfigError
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import Drive, DriveOptions, open_drive
+from fieldgrid.workers import cluster, connecting, versions
 from tests.build import failing
 from tests.build.making import (
     MakeDrive,
@@ -161,7 +162,7 @@ def test_a_worker_of_another_version_ends_the_build(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    here = {**remote.versions(), "OpenCV": "9.9"}
+    here = {**versions.versions(), "OpenCV": "9.9"}
     monkeypatch.setattr(cluster, "versions", lambda: here)
     said = rf"The worker on .* has OpenCV {cv2.__version__}, not 9\.9; install there .* fieldgrid "
     with pytest.raises(ClusterError, match=said):
@@ -261,7 +262,7 @@ def test_a_scheduler_without_workers_is_not_waited_for_without_end(
 def test_an_address_that_is_none(
     address: str, make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
+    monkeypatch.setattr(connecting, "CONNECT_S", 0.2)
     with pytest.raises(
         ClusterError, match=rf"No Dask scheduler answers at {address} \(.+\); start"
     ):

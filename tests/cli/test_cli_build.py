@@ -22,13 +22,14 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.build import answering, build_map, cluster
+from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 from fieldgrid.reasons import grouped_reasons
 from fieldgrid.settings import BuildSettings
 from fieldgrid.transfer import Transfer
+from fieldgrid.workers import answering, connecting
 from tests.cli.conftest import Result, Run, in_a_process
 from tests.conftest import TWO_LANES
 
@@ -725,7 +726,7 @@ def test_a_map_made_by_the_command_is_the_map_of_the_function(
 def test_a_scheduler_that_is_not_there_is_told_before_anything_is_done(
     fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
+    monkeypatch.setattr(connecting, "CONNECT_S", 0.2)
     drive = make_drive()
     with socket.socket() as taken:  # bound, and nobody listens
         taken.bind(("127.0.0.1", 0))
@@ -754,7 +755,7 @@ def test_another_program_at_the_address_of_the_scheduler_is_told(
 ) -> None:
     pytest.importorskip("distributed")
     if not answer:
-        monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+        monkeypatch.setattr(connecting, "CONNECT_S", 0.3)
         monkeypatch.setattr(answering, "ANSWER_S", 0.3)
     drive, taken = make_drive(), []
 

@@ -8,14 +8,14 @@ import pytest
 
 from fieldgrid.cli import warming
 from fieldgrid.kernel import Kernel
-from fieldgrid.mapfile import workers
+from fieldgrid.workers import order
 
 _SAYS_WHO = "import os, signal; open({path!r}, 'w').write(str(os.getpid())); signal.pause()"
 
 
 def _given(monkeypatch: pytest.MonkeyPatch, *, kept: bool, cores: int) -> None:
     monkeypatch.setattr(Kernel, "is_kept", lambda _: kept)
-    monkeypatch.setattr(workers, "cores", lambda: cores)
+    monkeypatch.setattr(order, "cores", lambda: cores)
 
 
 def test_another_process_compiles_where_nothing_is_kept_and_is_gone_at_the_end(

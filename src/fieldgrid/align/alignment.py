@@ -27,7 +27,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
 from fieldgrid.mapfile.transform import transform_of
-from fieldgrid.mapfile.workers import in_order
+from fieldgrid.workers.order import in_order
 
 COARSE_M, FINE_M = 0.2, 0.1
 """Sides of the cells in which drives are compared, as wholes and finely."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from queue import Empty
 from typing import TYPE_CHECKING
 
-from fieldgrid.build.cluster import Cluster, connected
+from fieldgrid.build.cluster import Stagers
 from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Moved, Shared
 from fieldgrid.build.part_key import part_key
 from fieldgrid.build.parts import (
@@ -52,6 +52,7 @@ from fieldgrid.pose import tells_attitude
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings
+from fieldgrid.workers.connecting import connected
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -253,7 +254,7 @@ class _Build:
         missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
         with ExitStack() as running:
             if self.client is not None and missing:
-                self.executor = running.enter_context(Cluster(self.client))
+                self.executor = running.enter_context(Stagers(self.client))
             elif self.jobs > 1 and missing * SHARE_FRAMES >= WORTH_FRAMES:
                 self.executor = running.enter_context(Pool(min(self.jobs, missing), self.out))
             for drive in self._good():

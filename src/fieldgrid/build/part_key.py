@@ -13,8 +13,8 @@ from fieldgrid.build.parts import SHARE_FRAMES
 from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.session import NewSession
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile.schema import software_version
 from fieldgrid.recording.stored import StoredFrames
+from fieldgrid.version import software_version
 
 
 def part_key(session: NewSession, datum: Datum) -> str:

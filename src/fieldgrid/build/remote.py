@@ -13,18 +13,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import cv2
-import numpy as np
 
 from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
 from fieldgrid.build.worker import not_importable
 from fieldgrid.errors import ClusterError, MapWriteError
-from fieldgrid.mapfile.schema import software_version
+from fieldgrid.workers.place import check_is_here
 
 _AT_HOME = "leave out --scheduler"
 
@@ -44,16 +40,6 @@ class Made(NamedTuple):
     part: PartBytes
     moved_m: float
     took_s: float
-
-
-def versions() -> dict[str, str]:
-    """What the bits of a part depend on, by name."""
-    return {
-        "fieldgrid": software_version(),
-        "NumPy": np.__version__,
-        "OpenCV": cv2.__version__,
-        "Numba": version("numba"),
-    }
 
 
 def place_of(recording: Path) -> Place:
@@ -89,7 +75,7 @@ def stage_share(work: bytes, share: tuple[int, int], place: tuple[str, int | Non
     """
     start = time.perf_counter()
     where, frames = Place(*place), Share(*share)
-    _check_is_here(where)
+    check_is_here(Path(where.path), where.size, "recordings")
     moved_m: list[float] = []
     with tempfile.TemporaryDirectory(prefix="fieldgrid-") as name:
         folder = Path(name)
@@ -102,19 +88,6 @@ def stage_share(work: bytes, share: tuple[int, int], place: tuple[str, int | Non
                 ) from error
         part = part_bytes(folder, frames)
     return Made(part, sum(moved_m), time.perf_counter() - start)
-
-
-def _check_is_here(place: Place) -> None:
-    path = Path(place.path)
-    remedy = "mount or copy the recordings to the same path on every worker."
-    if not path.exists():
-        raise ClusterError(f"{path} does not exist on the worker {platform.node()}; {remedy}")
-    size = path.stat().st_size
-    if place.size is not None and size != place.size:
-        raise ClusterError(
-            f"{path} has {size} bytes on the worker {platform.node()}, and {place.size} here; "
-            f"{remedy}"
-        )
 
 
 @lru_cache(maxsize=2)

@@ -181,10 +181,7 @@ def command(
         raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
-    if scheduler is not None and jobs is not None:
-        raise typer.BadParameter(
-            "the workers of the --scheduler stage the frames; leave it out", param_hint="--jobs"
-        )
+    options.check_scheduler(scheduler, jobs)
     source = poses.source()
     if source is not None and len(recordings) > 1:
         raise typer.BadParameter("poses are those of a single recording", param_hint="--poses")

@@ -40,6 +40,13 @@ Jobs = Annotated[
     int | None,
     typer.Option("--jobs", min=1, max=256, metavar="N", help="Threads [default: one a core]."),
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:8786",
+        help="A Dask scheduler, whose workers do it; they must find the map at the same path.",
+    ),
+]
 Cell = Annotated[
     float | None,
     typer.Option(
@@ -162,6 +169,14 @@ def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
     from fieldgrid.lattice import Bounds
 
     return Bounds(*values)
+
+
+def check_scheduler(scheduler: str | None, jobs: int | None) -> None:
+    """Refuse --jobs beside a --scheduler."""
+    if scheduler is not None and jobs is not None:
+        raise typer.BadParameter(
+            "the workers of the --scheduler do the work; leave it out", param_hint="--jobs"
+        )
 
 
 def check_figure(path: Path | None) -> None:

@@ -16,6 +16,7 @@ def command(
         bool, typer.Option("--deep", help="Make everything again from the frames, and compare.")
     ] = False,
     jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Check that a map is what was written, by the sums that it keeps of its rows.
@@ -26,11 +27,16 @@ def command(
         fieldgrid verify vineyard.gpkg
 
         fieldgrid verify vineyard.gpkg --deep
+
+        fieldgrid verify vineyard.gpkg --deep --scheduler tcp://10.0.0.5:8786
     """
+    options.check_scheduler(scheduler, jobs)
+    if scheduler is not None and not deep:
+        raise typer.BadParameter("it is for --deep; add that", param_hint="--scheduler")
     from fieldgrid.mapfile import open_map
 
     with open_map(map_) as universal:
-        health = universal.verify(jobs, deep=deep)
+        health = universal.verify(jobs, deep=deep, scheduler=scheduler)
     if as_json:
         output.print_json({"map": str(map_), "sound": health.sound, **asdict(health)})
     else:

@@ -37,7 +37,7 @@ def frames_ahead(*, here: bool = True) -> Iterator[None]:
     is given up.
     """
     from fieldgrid.binning import bin_pixels
-    from fieldgrid.mapfile.workers import cores
+    from fieldgrid.workers.order import cores
 
     if not here or cores() < 2 or bin_pixels.cache_folder() is None or bin_pixels.is_kept():
         yield

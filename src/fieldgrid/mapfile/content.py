@@ -35,8 +35,8 @@ from fieldgrid.mapfile.sources import (
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.mapfile.view import MapView, check_size, fold_as_the_paper
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, check_cell_sizes
+from fieldgrid.workers.order import in_order
 
 
 class MapContent:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
@@ -35,6 +35,10 @@ from fieldgrid.mapfile.verification import HealthReport, verify
 from fieldgrid.mapfile.view import DECISION_LAYERS, DROP_LAYERS, MapView
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
+from fieldgrid.workers.order import runner
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 class MapReader:
@@ -126,15 +130,28 @@ class MapReader:
                     "since they were written; see `fieldgrid verify`, or restore a copy."
                 )
 
-    def verify(self, jobs: int | None = None, *, deep: bool = False) -> HealthReport:
+    def verify(
+        self,
+        jobs: int | None = None,
+        *,
+        deep: bool = False,
+        scheduler: str | Client | None = None,
+    ) -> HealthReport:
         """Check that the map is what was written, by the sums that it keeps of its rows.
 
         With `deep`, or where they do not fit, the evidence is checked against its hashes, and all
         else made again from it and compared. `jobs` is the number of threads, all cores when not
-        given.
+        given; with a `scheduler`, the address of one of Dask or a client, the workers of that
+        cluster do what is `deep`. ConfigError for a scheduler without `deep`, ClusterError where
+        none answers or its workers cannot read the map.
         """
-        with reading(self._connection, self.path):
-            return verify(self._connection, self.path, self._header, jobs, deep=deep)
+        if scheduler is not None and not deep:
+            raise ConfigError(
+                "The workers of a cluster verify a map only as a whole; add --deep, or leave out "
+                "--scheduler."
+            )
+        with runner(jobs, scheduler) as run, reading(self._connection, self.path):
+            return verify(self._connection, self.path, self._header, run, deep=deep)
 
     def sessions_at(self, at: str | int) -> list[str]:
         """The names of the active sessions as of a moment, in the order of their drives.

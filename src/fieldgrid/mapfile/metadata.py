@@ -21,10 +21,10 @@ from fieldgrid.mapfile.arrays import (
     trajectory_of,
 )
 from fieldgrid.mapfile.digest import session_digest
-from fieldgrid.mapfile.schema import software_version
 from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.quality import Quality
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.version import software_version
 
 
 class SessionMetadata(NamedTuple):

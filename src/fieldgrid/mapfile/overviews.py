@@ -24,8 +24,8 @@ from fieldgrid.mapfile.reading import (
     reach_cells,
 )
 from fieldgrid.mapfile.sources import assembled
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
+from fieldgrid.workers.order import in_order
 
 MAX_LEVELS = 10
 """Levels that are made: 1024 cells a side become one pixel."""

@@ -25,14 +25,16 @@ from fieldgrid.mapfile.tile_codec import (
     decode_tile,
     encode_tile,
 )
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer, footprint
+from fieldgrid.workers.order import in_order
 
 _Result = TypeVar("_Result")
 
 BLOCK_TILES = 3
 """Side of the square of tiles that is folded at a time; it takes up to 60 MB."""
+
+_SIDE = BLOCK_TILES * TILE_CELLS
 
 RECENT_FRAMES, RECENT_TILES = 32, 8
 """What is kept decoded, because the next block or the commit is likely to want it."""
@@ -58,31 +60,51 @@ def fold_tiles(
 
     The tiles come square by square, so that the memory taken does not depend on the session.
     """
-    squares: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-    footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
-    side = BLOCK_TILES * TILE_CELLS
-    for k, window in enumerate(footprints):
-        for y in range(window.j0 // side, (window.j0 + window.height - 1) // side + 1):
-            for x in range(window.i0 // side, (window.i0 + window.width - 1) // side + 1):
-                squares[y, x].append(k)
-    recent = _Recent(frames)
+    squares = Squares(frames, lattice, transfer, groups)
+    for results in in_order(lambda place: squares.fold(place, work), squares.places(), jobs):
+        yield from results
 
-    def fold_square(place: tuple[int, int]) -> list[_Result]:
+
+class Squares:
+    """The squares of tiles into which the frames of a session are folded, each by itself."""
+
+    def __init__(
+        self,
+        frames: Sequence[PlacedFrame],
+        lattice: Lattice,
+        transfer: Transfer,
+        groups: Sequence[ChannelGroup],
+    ) -> None:
+        self._frames, self._recent = frames, _Recent(frames)
+        self._rule = lattice, transfer, groups
+        self._footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
+        self._inside: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+        for k, window in enumerate(self._footprints):
+            for y in range(window.j0 // _SIDE, (window.j0 + window.height - 1) // _SIDE + 1):
+                for x in range(window.i0 // _SIDE, (window.i0 + window.width - 1) // _SIDE + 1):
+                    self._inside[y, x].append(k)
+
+    def places(self) -> list[tuple[int, int]]:
+        """Where they are, to and fro, so that neighbours follow each other and share frames."""
+        return sorted(
+            self._inside, key=lambda place: (place[0], place[1] if place[0] % 2 else -place[1])
+        )
+
+    def fold(
+        self, place: tuple[int, int], work: Callable[[TileIndex, Cells], _Result]
+    ) -> list[_Result]:
+        """What `work` makes of each tile of a square that the frames observed; from any thread."""
         y, x = place
-        inside = squares[place]
+        inside = self._inside[place]
+        lattice, transfer, groups = self._rule
         window = _tiles_under(
-            [footprints[k] for k in inside], Window(x * side, y * side, side, side)
+            [self._footprints[k] for k in inside], Window(x * _SIDE, y * _SIDE, _SIDE, _SIDE)
         )
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
-            fold.add(recent.cells(k), frames[k].pose)
+            fold.add(self._recent.cells(k), self._frames[k].pose)
         found = ((tile, fold.cells(tile_window(tile))) for tile in window.tiles())
         return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
-
-    # To and fro, so that neighbours follow each other and share frames.
-    order = sorted(squares, key=lambda place: (place[0], place[1] if place[0] % 2 else -place[1]))
-    for results in in_order(fold_square, order, jobs):
-        yield from results
 
 
 def _tiles_under(footprints: list[Window], square: Window) -> Window:

@@ -27,8 +27,8 @@ from fieldgrid.mapfile.png import encode_png
 from fieldgrid.mapfile.tile_codec import Box, box_of
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import parent
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
+from fieldgrid.workers.order import in_order
 
 _SHAPE = (TILE_CELLS, TILE_CELLS)
 

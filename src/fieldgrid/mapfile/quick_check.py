@@ -23,7 +23,7 @@ from fieldgrid.mapfile.root import read_root
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES, kept_sums, sum_of
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_extent
-from fieldgrid.mapfile.workers import cores, in_order
+from fieldgrid.workers.order import in_order
 
 _LONG = ("fieldgrid_grid", "fieldgrid_tile", "fieldgrid_session_tile")
 """The tables that take most of the time; begun first, so that no thread is left with one."""
@@ -85,7 +85,8 @@ def _check_sessions(subject: Subject) -> Iterator[str]:
 @contextmanager
 def _readers(subject: Subject) -> Iterator[list[sqlite3.Connection]]:
     """The map's connection, and others to the same state for as many threads."""
-    count = cores() if subject.jobs is None else subject.jobs
+    assert subject.runner is not None
+    count = subject.runner.here
     readers = [subject.connection]
     (*_, file) = subject.connection.execute("PRAGMA database_list").fetchone()
     (mode,) = subject.connection.execute("PRAGMA journal_mode").fetchone()

@@ -32,8 +32,8 @@ from fieldgrid.mapfile.sources import (
     CellSource,
 )
 from fieldgrid.mapfile.view import DROP_LAYERS, MapView, empty_view
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import Averaging, Transfer, mean_density
+from fieldgrid.workers.order import in_order
 
 _CHUNK_CELLS = 512
 """Stored cells along the side of a square that is worked on at a time: what its channels take fits

@@ -9,12 +9,12 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import TILE_CELLS, Lattice
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
+from fieldgrid.version import software_version
 
 FORMAT_VERSION = 3
 """Of the `fieldgrid_` tables. Older maps are read, and upgraded when they are written."""
@@ -260,14 +260,6 @@ LAYERS = {
     # the binary tables as layers.
     "fieldgrid_session": ("attributes", "The drives in this map"),
 }
-
-
-def software_version() -> str:
-    """The version of this package, as it is written into maps."""
-    try:
-        return version("fieldgrid")
-    except PackageNotFoundError:  # run from a source tree that was never installed
-        return "unknown"
 
 
 def create(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -12,21 +14,21 @@ from fieldgrid.layers import GROUPS, Cells
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.derived import active, placed_frames
 from fieldgrid.mapfile.evidence import frames_of
-from fieldgrid.mapfile.placing import fold_tiles, stored_of_session
+from fieldgrid.mapfile.placing import Squares, stored_of_session
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_codec import stored_channels
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import parent
-from fieldgrid.mapfile.workers import in_order
 from fieldgrid.transfer import mean_density
+
+_TILES_TOGETHER = 8
 
 
 def check_tiles(subject: Subject) -> Iterator[str]:
     """The tiles of sessions against a new fold, those above against those below them."""
     tables = subject.tables
-    pyramid = Pyramid(subject.connection, tables, subject.jobs)
     for session_id, name in active(subject.connection):
         yield from _session_tiles(subject, session_id, name)
     removed = subject.connection.execute(
@@ -41,7 +43,7 @@ def check_tiles(subject: Subject) -> Iterator[str]:
     for zoom in range(base, top - 1, -1):
         if zoom < base:
             tiles = {parent(tile) for tile in tiles}
-        yield from _level(subject, pyramid, zoom, tiles)
+        yield from _level(subject, zoom, tiles)
     strays = tables.rows(
         "SELECT DISTINCT zoom FROM fieldgrid_tile WHERE zoom < ? OR zoom > ?", (top, base)
     )
@@ -61,28 +63,20 @@ def _top_zoom(tables: TileTables) -> int:
 
 
 def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str]:
-    header, tables = subject.header, subject.tables
-    frames = placed_frames(frames_of(subject.connection, session_id))
-    names = [c.name for g in stored_of_session(tables.groups) for c in g.channels]
-    what = f"tile {{}} of session {name!r}"
-
-    def compare(tile: TileIndex, cells: Cells) -> tuple[TileIndex, str]:
-        return tile, _difference(
-            lambda: tables.session_cells(session_id, tile), cells, names, what.format(tuple(tile))
-        )
-
+    header, tables, runner = subject.header, subject.tables, subject.runner
+    assert runner is not None
+    check = _SquareCheck(subject, session_id, name)
     left = tables.session_tiles(session_id)
-    for tile, problem in fold_tiles(
-        frames, header.lattice, header.transfer, tables.groups, compare, subject.jobs
-    ):
+    results = runner.in_order(check, check.squares.places())
+    for tile, problem in chain.from_iterable(results):
         if tile not in left:
-            yield f"The map lacks {what.format(tuple(tile))}."
+            yield f"The map lacks {check.what(tile)}."
             continue
         left.discard(tile)
         if problem:
             yield problem
     for tile in sorted(left):
-        yield f"The map has {what.format(tuple(tile))}, which does not follow from its frames."
+        yield f"The map has {check.what(tile)}, which does not follow from its frames."
     expected = {g.name for g in stored_of_session(tables.groups)}
     known = {*expected, *(name for name in header.groups if name not in GROUPS)}
     groups = tables.rows(
@@ -93,10 +87,40 @@ def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str
             yield f"The map has channels {group!r} of session {name!r} that it should not have."
 
 
-def _level(subject: Subject, pyramid: Pyramid, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
+class _SquareCheck:
+    """Folds squares of a session anew, and compares its tiles."""
+
+    def __init__(self, subject: Subject, session_id: int, name: str) -> None:
+        self._of = subject, session_id, name
+        header, self._tables = subject.header, subject.tables
+        groups = self._tables.groups
+        self._names = [c.name for g in stored_of_session(groups) for c in g.channels]
+        frames = placed_frames(frames_of(subject.connection, session_id))
+        self.squares = Squares(frames, header.lattice, header.transfer, groups)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
+
+    def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, str]]:
+        return self.squares.fold(place, self._compare)
+
+    def what(self, tile: TileIndex) -> str:
+        """What a tile is called."""
+        return f"tile {tuple(tile)} of session {self._of[2]!r}"
+
+    def _compare(self, tile: TileIndex, cells: Cells) -> tuple[TileIndex, str]:
+        return tile, _difference(
+            lambda: self._tables.session_cells(self._of[1], tile),
+            cells,
+            self._names,
+            self.what(tile),
+        )
+
+
+def _level(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
     """The tiles and pictures of a zoom level against what is below them."""
-    tables, base = subject.tables, subject.tables.matrices.base_zoom
-    names = [n for g in tables.groups for n, _ in stored_channels(g, base=zoom == base)]
+    tables, runner = subject.tables, subject.runner
+    assert runner is not None
     pictures = {
         tables.matrices.tile(zoom, column, row)
         for column, row in tables.rows(
@@ -109,23 +133,41 @@ def _level(subject: Subject, pyramid: Pyramid, zoom: int, tiles: set[TileIndex])
             yield f"The map lacks {kind} {tuple(tile)} of level {zoom}."
         for tile in sorted(there - tiles):
             yield f"The map has {kind} {tuple(tile)} of level {zoom}, where nothing was observed."
+    both = sorted(tiles & stored & pictures)
+    for problem in runner.in_order(_LevelCheck(subject, zoom), both, _TILES_TOGETHER):
+        if problem:
+            yield problem
 
-    def compare(tile: TileIndex) -> str:
-        what = f"tile {tuple(tile)} of level {zoom}"
+
+class _LevelCheck:
+    """Makes tiles of a level anew of what is below them, and compares them and their pictures."""
+
+    def __init__(self, subject: Subject, zoom: int) -> None:
+        self._of = subject, zoom
+        self._tables = subject.tables
+        self._is_base = zoom == self._tables.matrices.base_zoom
+        self._pyramid = Pyramid(subject.connection, self._tables)
+        groups = self._tables.groups
+        self._names = [n for g in groups for n, _ in stored_channels(g, base=self._is_base)]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
+
+    def __call__(self, tile: TileIndex) -> str:
+        _, zoom = self._of
+        tables = self._tables
         try:
-            expected = (
-                pyramid.merged(tile) if zoom == base else tables.above(zoom, tile, tables.groups)
-            )
+            if self._is_base:
+                expected = self._pyramid.merged(tile)
+            else:
+                expected = tables.above(zoom, tile, tables.groups)
         except MapError:
             return ""  # what it is made of was told of already
         if expected is None:
             return ""
-        found = _difference(lambda: tables.cells(zoom, tile), expected, names, what)
+        what = f"tile {tuple(tile)} of level {zoom}"
+        found = _difference(lambda: tables.cells(zoom, tile), expected, self._names, what)
         return found or _picture_problem(tables, zoom, tile, expected)
-
-    for problem in in_order(compare, sorted(tiles & stored & pictures), subject.jobs):
-        if problem:
-            yield problem
 
 
 def _picture_problem(tables: TileTables, zoom: int, tile: TileIndex, cells: Cells) -> str:

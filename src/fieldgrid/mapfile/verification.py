@@ -13,9 +13,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from fieldgrid.errors import FieldgridError, MapError, shortened
+from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
 from fieldgrid.layers import GROUPS, stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
@@ -42,9 +42,11 @@ from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
-from fieldgrid.mapfile.workers import in_order
+from fieldgrid.workers.order import Runner, Threads
 
 _LONGEST_PROBLEM = 1000
+
+_FRAMES_TOGETHER = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +75,12 @@ def verify(
     connection: sqlite3.Connection,
     path: Path,
     header: Header,
-    jobs: int | None = None,
+    runner: Runner,
     *,
     deep: bool = False,
 ) -> HealthReport:
     """Check everything, within the caller's reading; `deep` without trust in the map's sums."""
-    subject = Subject(connection, path, header, jobs)
+    subject = Subject(connection, path, header, runner)
     problems, notes = list[str](), list[str]()
     if not deep and header.version == schema.FORMAT_VERSION:
         if is_as_written(subject):
@@ -106,6 +108,8 @@ def verify(
             break  # they cannot fit, which says nothing more
         try:
             problems += islice(check(subject), MAX_PROBLEMS - len(problems))
+        except ClusterError:
+            raise  # which says nothing of the map
         except FieldgridError as error:
             problems.append(str(error))
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
@@ -164,7 +168,8 @@ def _root(subject: Subject) -> Iterator[str]:
 
 def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
-    connection, path, header, jobs = subject
+    connection, path, header, runner = subject
+    assert runner is not None
     sessions = connection.execute(
         "SELECT id, name, digest, frames, accepted, first_time_ns, last_time_ns, grid_width_m, "
         f"grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session {which} ORDER BY id"
@@ -174,11 +179,13 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
             session_info(
                 connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
             )
-            records = frames_of(connection, session_id)
+            check = _FrameCheck(subject, session_id)
         except MapError as error:
             yield str(error)
             continue
-        yield from (problem for problem in in_order(_frame_problem, records, jobs) if problem)
+        records = check.records
+        problems = runner.in_order(check, range(len(records)), _FRAMES_TOGETHER)
+        yield from (problem for problem in problems if problem)
         times_ns = [record.pose.time_ns for record in records]
         found = [
             len(records),
@@ -209,9 +216,10 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
 def _upgraded(subject: Subject) -> Iterator[str]:
     """The evidence of a map of an older format, and its pictures, which are all that is read of
     what follows from that."""
-    connection, path, header, jobs = subject
+    connection, path, header, runner = subject
+    assert runner is not None
     with closing(upgraded_copy(connection, path, header)) as copy:
-        anew = Subject(copy, path, upgraded(header), jobs)
+        anew = Subject(copy, path, upgraded(header), Threads(runner.here))
         wrong = list(islice(chain(check_types(anew), _evidence(anew)), MAX_PROBLEMS))
         yield from wrong
         if not wrong:
@@ -222,6 +230,20 @@ def _upgraded(subject: Subject) -> Iterator[str]:
                 connection.execute("SELECT * FROM density"),
             )
             yield from check_tiles(anew)
+
+
+class _FrameCheck:
+    """Compares frames of a session, by their numbers, with their digests."""
+
+    def __init__(self, subject: Subject, session_id: int) -> None:
+        self._of = subject, session_id
+        self.records = frames_of(subject.connection, session_id)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
+
+    def __call__(self, number: int) -> str:
+        return _frame_problem(self.records[number])
 
 
 def _frame_problem(record: FrameRecord) -> str:
@@ -262,7 +284,7 @@ def repair(
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
     `verify` would still find something else.
     """
-    subject = Subject(connection, path, header, jobs)
+    subject = Subject(connection, path, header, Threads(jobs))
     if not read_root(connection).trusted:
         _renew_rows(connection, header)
         check_root(connection, path)
@@ -303,7 +325,9 @@ def _left(subject: Subject) -> tuple[str, ...]:
     """What is wrong with the evidence of removed sessions. MapError for anything else."""
     removed = set(_evidence(subject, "WHERE removed IS NOT NULL"))
     removed.update(orphans(subject.connection, "fieldgrid_grid"))
-    found = verify(*subject, deep=True).problems
+    connection, path, header, runner = subject
+    assert runner is not None
+    found = verify(connection, path, header, runner, deep=True).problems
     for problem in found:
         if problem not in {shortened(one, _LONGEST_PROBLEM) for one in removed}:
             raise MapError(

@@ -1,0 +1,1 @@
+"""Work on several cores, and on the workers of a Dask cluster."""

@@ -1,0 +1,89 @@
+"""Work on many items, with the results in their order: by threads here, or on a Dask cluster.
+
+By threads because what is heavy runs outside the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class Runner(Protocol):
+    """Who does work on items.
+
+    On a cluster `work` is pickled, and so are items and results: what it needs of a file it is to
+    open itself where it arrives. `here` is how many threads of this process may work beside that.
+    """
+
+    here: int
+
+    def in_order(
+        self, work: Callable[[_Item], _Result], items: Iterable[_Item], batch: int = 1
+    ) -> Iterator[_Result]:
+        """The results of work on items, in their order. `batch` of them travel together."""
+
+
+class Threads:
+    """So many threads of this process, one a core when not given (a :class:`Runner`)."""
+
+    def __init__(self, jobs: int | None = None) -> None:
+        self.here = cores() if jobs is None else jobs
+
+    def in_order(
+        self,
+        work: Callable[[_Item], _Result],
+        items: Iterable[_Item],
+        batch: int = 1,
+    ) -> Iterator[_Result]:
+        """The results of work on items, in their order, few more than the threads at a time."""
+        if self.here < 2:
+            yield from map(work, items)
+            return
+        pool = ThreadPoolExecutor(self.here, thread_name_prefix="fieldgrid-map")
+        waiting: deque[Future[_Result]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > self.here:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def runner(jobs: int | None, scheduler: str | Client | None = None) -> Iterator[Runner]:
+    """The workers of the Dask scheduler at an address, or of a client, until the end of the block;
+    threads without one. ClusterError when no scheduler answers."""
+    if scheduler is None:
+        yield Threads(jobs)
+        return
+    from fieldgrid.workers.connecting import connected
+    from fieldgrid.workers.remote import OnCluster
+
+    with connected(scheduler) as client, OnCluster(client) as found:
+        yield found
+
+
+def cores() -> int:
+    """How many threads are worth having."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_order(
+    work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int | None = None
+) -> Iterator[_Result]:
+    """The results of work on items by threads, in their order."""
+    return Threads(jobs).in_order(work, items)
