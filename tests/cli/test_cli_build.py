@@ -792,6 +792,6 @@ def test_without_dask_the_way_to_get_it_is_told(
 def test_jobs_and_a_scheduler_exclude_each_other(fieldgrid: Run, tmp_path: Path) -> None:
     out = tmp_path / "m.gpkg"
     said = fieldgrid("build", "drive", "-o", out, "--jobs", 2, "--scheduler", "tcp://a:1")
-    assert "the workers of the --scheduler stage the frames" in said.usage()
+    assert "the workers of the --scheduler do the work" in said.usage()
     with pytest.raises(ConfigError, match="leave out --jobs"):
         build_map([tmp_path], out, BuildSettings(), jobs=2, scheduler="tcp://a:1")
