@@ -20,12 +20,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import EXAMPLE
+from benchmarks.cluster import cluster
 from benchmarks.lasting import Line
 
 DRIVES, ROUNDS = 20, 3
@@ -38,12 +38,12 @@ def measure_drives(drives: int = DRIVES, rounds: int = ROUNDS) -> Iterator[Line]
         paths = [Path(folder) / f"drive-{k:03d}" for k in range(drives)]
         for path in paths:
             _copy(path)
-        with _cluster(Path(folder)) as address:
+        with cluster(Path(folder)) as address:
             runs: dict[str, list[dict[str, float]]] = {"1": [], "2": [], address: []}
             for _ in range(rounds):
                 for where, made in runs.items():
                     made.append(_run(where, paths, Path(folder) / "out.gpkg"))
-    one, two, cluster = (
+    one, two, dask = (
         {key: float(np.median([run[key] for run in made])) for key in made[0]}
         for made in runs.values()
     )
@@ -57,10 +57,10 @@ def measure_drives(drives: int = DRIVES, rounds: int = ROUNDS) -> Iterator[Line]
         f"{_cpu_s(two) / _cpu_s(one):.2f} x",
         f"of it {100 * two['own_cpu_s'] / _cpu_s(two):.0f} % in the parent",
     )
-    yield Line("  by two workers of a Dask cluster", f"{cluster['wall_s']:.1f} s")
+    yield Line("  by two workers of a Dask cluster", f"{dask['wall_s']:.1f} s")
     yield Line(
         "  more than by two processes",
-        f"{100 * (cluster['wall_s'] / two['wall_s'] - 1.0):.0f} %",
+        f"{100 * (dask['wall_s'] / two['wall_s'] - 1.0):.0f} %",
         "asked <= 10 %",
     )
     yield Line("  peak memory of one", f"{one['own_mb']:.0f} MB")
@@ -83,35 +83,6 @@ def _copy(path: Path) -> None:
         (path / side).mkdir()
         for image in (EXAMPLE / side).iterdir():
             (path / side / image.name).symlink_to(image.resolve())
-
-
-@contextmanager
-def _cluster(folder: Path) -> Iterator[str]:
-    """A scheduler and two workers of one thread each; gives the scheduler's address."""
-    told = folder / "scheduler.json"
-    dask = [sys.executable, "-m", "dask"]
-    near = ["--scheduler-file", str(told), "--no-dashboard"]
-    commands = [
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *near],
-        [*dask, "worker", *near, "--nworkers", "2", "--nthreads", "1", "--local-directory",
-         str(folder / "workers")],
-    ]  # fmt: skip
-    programs = [subprocess.Popen(one, stderr=subprocess.DEVNULL) for one in commands]
-    try:
-        from distributed import Client
-
-        while not told.exists():
-            if programs[0].poll() is not None:
-                raise SystemExit("the scheduler of Dask did not start")
-            time.sleep(0.1)
-        with Client(scheduler_file=str(told)) as client:
-            client.wait_for_workers(2, timeout=60)
-            address = str(client.scheduler.address)
-        yield address
-    finally:
-        for program in reversed(programs):
-            program.terminate()
-            program.wait(30)
 
 
 def _run(where: str, paths: list[Path], out: Path) -> dict[str, float]:

@@ -28,6 +28,7 @@ from fieldgrid.workers.remote import OnCluster
 from tests.mapfile.maps import drive, track, write_map
 
 distributed = pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
 
 # Sockets and loops of Dask's own, which it closes in its own time.
 pytestmark = [pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")]
@@ -223,3 +224,30 @@ def test_nobody_at_the_address_is_told_at_once(
             pytest.raises(ClusterError, match=f"No Dask scheduler answers at {address} .*; start"),
         ):
             universal.verify(deep=True, scheduler=address)
+
+
+def test_an_encrypted_address_is_taken_with_the_certificates_of_dasks_configuration(
+    sound: Path,
+) -> None:
+    pytest.importorskip("cryptography")
+    security = distributed.Security.temporary()
+    known = {
+        "distributed.comm.tls.ca-file": security.tls_ca_file,
+        "distributed.comm.tls.client.cert": security.tls_client_cert,
+        "distributed.comm.tls.client.key": security.tls_client_key,
+    }
+    with (
+        distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            protocol="tls://",
+            security=security,
+            dashboard_address=":0",
+        ) as made,
+        dask.config.set(known),
+        open_map(sound) as universal,
+    ):
+        address = made.scheduler_address
+        assert address.startswith("tls://")
+        assert universal.verify(deep=True, scheduler=address).sound

@@ -1,0 +1,96 @@
+"""Work on a map by one thread, by two, and by the two workers of a Dask cluster, interleaved:
+
+    python -m benchmarks.cluster verify MAP.gpkg [ROUNDS]
+
+Scheduler and workers are programs of their own, which stay for all rounds. The ratios of wall times
+say something on an idle machine with two cores only; the processor time says anywhere what the way
+costs. The load of the machine is printed beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROUNDS = 3
+
+
+@contextmanager
+def cluster(folder: Path) -> Iterator[str]:
+    """A scheduler and two workers of one thread each; gives the scheduler's address."""
+    told = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    near = ["--scheduler-file", str(told), "--no-dashboard"]
+    commands = [
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *near],
+        [*dask, "worker", *near, "--nworkers", "2", "--nthreads", "1", "--local-directory",
+         str(folder / "workers")],
+    ]  # fmt: skip
+    programs = [subprocess.Popen(one, stderr=subprocess.DEVNULL) for one in commands]
+    try:
+        from distributed import Client
+
+        while not told.exists():
+            if programs[0].poll() is not None:
+                raise SystemExit("the scheduler of Dask did not start")
+            time.sleep(0.1)
+        with Client(scheduler_file=str(told)) as client:
+            client.wait_for_workers(2, timeout=60)
+            address = str(client.scheduler.address)
+        yield address
+    finally:
+        for program in reversed(programs):
+            program.terminate()
+            program.wait(30)
+
+
+def _verify(path: Path, given: Mapping[str, Any]) -> None:
+    from fieldgrid.mapfile import open_map
+
+    with open_map(path) as universal:
+        assert universal.verify(deep=True, **given).sound
+
+
+WORK: Mapping[str, Callable[[Path, Mapping[str, Any]], None]] = {"verify": _verify}
+
+
+def main(what: str, path: Path, rounds: int) -> None:
+    """Print the times of each way, and how they compare."""
+    with tempfile.TemporaryDirectory() as folder, cluster(Path(folder)) as address:
+        ways: dict[str, dict[str, Any]] = {
+            "one thread": {"jobs": 1},
+            "two threads": {"jobs": 2},
+            "two workers of Dask": {"scheduler": address},
+        }
+        taken: dict[str, list[float]] = {name: [] for name in ways}
+        for _ in range(rounds):
+            for name, given in ways.items():
+                start, own_s = time.perf_counter(), time.process_time()
+                WORK[what](path, given)
+                taken[name].append(time.perf_counter() - start)
+                wall_s, own_s = taken[name][-1], time.process_time() - own_s
+                print(
+                    f"{what}, {name}: {wall_s:.1f} s, {own_s:.1f} s of processor time in this "
+                    f"program; load {os.getloadavg()[0]:.1f}",
+                    flush=True,
+                )
+    one, two, dask = (float(np.median(runs)) for runs in taken.values())
+    print(f"two threads beside one: {one / two:.2f} x (asked 1.7)")
+    print(f"two workers of Dask beside one thread: {one / dask:.2f} x")
+    print(f"more than two threads: {100 * (dask / two - 1):.0f} % (asked <= 10)")
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(f"peak memory of this program {peak_mb:.0f} MB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), int((sys.argv[3:] or [ROUNDS])[0]))
