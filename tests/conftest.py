@@ -34,6 +34,20 @@ MAP = "vineyard.gpkg"
 # narrow as the smoother's. It is read when NumPy is imported, which comes after this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# The workers of xdist keep the memory of arrays instead of giving it back after each use: the
+# tests of maps spent a quarter of their time on getting it anew. glibc reads this when a process
+# starts, so the workers are given it, and what they start has its memory as everyone has it.
+KEPT_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(64 << 20), "MALLOC_TRIM_THRESHOLD_": str(256 << 20)}
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for name in KEPT_MEMORY:
+        os.environ.pop(name, None)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes() -> None:
+    """Comes before the workers are started."""
+    os.environ.update(KEPT_MEMORY)
+
 
 def pytest_collection_finish() -> None:
     """Spares the collector of garbage the half million objects that stay until the end.
