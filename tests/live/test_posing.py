@@ -15,7 +15,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimating import Estimator
-from fieldgrid.live.lag import TIMES_OFF, Asked, Trailing
+from fieldgrid.live.lag import Asked, Trailing
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.posing import Poser
@@ -168,19 +168,6 @@ def test_fixes_that_are_not_used_are_told_with_the_reason() -> None:
     assert "m" in text
 
 
-def test_a_receiver_whose_clock_jumps_is_not_followed_at_once() -> None:
-    trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
-    assert [trailing.add_fix(fix(0.2 * k)) for k in range(50)] == [""] * 50
-    refusal = trailing.add_fix(fix(9.0)._replace(time_ns=at_ns(86_400.0)))
-    assert "86390 s ahead" in refusal
-    assert trailing.add_fix(fix(10.0)) == ""
-    assert trailing.estimate(trailing.newest_ns).trajectory.time_ns[-1] == at_ns(10.0)
-    # A log that goes on another day is.
-    day = [trailing.add_fix(fix(86_400.0 + 0.2 * k)) for k in range(TIMES_OFF)]
-    assert day[-1] == ""
-    assert all(day[:-1])
-
-
 def test_a_receiver_that_was_silent_comes_back() -> None:
     """Of a drive with fixes at 0..20 s and from 40 s on, what is told at the end of it."""
 
@@ -241,18 +228,6 @@ def test_a_clock_that_jumps_and_comes_back_costs_that_while(jump_s: float) -> No
     assert last.is_trusted, last.doubt
     assert last.pose is not None
     assert math.hypot(last.pose.east_m, last.pose.north_m - 65.0 * SPEED_MPS) < 0.1
-
-
-def test_one_fix_of_another_time_costs_nothing() -> None:
-    trailing = Trailing(RIG, SETTINGS, DATUM, 20.0)
-    for k in range(100):
-        assert trailing.add_fix(fix(0.2 * k)) == ""
-        if k == 90:
-            for off_s, how in ((300.0, "300 s ahead"), (-300.0, "300 s behind")):
-                assert how in trailing.add_fix(fix(18.0)._replace(time_ns=at_ns(18.0 + off_s)))
-    track = trailing.estimate(trailing.newest_ns).trajectory
-    assert track.time_ns[-1] == trailing.newest_ns == at_ns(19.8)
-    assert track.accepted[-10:].all()
 
 
 def test_a_frame_without_a_step_waits_for_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:

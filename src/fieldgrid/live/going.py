@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -101,6 +102,13 @@ class Going:
             self._new[part].append(rows)
             if len(self._new[part]) >= MOST_NEW:
                 self._merge()
+
+    def forget(self, sources: Collection[str]) -> None:
+        """Forget what some sources said: it was of another time."""
+        with self._lock:
+            for part in self._tracks.keys() & set(sources):
+                self._tracks[part] = _NOTHING
+                self._new[part].clear()
 
     def _merge(self) -> tuple[_Track, _Track]:
         """The values of gyro and wheels, with what is new of them; under the lock."""

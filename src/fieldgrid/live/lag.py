@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.given import GIVEN_ROWS, given_motion
 from fieldgrid.live.sensed import Rows, motion_of
+from fieldgrid.live.stamps import FIXES, FRAMES
 from fieldgrid.motion import Motion
 from fieldgrid.odometry import Refusal, Step, steps_of
 from fieldgrid.pose import Budget, Estimate, estimate_poses
@@ -32,11 +34,6 @@ BEFORE_NS = 5_000_000_000
 
 FEWEST_FIXES = 3
 """Of fewer fixes nothing follows."""
-
-OFF_S, TIMES_OFF = 10.0, 10
-"""A fix that is stamped so far ahead of all else, or behind the newest fix, is not used here: one
-that is ahead would make all else too old to count. When so many come after each other, the clock
-of the receiver is followed."""
 
 
 class Asked(NamedTuple):
@@ -91,7 +88,6 @@ class Trailing:
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, Step | None]] = deque()
         self._last_fix_ns: int | None = None
-        self._off = 0
         self.newest_ns = 0
 
     @property
@@ -99,23 +95,11 @@ class Trailing:
         """The time of the newest fix, None before the first."""
         return self._last_fix_ns
 
-    def add_fix(self, fix: Fix) -> str:
-        """A fix, in any order. Returns why it is not used, or nothing."""
-        ahead_s = (fix.time_ns - self.newest_ns) / 1e9 if self.newest_ns else 0.0
-        behind_s = (self._last_fix_ns - fix.time_ns) / 1e9 if self._last_fix_ns else 0.0
-        self._off = self._off + 1 if max(ahead_s, behind_s) > OFF_S else 0
-        if 0 < self._off < TIMES_OFF:
-            how = f"{ahead_s:.0f} s ahead of all else"
-            if behind_s > OFF_S:
-                how = f"{behind_s:.0f} s behind the newest"
-            return f"A fix is stamped {how}, so poses do without it."
-        if self._off and behind_s > OFF_S:
-            self._go_back(fix.time_ns)
-        self._off = 0
+    def add_fix(self, fix: Fix) -> None:
+        """A fix, in any order."""
         self._fixes.append(fix)
         self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
         self._seen(fix.time_ns)
-        return ""
 
     def add_rows(self, part: str, rows: Rows) -> None:
         """Rows of gyro, wheels, IMU or tilt, or of poses, in any order."""
@@ -128,10 +112,16 @@ class Trailing:
         self._frames.append((time_ns, step))
         self._seen(time_ns)
 
-    def _go_back(self, time_ns: int) -> None:
-        """Forget the fixes after an instant: the clock by which they were stamped was put back."""
-        self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
-        self._last_fix_ns = None
+    def forget(self, sources: Collection[str], time_ns: int) -> None:
+        """Forget what some sources (`live.stamps`) said after an instant, of another time."""
+        if FIXES in sources:
+            self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
+            self._last_fix_ns = max((fix.time_ns for fix in self._fixes), default=None)
+        if FRAMES in sources:
+            self._frames = deque(frame for frame in self._frames if frame[0] <= time_ns)
+        for part in self._parts.keys() & set(sources):
+            chunks = self._parts[part]
+            self._parts[part] = deque(rows for rows in chunks if rows.time_ns.max() <= time_ns)
         rows_ns = (int(chunks[-1].time_ns[-1]) for chunks in self._parts.values() if chunks)
         frame_ns = self._frames[-1][0] if self._frames else time_ns
         self.newest_ns = max(time_ns, frame_ns, *rows_ns)

@@ -98,17 +98,17 @@ class Live(Closing):
         self._is_full, self._lost = False, 0
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns: int | None = None
-        """The time of the last frame that is kept, by the receiver's clock; None before the
-        first."""
+        """The time of the last frame that is kept, by the receiver's clock; None without."""
         if drive.frames:
             self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1][0]].time_ns
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
-        given = drive.parts.get(GIVEN_ROWS, ())
-        self._newest_pose_ns = max((int(rows.time_ns.max()) for rows in given), default=0)
+        given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))
+        self._newest_pose_ns = max(given_ns, default=0)
         self._most_late_ns = round(options.lag_s * 1e9)
         self._poser = Poser(rig, settings, datum or datum_hint, options, self._tell, poses)
-        self._go_on()
+        if self.is_resumed:
+            self._go_on()
         self._perceiver = Perceiver(
             self._kept,
             gridder,
@@ -117,6 +117,7 @@ class Live(Closing):
             tell=self._tell,
             pass_on=self._poser.put,
             way=self._poser.going.around,
+            stamps=self._poser.stamps,
         )
         self._kept.forget()
         self._stopping = threading.Event()
@@ -127,8 +128,6 @@ class Live(Closing):
     def _go_on(self) -> None:
         """Let poses begin with the end of what was pushed before a restart."""
         drive = self._kept.drive
-        if not self.is_resumed:
-            return
         text = f"The session {self.name!r} goes on: {len(drive.frames)} frames are kept."
         newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
         self._tell(LiveEvent(What.SESSION, text, newest_ns))
@@ -140,6 +139,7 @@ class Live(Closing):
             for rows in chunks:
                 if len(rows.time_ns) and rows.time_ns[-1] >= since_ns:
                     self._poser.put((part, rows))
+        self._poser.stamps.forget()  # nobody knows how long nobody listened
 
     @property
     def folder(self) -> Path:

@@ -19,6 +19,7 @@ from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
 from fieldgrid.live.kept import Kept
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
+from fieldgrid.live.stamps import Stamps
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import Features, Step, step
@@ -27,6 +28,10 @@ from fieldgrid.sweep import Way
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
+
+
+MOST_HELD = 20
+"""Frames that are stamped ahead of all else; of more the oldest are left out."""
 
 
 class Seen(NamedTuple):
@@ -65,6 +70,7 @@ class Perceiver:
         gridder: LocalGridder,
         *,
         odometry: bool,
+        stamps: Stamps,
         most_waiting: int,
         tell: Callable[[LiveResult], None],
         pass_on: Callable[[Seen], None],
@@ -72,7 +78,10 @@ class Perceiver:
     ) -> None:
         self._kept, self._gridder, self._odometry = kept, gridder, odometry
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
-        self._way = way
+        self._way, self._stamps = way, stamps
+        self._pushing = threading.Lock()
+        self._held: list[tuple[Frame, str]] = []
+        self._refuted = 0
         self._queue: deque[_Waiting] = deque()
         self._changed = threading.Condition()
         self._closed = False
@@ -97,8 +106,43 @@ class Perceiver:
     def push(self, frame: Frame, *, wait: bool) -> bool:
         """Let a frame be perceived; False where it is not, since it is not newer than the one
         before or since no frame is taken any more. With `wait` it waits for its turn where none
-        may be dropped."""
-        time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+        may be dropped. One that is stamped ahead of all else is held until it is clear what time it
+        is."""
+        with self._pushing:
+            judged = self._stamps.frame(self._time_ns(frame))
+            self._leave_refuted()
+            if judged.why:
+                self._held.append((frame, judged.why))
+                if len(self._held) > MOST_HELD:
+                    self._leave(*self._held.pop(0))
+                return True
+            self._let_in()
+            return self._put(frame, wait=wait)
+
+    def _let_in(self) -> None:
+        """Let frames be perceived that were held."""
+        held, self._held = self._held, []
+        for frame, _ in held:
+            self._put(frame, wait=True)
+
+    def _leave_refuted(self) -> None:
+        """Leave frames out that were held, where it came out that they are of another time."""
+        if self._refuted != self._stamps.refuted:
+            self._refuted, held, self._held = self._stamps.refuted, self._held, []
+            for frame, why in held:
+                self._leave(frame, why)
+
+    def _leave(self, frame: Frame, why: str) -> None:
+        self.late += 1
+        text = f"Frame {frame.frame_id} {why}; it was left out."
+        self._tell(LiveEvent(What.FRAME_LATE, text, self._time_ns(frame)))
+
+    def _time_ns(self, frame: Frame) -> int:
+        """When a frame was taken, by the receiver's clock."""
+        return frame.time_ns + self._gridder.rig.image_time_offset_ns
+
+    def _put(self, frame: Frame, *, wait: bool) -> bool:
+        time_ns = self._time_ns(frame)
         dropped = None
         with self._changed:
             is_again = time_ns == self._again_ns and self._last is None
@@ -114,11 +158,8 @@ class Perceiver:
                 self._queue.append(_Waiting(frame, time.monotonic(), is_again))
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
-            else:
-                self.late += 1
         if is_late:
-            text = f"Frame {frame.frame_id} is not newer than the one before; it was left out."
-            self._tell(LiveEvent(What.FRAME_LATE, text, time_ns))
+            self._leave(frame, "is not newer than the one before")
         if dropped is not None:
             self._kept.add_dropped(dropped.frame_id, dropped.time_ns)
             text = (
@@ -130,13 +171,21 @@ class Perceiver:
 
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame is perceived; False when that takes longer."""
+        self._end_doubt()
         with self._changed:
             return self._changed.wait_for(
                 lambda: not self._queue and self._done == self._taken, timeout_s
             )
 
+    def _end_doubt(self) -> None:
+        """Nothing more comes by which it could be told of what time frames are that are held."""
+        with self._pushing:
+            self._leave_refuted()
+            self._let_in()
+
     def close(self) -> None:
         """Perceive what waits, and end."""
+        self._end_doubt()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -189,7 +238,7 @@ class Perceiver:
         self._await(turn)
         if not waiting.is_again:
             frame = waiting.frame
-            time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+            time_ns = self._time_ns(frame)
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
 
@@ -197,13 +246,13 @@ class Perceiver:
         """Of a cloud, how the vehicle went while it was taken, as far as that is known by now."""
         if not isinstance(frame, CloudFrame):
             return None
-        way = self._way(frame.time_ns + self._gridder.rig.image_time_offset_ns)
+        way = self._way(self._time_ns(frame))
         if way is None:
             self._kept.add_as_seen(frame.frame_id)
         return way
 
     def _bad(self, frame: Frame, reason: str) -> None:
-        time_ns = frame.time_ns + self._gridder.rig.image_time_offset_ns
+        time_ns = self._time_ns(frame)
         self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
         text = f"Frame {frame.frame_id} cannot be used: {reason}"
         self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))

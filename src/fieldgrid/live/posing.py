@@ -32,6 +32,7 @@ from fieldgrid.live.perceiving import Seen
 from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.sensed import Rows
+from fieldgrid.live.stamps import Judged, Stamps
 from fieldgrid.live.window import MOVES_M, Placed, RollingWindow
 from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
@@ -54,6 +55,9 @@ UNSEEN_DEG = 20.0
 
 MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
+
+
+_Said = Fix | Seen | Estimated | tuple[str, Rows]
 
 
 class _Frames(NamedTuple):
@@ -83,8 +87,10 @@ class Poser:
         )
         self.going = Going(rig.rear_axle_forward_m)
         """How the vehicle goes just now."""
+        self.stamps = Stamps()
+        """Whether what is pushed is of the time of all else."""
         self._budget, self._settings = cell_budget(rig, settings), settings.pose
-        self._inbox: deque[Fix | Seen | Estimated | tuple[str, Rows]] = deque(maxlen=MOST_INBOX)
+        self._inbox: deque[_Said | Judged] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
         self._estimate: Estimate | None = None
@@ -110,11 +116,27 @@ class Poser:
         self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
         self._thread.start()
 
-    def put(self, said: Fix | Seen | Estimated | tuple[str, Rows]) -> None:
+    def put(self, said: _Said) -> None:
         """Take what was pushed, or what was estimated of it; it never blocks."""
-        if type(said) is tuple:
-            self.going.add_rows(*said)
+        judged = Judged()
+        if isinstance(said, Fix):
+            judged = self.stamps.fix(said.time_ns)
+            if judged.why:
+                self._tell(LiveEvent(What.FIX_REFUSED, judged.why, said.time_ns))
+                return
+        elif not isinstance(said, Seen | Estimated):
+            part, rows = said
+            taken, judged = self.stamps.rows(part, rows)
+            if judged.is_first:
+                self._tell(LiveEvent(What.INPUT, judged.why, int(rows.time_ns[-1])))
+            if taken is None:
+                return
+            self.going.add_rows(part, taken)
+            said = (part, taken)
+        self.going.forget(judged.lost)
         with self._changed:
+            if judged.lost:
+                self._inbox.append(judged)
             self._inbox.append(said)
             if not isinstance(said, Estimated):
                 self._heard_s = time.monotonic()
@@ -179,10 +201,11 @@ class Poser:
         if made is not None:
             self._take_estimate(made)
 
-    def _take(self, said: Fix | Seen | Estimated | tuple[str, Rows]) -> None:
+    def _take(self, said: _Said | Judged) -> None:
         if isinstance(said, Fix):
-            if why := self._trailing.add_fix(said):
-                self._say(What.FIX_REFUSED, why)
+            self._trailing.add_fix(said)
+        elif isinstance(said, Judged):
+            self._trailing.forget(said.lost, said.back_ns)
         elif isinstance(said, Seen):
             seen = self._newest = self._repeats.taken(said)
             if seen.is_kept:
