@@ -39,10 +39,13 @@ def changed(sound: Path, tmp_path: Path, statement: str) -> Path:
 
 
 def problems(path: Path) -> tuple[str, ...]:
+    """What is wrong with a map; nothing is, where its sums fit."""
     with open_map(path) as universal:
-        found = universal.verify(deep=True).problems
-        assert set(found) <= set(universal.verify().problems)
-        return found
+        verdict = universal.verify()
+        if verdict.deep:  # the sums did not fit, and everything was made again
+            return verdict.problems
+        assert universal.verify(deep=True).problems == ()
+        return ()
 
 
 def test_a_map_as_written_is_sound(sound: Path) -> None:
