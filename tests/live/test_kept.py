@@ -9,7 +9,9 @@ import random
 import shutil
 import signal
 import subprocess
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -152,13 +154,43 @@ def test_some_pairs_over_all_of_the_drive_are_kept(short_drive: Path, tmp_path: 
         pair = next(iter(recording.frames())).images()
         kept = live._kept
         for number in range(100):
-            if kept.wants_pair(number):
+            if kept.claim_pair(number, 600_000_000 * number):
                 kept.add_pair(number, *pair)
         numbers = sorted(int(path.name[:8]) for path in live.folder.glob("*-left.png"))
         live.stop()
     assert len(numbers) <= MOST_PAIRS
     assert numbers == list(range(0, 100, numbers[1]))
     assert numbers[-1] >= 80
+
+
+def test_of_frames_that_follow_fast_few_pairs_are_kept(short_drive: Path, tmp_path: Path) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        claimed = [k for k in range(30) if live._kept.claim_pair(k, 10**18 + 100_000_000 * k)]
+        live.stop()
+    assert claimed == [0, 5, 10, 15, 20, 25]
+
+
+def test_no_frame_waits_for_the_pair_of_another(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk may take long for a pair; the other thread goes on meanwhile."""
+    free, begun, add = threading.Event(), threading.Event(), Kept.add_pair
+
+    def slow(kept: Kept, number: int, left: Any, right: Any) -> None:
+        if number == 0:
+            begun.set()
+            assert free.wait(60)
+        add(kept, number, left, right)
+
+    monkeypatch.setattr(Kept, "add_pair", slow)
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording, begin(recording, out) as live:
+        replay(live, recording, rate=None)
+        assert begun.wait(60)
+        assert live.counts.frames == 6
+        free.set()
+    assert content(out) == content(built)
 
 
 def test_one_program_at_a_time_has_a_session(short_drive: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ two loses that frame alone.
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import astuple, dataclass, field
@@ -46,8 +47,9 @@ from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Lidar, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 
-MOST_PAIRS = 12
-"""Pairs that are kept to check the cameras: every one at first, then every second, and so on."""
+MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
+"""Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
+of frames that follow faster, since a pair takes as much as a third of a frame."""
 
 _JOURNAL, _FRAMES = "journal", "frames.grids"
 
@@ -193,7 +195,8 @@ class Kept(Closing):
         or where nothing is there to go on with."""
         self.out, self.folder = out, live_folder(out)
         self._open = ExitStack()
-        self._pairs_every = 1
+        self._pairing = threading.Lock()
+        self._pairs_every, self._pair_ns = 1, -PAIR_EVERY_NS
         journal = self.folder / _JOURNAL
         if about is None and not journal.is_file():
             raise ConfigError(
@@ -268,14 +271,19 @@ class Kept(Closing):
         """Keep that nothing told how the vehicle went while a cloud was taken."""
         return self.journal.append("as seen", frame_id)
 
-    def wants_pair(self, number: int) -> bool:
-        """Whether the pair of this frame is one by which the cameras are checked."""
-        return number % self._pairs_every == 0
+    def claim_pair(self, number: int, time_ns: int) -> bool:
+        """Whether the pair of this frame is one by which the cameras are checked, and is to be
+        added; none is of the frames just after it."""
+        is_due = number % self._pairs_every == 0 and abs(time_ns - self._pair_ns) >= PAIR_EVERY_NS
+        if is_due:
+            self._pair_ns = time_ns
+        return is_due
 
     def add_pair(self, number: int, left: Image, right: Image) -> None:
-        """Keep a pair, and fewer of the others; one that the disk refuses is not kept."""
+        """Keep a pair, and fewer of the others; one that the disk refuses is not kept. It may wait
+        for the disk, and may be called from any thread."""
         fast = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-        with suppress(OSError):
+        with self._pairing, suppress(OSError):
             # Each whole or not there, and the left one last: it tells that there is a pair.
             for side, image in (("right", right), ("left", left)):
                 with replacing(self.folder / f"{number:08d}-{side}.png") as draft:

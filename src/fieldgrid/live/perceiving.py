@@ -202,7 +202,7 @@ class Perceiver:
                 waiting, turn = self._queue.popleft(), self._taken
                 self._taken += 1
                 self._changed.notify_all()
-            problem, looked = None, None
+            problem, looked, pair = None, None, None
             try:
                 way = self._way_of(waiting.frame)
                 looked = stage_frame(
@@ -217,7 +217,7 @@ class Perceiver:
             self._await(turn)
             try:
                 if looked is not None:
-                    self._keep(waiting, *looked)
+                    pair = self._keep(waiting, *looked)
             except Exception as error:  # noqa: BLE001 - as above
                 problem = error
             if problem is not None:
@@ -226,6 +226,8 @@ class Perceiver:
             with self._changed:
                 self._done += 1
                 self._changed.notify_all()
+            if pair is not None:
+                self._keep_pair(pair, waiting.frame)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -257,13 +259,14 @@ class Perceiver:
         text = f"Frame {frame.frame_id} cannot be used: {reason}"
         self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
 
-    def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> None:
+    def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> int | None:
+        """Keep a frame and pass it on; its number where its images are to be kept, too."""
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         # Behind it the stage file may have frames of which the journal does not know.
         if waiting.is_again:
             self._last = seen.features
-            return
+            return None
         start = time.thread_time()
         found: Found = None
         if self._last is not None and seen.features is not None:
@@ -296,5 +299,14 @@ class Perceiver:
                 *(one_step, is_kept, waiting.pushed_s, seen.sources_sha256),
             )
         )
-        if is_kept and isinstance(frame, StereoFrame) and kept.wants_pair(number):
-            kept.add_pair(number, *frame.images())
+        return number if is_kept and kept.claim_pair(number, time_ns) else None
+
+    def _keep_pair(self, number: int, frame: Frame) -> None:
+        """Keep the images of a frame; no other frame waits for that."""
+        if not isinstance(frame, StereoFrame):
+            return
+        try:
+            self._kept.add_pair(number, *frame.images())
+        except FieldgridError as error:
+            text = f"The images of frame {frame.frame_id} cannot be kept: {error}"
+            self._tell(LiveEvent(What.INPUT, text, self._time_ns(frame)))
