@@ -6,6 +6,7 @@ import csv
 import gc
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,11 @@ MAP = "vineyard.gpkg"
 # Beside other programs the threads of BLAS wait for each other longer than they work on bands as
 # narrow as the smoother's. It is read when NumPy is imported, which comes after this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# However pytest is started: compiling the tests takes three times as long as collecting them, and
+# the hundreds of Pythons that they start would compile the whole package, each.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # The workers of xdist keep the memory of arrays instead of giving it back after each use: the
 # tests of maps spent a quarter of their time on getting it anew. glibc reads this when a process
