@@ -20,13 +20,16 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.live import LiveOptions, McapStream, Sources, live_folder
 from fieldgrid.live.mcap_stream import PoseTopic
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DriveOptions, PoseBody, open_recording
+from fieldgrid.recording import CloudFrame, DriveOptions, PoseBody, open_recording
+from fieldgrid.recording.cloud_files import CloudKind
+from fieldgrid.recording.depth_files import DepthFormat, DepthKind
 from fieldgrid.recording.growing import open_growing
 from fieldgrid.recording.pose_files import read_pose_file
 from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.recording.stored import PairKind
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
+from tests.build.yard import recorded as recorded_yard
 from tests.live.making import begin, slam
 from tests.live.sources import QUICK, Heard, running
 from tests.recording.bags import Maker
@@ -73,6 +76,42 @@ def pipe(tmp_path: Path) -> Path:
     path = tmp_path / "pipe"
     os.mkfifo(path)
     return path
+
+
+def test_clouds_out_of_a_pipe_are_those_of_a_bag(pipe: Path, tmp_path: Path) -> None:
+    """With the times of their points, and the axes that the name of their frame tells."""
+    drive = recorded_yard(tmp_path / "yard")
+    convert_recording(drive, tmp_path / "all.mcap")
+    bag = write_as_it_comes(tmp_path / "drive.mcap", messages_of(tmp_path / "all.mcap"))
+    with (drive / "recording.toml").open("a") as settings:
+        settings.write("\n[cloud]\npoints_per_sr = 1000.0\n")
+    kind = open_growing(drive).kind
+    with open_recording(bag) as recording, open_recording(drive) as stored:
+        theirs, first = list(recording.frames()), next(iter(stored.frames()))
+        fixes = len(recording.fixes())
+        with running(McapStream(str(pipe), kind)) as notes:
+            write(pipe, bag.read_bytes())
+            notes.wait(lambda: len(notes.frames) == len(theirs) and len(notes.fixes) == fixes)
+        for one, other in zip(notes.frames, theirs, strict=True):
+            assert isinstance(one, CloudFrame)
+            assert isinstance(other, CloudFrame)
+            assert (one.frame_id, one.time_ns) == (other.frame_id, other.time_ns)
+            for ours, its in zip(one.source.sweep(), other.source.sweep(), strict=True):
+                assert np.array_equal(ours, its)
+        assert isinstance(first, CloudFrame)
+        points_m = notes.frames[0].source.sweep().points_m  # type: ignore[union-attr]
+        assert np.allclose(points_m, first.source.sweep().points_m, atol=1e-5)
+
+
+def test_the_rig_says_whether_pairs_or_clouds_are_taken(
+    short_drive: Path, recorded: Path, pipe: Path
+) -> None:
+    with running(McapStream(str(pipe), CloudKind())) as notes:
+        write(pipe, recorded.read_bytes())
+        notes.wait(lambda: len(notes.fixes) == 110)
+    assert not notes.frames
+    with pytest.raises(ConfigError, match="a stereo camera or a lidar"):
+        McapStream(str(pipe), DepthKind((4, 4), DepthFormat("depth")))
 
 
 def stream(drive: Path, pipe: Path, poses: PoseTopic | None = None, **topics: str) -> McapStream:

@@ -59,8 +59,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--mcap",
             metavar="-|FIFO|URL",
-            help="Take images, fixes, gyro and wheels of an MCAP as it comes: standard input, a "
-            "FIFO, or tcp://HOST:PORT.",
+            help="Take images or clouds, fixes, gyro and wheels of an MCAP as it comes: standard "
+            "input, a FIFO, or tcp://HOST:PORT.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -78,7 +78,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--rig",
             metavar="FOLDER",
-            help="The folder of a recording whose calibration/ is that of --camera or --mcap.",
+            help="The folder of a recording whose calibration/ is that of --camera or --mcap; of a "
+            "lidar's --mcap, whose mounting is.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -178,7 +179,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
     images: Source
     body, pose_topic = None, None
     if flags.mcap is not None:
-        folder, kind = _camera_rig(flags, drive)
+        folder = _rig(flags, drive)
         mounting = drive.options().find_mounting(mounting_path(folder.path), folder.path)
         said = poses.source()
         if said is not None:
@@ -194,7 +195,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
             pose_topic = PoseTopic(said.topic, offset_ns)
         images = McapStream(
             flags.mcap,
-            kind,
+            folder.kind,
             drive.options().topics,
             imu_axes=mounting.imu_axes,
             takes_fixes=receiver is None,
@@ -224,17 +225,23 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
 def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, PairKind]:
     """The folder of --rig, which must be that of a stereo camera, and what its pairs are."""
     from fieldgrid.errors import ConfigError
-    from fieldgrid.recording.growing import open_growing
     from fieldgrid.recording.stored import PairKind
 
-    if flags.rig is None:
-        raise typer.BadParameter(
-            "say which folder has the calibration/ of the camera", param_hint="--rig"
-        )
-    folder = open_growing(flags.rig, drive.options())
+    folder = _rig(flags, drive)
     if not isinstance(folder.kind, PairKind):
         raise ConfigError(f"{flags.rig} is of no stereo pair; give the rig of the camera.")
     return folder, folder.kind
+
+
+def _rig(flags: SourceFlags, drive: DriveFlags) -> GrowingFolder:
+    """The folder of --rig."""
+    from fieldgrid.recording.growing import open_growing
+
+    if flags.rig is None:
+        raise typer.BadParameter(
+            "say which folder has the calibration/ of the camera or the lidar", param_hint="--rig"
+        )
+    return open_growing(flags.rig, drive.options())
 
 
 _LOOK_S = 0.2

@@ -19,12 +19,15 @@ from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
 from fieldgrid.live.receiver import ReceiverStream
 from fieldgrid.live.sensed import rows_of
-from fieldgrid.recording.bag.frames import PairMaker, Taken
+from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
+from fieldgrid.recording.bag.mounts import is_optical, optical
 from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
 from fieldgrid.recording.bag.topics import ODOMETRY
+from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.recording.cloud_files import CloudKind
 from fieldgrid.recording.motion_files import AXES, directions
-from fieldgrid.recording.stored import PairKind
+from fieldgrid.recording.stored import FrameKind, PairKind
 from fieldgrid.ros import Message, decode
 from fieldgrid.ros.gnss import DATUM
 from fieldgrid.ros.model import Connection, Definition, ros2_name
@@ -36,6 +39,7 @@ MOST_WAITING = 16
 """Images of one side that wait for their partner; the oldest of more is left out."""
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_CLOUD = "sensor_msgs/msg/PointCloud2"
 _BY_TYPE = {
     "sensor_msgs/msg/NavSatFix": "fix",
     "nmea_msgs/msg/Sentence": "nmea",
@@ -43,7 +47,7 @@ _BY_TYPE = {
     ODOMETRY: "odometry",
 }
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
-ROLES = ("left", "right", *_BY_TYPE.values())
+ROLES = ("left", "right", "cloud", *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
 _SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
 
@@ -95,7 +99,7 @@ class _Channel(NamedTuple):
 
 class McapStream:
     """An MCAP out of standard input (`-`), a FIFO or tcp://HOST:PORT, with the pairs of a camera
-    whose calibration is known: `kind` says of what they are.
+    whose calibration is known, or the clouds of a lidar: `kind` says of what they are.
 
     `topics` are those of roles (`ROLES`) that are not to be told by type and name, `imu_axes` how
     an IMU sits. Without `takes_fixes` they are left to a receiver. `poses` is the topic of those of
@@ -105,7 +109,7 @@ class McapStream:
     def __init__(
         self,
         address: str,
-        kind: PairKind,
+        kind: FrameKind,
         topics: Mapping[str, str] | None = None,
         *,
         imu_axes: str = AXES,
@@ -116,6 +120,11 @@ class McapStream:
         if self._address.kind not in ("stdin", "fifo", "tcp"):
             raise ConfigError(
                 f"No MCAP is read from {address!r}; give -, the path of a FIFO or tcp://HOST:PORT."
+            )
+        if not isinstance(kind, PairKind | CloudKind):
+            raise ConfigError(
+                "Of an MCAP pairs and clouds are read while driving; give the rig of a stereo "
+                "camera or a lidar."
             )
         self._given = dict(topics or {})
         for role in self._given:
@@ -130,6 +139,7 @@ class McapStream:
         self._nmea = ReceiverStream()
         self._waiting: tuple[deque[Taken], deque[Taken]] = deque(), deque()
         self._frames = 0
+        self._turned: dict[str, CloudMaker] = {}
         self._fixes_of = ""
 
     @property
@@ -190,7 +200,9 @@ class McapStream:
             if name == topic:
                 return role
         role = "" if topic == DATUM else _BY_TYPE.get(connection.type, "")
-        if connection.type in _IMAGES:
+        if isinstance(self._kind, CloudKind):
+            role = "cloud" if connection.type == _CLOUD else role
+        elif connection.type in _IMAGES:
             role = next((side for side in ("left", "right") if side in topic.lower()), "")
         if not role or role in self._given:
             return ""
@@ -205,6 +217,7 @@ class McapStream:
 
     def _take(self, role: str, message: Message, intake: Intake) -> None:
         takers: dict[str, Callable[[Message, int, Intake], None]] = {
+            "cloud": self._cloud,
             "fix": self._fix,
             "nmea": self._sentence,
             "imu": self._turn,
@@ -220,14 +233,30 @@ class McapStream:
             )
         try:
             if role in ("left", "right"):
-                self._image(role, Taken(message, time_ns), intake)
+                self._image(self._kind, role, Taken(message, time_ns), intake)
             else:
                 takers[role](message, time_ns, intake)
         except (ConfigError, RecordingError) as problem:
             self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
 
-    def _image(self, role: str, taken: Taken, intake: Intake) -> None:
+    def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
+        """Give a cloud, whose frame tells by its name when its axes are those of a camera."""
+        kind = self._kind
+        if not isinstance(kind, CloudKind):
+            raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
+        topic = message.topic
+        if topic not in self._turned:
+            frame = str(decode(message).header.frame_id)
+            R = np.eye(3) if is_optical(frame) else optical(frame, Transforms(), kind.axes)
+            self._turned[topic] = CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
+        maker = self._turned[topic]
+        intake.push_frame(maker.frame(self._frames, time_ns, (Taken(message, time_ns),)))
+        self._frames += 1
+
+    def _image(self, kind: PairKind | CloudKind, role: str, taken: Taken, intake: Intake) -> None:
         """Hold an image until its partner comes, and give the pair."""
+        if isinstance(kind, CloudKind):
+            raise ConfigError("the rig is of a lidar; give that of the camera with --rig.")
         left, right = self._waiting
         (left if role == "left" else right).append(taken)
         while left and right:
@@ -239,7 +268,6 @@ class McapStream:
             else:
                 pair = left.popleft(), right.popleft()
                 packed = tuple(one.message.connection.type == _IMAGES[1] for one in pair)
-                kind = self._kind
                 bits = kind.image_format.bits or 16
                 maker = PairMaker(kind.size_px, kind.rectifier, packed, bits)
                 intake.push_frame(maker.frame(self._frames, pair[0].time_ns, pair))
