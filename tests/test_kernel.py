@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _MODULE = """
 from fieldgrid.kernel import kernel
 
@@ -26,11 +28,39 @@ print(double.is_kept())
 """
 
 
-def _run(folder: Path) -> list[str]:
+_COLLECTOR = """
+import gc, sys
+import numpy as np
+from numba.core import event
+from loops import double
+
+class Passes(event.Listener):
+    collects = set()
+    def on_start(self, event):
+        self.collects.add(gc.isenabled())
+    def on_end(self, event):
+        pass
+
+event.register("numba:run_pass", Passes())
+(gc.enable if sys.argv[1] == "on" else gc.disable)()
+double(np.ones(2))
+try:
+    double("no array")
+except Exception as error:
+    print(type(error).__name__)
+print(Passes.collects, gc.isenabled())
+"""
+
+
+def _run(folder: Path, program: str = _RUN, *arguments: str) -> list[str]:
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "kept")}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     done = subprocess.run(
-        [sys.executable, "-c", _RUN], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return done.stdout.split()
 
@@ -45,3 +75,11 @@ def test_that_a_kernel_is_compiled_is_told_once_and_what_is_kept_is_known(tmp_pa
     later_ns = 10_000_000_000 + module.stat().st_mtime_ns
     os.utime(module, ns=(later_ns, later_ns))
     assert _run(tmp_path)[:2] == ["False", "compiling"]
+
+
+@pytest.mark.parametrize(("before", "after"), [("on", "True"), ("off", "False")])
+def test_the_collector_rests_while_a_kernel_is_compiled_and_then_is_as_before(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    (tmp_path / "loops.py").write_text(_MODULE)
+    assert _run(tmp_path, _COLLECTOR, before) == ["TypingError", "{False}", after]

@@ -16,7 +16,7 @@ import scipy.special
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gear.holes import EDGE_SHARE, carried_on_nats, slows, tight_nats
-from fieldgrid.kernel import kernel
+from fieldgrid.kernel import kernel, part_of_kernel
 
 CUT_DEG = 75.0
 """A path whose direction before and after a point differs by more may have turned back there."""
@@ -191,7 +191,7 @@ def first_beyond_in(points, part, reach_m, step):  # type: ignore[no-untyped-def
     return found
 
 
-@kernel
+@part_of_kernel
 def _beyond(points, part, k, step, reach_m):  # type: ignore[no-untyped-def]
     i = k + step
     while 0 <= i < points.shape[0] and part[i] == part[k]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.kernel import kernel
+from fieldgrid.kernel import kernel, part_of_kernel
 from fieldgrid.smoother.envelope import STATES, Envelope
 
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
@@ -96,8 +96,8 @@ def empty_system(shape: Envelope) -> System:
     )
 
 
-@kernel
-def add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
+@part_of_kernel
+def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
     """One weighted residual with its slopes into the normal equations. An index beyond the
     states is a constant's."""
     shape, values, right, border, corner, right_constants, total = system
@@ -176,7 +176,7 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
     _put_node(system, pair, side, len(step_s))
 
 
-@kernel
+@part_of_kernel
 def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
     """Add the equations of node k, which are complete, and make the next node the first of the
     pair; what couples the two waits in the next node's rows."""
@@ -200,7 +200,7 @@ def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
                 pair[STATES + a, b] = 0.0
 
 
-@kernel
+@part_of_kernel
 def _add_to_pair(pair, side, index, slope, residual, weight):  # type: ignore[no-untyped-def]
     for a in range(len(index)):
         scaled = weight * slope[a]
@@ -211,7 +211,7 @@ def _add_to_pair(pair, side, index, slope, residual, weight):  # type: ignore[no
     return weight * residual * residual
 
 
-@kernel
+@part_of_kernel
 def _add_drift(pair, side, x, k, state, fading, variance):  # type: ignore[no-untyped-def]
     residual = x[k + 1, state] - fading * x[k, state]
     weight = 1.0 / variance
@@ -223,7 +223,7 @@ def _add_drift(pair, side, x, k, state, fading, variance):  # type: ignore[no-un
     return weight * residual * residual
 
 
-@kernel
+@part_of_kernel
 def _add_kinematics(pair, side, x, k, h, turn_noise):  # type: ignore[no-untyped-def]
     """A vehicle moves along its heading, and turns by its curvature."""
     index, slope = np.empty(8, np.int64), np.empty(8)
@@ -256,7 +256,7 @@ def _add_kinematics(pair, side, x, k, h, turn_noise):  # type: ignore[no-untyped
     return squared + _add_to_pair(pair, side, index, slope, turn, 1.0 / (turn_noise**2 * h))
 
 
-@kernel
+@part_of_kernel
 def _add_start(pair, side, x, k, at):  # type: ignore[no-untyped-def]
     """What is known of a node with nothing before it: little."""
     for state, sigma in ((E, 1e5), (N, 1e5), (PHI, 10.0), (V, 10.0), (KAPPA, CURVATURE_SIGMA)):
@@ -286,9 +286,9 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
         index[3], index[4] = STATES * k + BIAS_E, STATES * k + BIAS_N
         # The axes are held while the antenna turns about the axle.
         slope[0], slope[1], slope[2], slope[3], slope[4] = sin, cos, -lever[0], sin, cos
-        add_residual(system, index, slope, ahead, weight[k, 0])
+        _add_residual(system, index, slope, ahead, weight[k, 0])
         slope[0], slope[1], slope[2], slope[3], slope[4] = cos, -sin, lever[1], cos, -sin
-        add_residual(system, index, slope, right, weight[k, 1])
+        _add_residual(system, index, slope, right, weight[k, 1])
         off[k, 0], off[k, 1] = -ahead, -right
     return off
 
@@ -321,7 +321,7 @@ def add_headings(system, x, offset, heading, weight):  # type: ignore[no-untyped
             off[k] = x[k, PHI] + offset - heading[k]
             off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
             index[0] = STATES * k + PHI
-            add_residual(system, index, slope, off[k], weight[k])
+            _add_residual(system, index, slope, off[k], weight[k])
     return off
 
 
@@ -336,7 +336,7 @@ def add_speeds(system, x, scale, speed, weight):  # type: ignore[no-untyped-def]
             off[k] = (1.0 + scale) * x[k, V] - speed[k]
             index[0] = STATES * k + V
             slope[0], slope[1] = 1.0 + scale, x[k, V]
-            add_residual(system, index, slope, off[k], weight[k])
+            _add_residual(system, index, slope, off[k], weight[k])
     return off
 
 
@@ -369,12 +369,12 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         slope[2] = size * right
         slope[5] = size * ahead_m * (cos_b * sin - sin_b * cos)
         slope[6] = forward
-        add_residual(system, index, slope, off[s, 0], weight[s, 0])
+        _add_residual(system, index, slope, off[s, 0], weight[s, 0])
         slope[0], slope[1], slope[3], slope[4] = -size * cos, size * sin, size * cos, -size * sin
         slope[2] = -size * (forward + ahead_m)
         slope[5] = size * ahead_m * (cos_b * cos + sin_b * sin)
         slope[6] = right
-        add_residual(system, index, slope, off[s, 1], weight[s, 0])
+        _add_residual(system, index, slope, off[s, 1], weight[s, 0])
         turns[0], turns[1] = STATES * a + PHI, STATES * b + PHI
-        add_residual(system, turns, turn_slope, off[s, 2], weight[s, 1])
+        _add_residual(system, turns, turn_slope, off[s, 2], weight[s, 1])
     return off
