@@ -39,8 +39,8 @@ poses = st.builds(
         status=status,
         reason="" if status is Status.OK else "why not",
     ),
-    st.integers(-20, 20),
-    st.integers(-20, 20),
+    st.integers(-60, 60),
+    st.integers(-60, 60),
     st.integers(-480, 480),
     st.sampled_from([Status.OK, Status.OK, Status.OK, Status.REJECTED, Status.HELD]),
 )
