@@ -90,11 +90,6 @@ class Trailing:
         self._last_fix_ns: int | None = None
         self.newest_ns = 0
 
-    @property
-    def last_fix_ns(self) -> int | None:
-        """The time of the newest fix, None before the first."""
-        return self._last_fix_ns
-
     def add_fix(self, fix: Fix) -> None:
         """A fix, in any order."""
         self._fixes.append(fix)

@@ -20,7 +20,6 @@ from fieldgrid.recording.tables import Table, open_table
 AXES = "flu"
 """How an IMU is mounted when nothing is said: x forward, y left, z up."""
 
-_OPPOSITE = {"f": "b", "b": "f", "l": "r", "r": "l", "u": "d", "d": "u"}
 _DIRECTIONS = {
     **{"f": (1, 0, 0), "b": (-1, 0, 0), "l": (0, 1, 0)},
     **{"r": (0, -1, 0), "u": (0, 0, 1), "d": (0, 0, -1)},

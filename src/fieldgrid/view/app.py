@@ -40,8 +40,6 @@ _MAX_TILE = 1 << 26
 _FOREVER = {"Cache-Control": "private, max-age=31536000, immutable"}
 _FRESH = {"Cache-Control": "no-store"}
 
-Handler = Callable[[Request], Response]
-
 
 class Viewer(NamedTuple):
     """What is shown, and what may be done with it."""
