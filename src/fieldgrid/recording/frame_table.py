@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
@@ -42,6 +42,10 @@ class Layout(NamedTuple):
 PAIRS = Layout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
 
 
+FEWEST_ROWS, MOST_ASTRAY = 10, 0.02
+"""Of a table with fewer rows, or of which more are not in order of time, nothing is told of one."""
+
+
 def read_frames(
     folder: Path, table: str | None = None, layout: Layout = PAIRS
 ) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
@@ -54,7 +58,8 @@ def read_frames(
     path = folder / (table or TABLE)
     if table is not None or path.exists():
         shots = _from_table(path, layout)
-        return checked_shots(shots, folder, layout.what, incomplete=layout.incomplete), ()
+        checked = checked_shots(shots, folder, layout.what, incomplete=layout.incomplete)
+        return checked, _out_of_order(shots, path)
     shots, notes = _from_names(folder, layout)
     return checked_shots(shots, folder, layout.what), notes
 
@@ -68,6 +73,23 @@ def _from_table(path: Path, layout: Layout) -> list[Shot]:
             )
         shots.append(shot_of_row(row, f"{path}, line {line}", layout))
     return shots
+
+
+def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:
+    """A remark on frames whose stamps do not fit between those around them in a table that is in
+    order of time but for them."""
+    astray = [
+        at
+        for before, at, after in zip(shots, shots[1:], shots[2:], strict=False)
+        if before.time_ns <= after.time_ns and not before.time_ns <= at.time_ns <= after.time_ns
+    ]
+    if not astray or len(shots) < FEWEST_ROWS or len(astray) > max(1, MOST_ASTRAY * len(shots)):
+        return ()
+    return (
+        f"Frames that stand in {path.name} between such as were taken at another time: "
+        f"{len(astray)}, the first of them {astray[0].frame_id}. They are used where their stamps "
+        "say; if these are wrong, leave their rows out.",
+    )
 
 
 def needed_columns(layout: Layout) -> tuple[str, ...]:
