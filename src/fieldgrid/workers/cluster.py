@@ -266,6 +266,7 @@ def _travelling() -> Callable[..., Any]:
         module, _, name = function.partition(":")
         try:
             from fieldgrid.errors import FieldgridError
+            from fieldgrid.workers.allocation import keep_freed_memory
             from fieldgrid.workers.versions import versions
 
             call = getattr(importlib.import_module(module), name)
@@ -277,6 +278,7 @@ def _travelling() -> Callable[..., Any]:
             if found.get(library) != version:
                 what = f"has {library} {found.get(library)}, not {version}"
                 return "unable", (platform.node(), what)
+        keep_freed_memory()
         try:
             return "done", call(data, *arguments)
         except FieldgridError as error:
