@@ -1,6 +1,6 @@
 """Work on a map by one thread, by two, and by the two workers of a Dask cluster, interleaved:
 
-    python -m benchmarks.cluster verify MAP.gpkg [ROUNDS]
+    python -m benchmarks.cluster verify|align MAP.gpkg [ROUNDS]
 
 Scheduler and workers are programs of their own, which stay for all rounds. The ratios of wall times
 say something on an idle machine with two cores only; the processor time says anywhere what the way
@@ -69,7 +69,18 @@ def _verify(path: Path, given: Mapping[str, Any]) -> None:
         assert universal.verify(deep=True, **given).sound
 
 
-WORK: Mapping[str, Callable[[Path, Mapping[str, Any]], None]] = {"verify": _verify}
+def _align(path: Path, given: Mapping[str, Any]) -> None:
+    from fieldgrid.align import align_map
+    from fieldgrid.mapfile import open_map
+
+    with open_map(path) as universal:
+        align_map(universal, **given)
+
+
+WORK: Mapping[str, Callable[[Path, Mapping[str, Any]], None]] = {
+    "verify": _verify,
+    "align": _align,
+}
 
 
 def main(what: str, path: Path, rounds: int) -> None:

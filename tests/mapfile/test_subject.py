@@ -11,7 +11,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ from typing import Any
 import pytest
 
 from fieldgrid.errors import ClusterError, ConfigError
-from fieldgrid.mapfile import open_map, subject
+from fieldgrid.mapfile import open_map, sharing, subject
+from fieldgrid.mapfile.database import connect, reading
 from fieldgrid.mapfile.header import read_header
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.workers import connecting
@@ -153,8 +154,8 @@ def test_a_worker_that_cannot_see_the_map_ends_it_and_is_no_problem_of_the_map(
     def check(path: Path, size: int | None, things: str) -> None:
         raise ClusterError(f"{path} does not exist on the worker there; copy the {things}.")
 
-    subject._opened.cache_clear()
-    monkeypatch.setattr(subject, "check_is_here", check)
+    sharing.opened.cache_clear()
+    monkeypatch.setattr(sharing, "check_is_here", check)
     with (
         open_map(sound) as universal,
         pytest.raises(ClusterError, match=r"map\.gpkg does not exist .*; copy the map\."),
@@ -167,19 +168,29 @@ def sent(path: Path) -> bytes:
         return pickle.dumps(Subject(connection, path, read_header(connection, path)))
 
 
+def truncated(path: Path) -> None:
+    path.write_bytes(b"1")
+
+
+def earlier(path: Path) -> None:
+    """A copy from before the last change, of the same size."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        query = (
+            "UPDATE fieldgrid_meta SET value = 'x' || substr(value, 2) WHERE key = 'root_sha256'"
+        )
+        assert database.execute(query).rowcount == 1
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (Path.unlink, r"does not exist on the worker .*; mount or copy the map to the same path"),
-        (lambda path: path.write_bytes(b"1"), r"has 1 bytes on the worker .*, and \d+ here; mount"),
-        (
-            lambda path: path.write_bytes(b"1" + path.read_bytes()[1:]),
-            "is another state of the map; mount or copy the map to the same path on every worker",
-        ),
+        (truncated, r"has 1 bytes on the worker .*, and \d+ here; mount or copy the map"),
+        (earlier, "is another state of the map; mount or copy the map to the same path on every"),
     ],
 )
 def test_a_worker_with_another_file_is_told(
-    sound: Path, tmp_path: Path, change: Any, said: str
+    sound: Path, tmp_path: Path, change: Callable[[Path], None], said: str
 ) -> None:
     path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
     packed = sent(path)
@@ -188,11 +199,26 @@ def test_a_worker_with_another_file_is_told(
         pickle.loads(packed)
 
 
+def test_sending_a_map_lets_go_of_no_lock(sound: Path, tmp_path: Path) -> None:
+    """As opening and closing its file would, although it is being read."""
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    commit = (
+        "import sqlite3, sys; sqlite3.connect(sys.argv[1], timeout=0).execute('BEGIN EXCLUSIVE')"
+    )
+    with closing(connect(path, path, writable=False)) as connection, reading(connection, path):
+        header = read_header(connection, path)
+        arrived = pickle.loads(pickle.dumps(Subject(connection, path, header)))
+        assert arrived.connection is not connection
+        done = subprocess.run([sys.executable, "-c", commit, path], capture_output=True, text=True)
+    assert "database is locked" in done.stderr
+    sharing.opened.cache_clear()
+
+
 def test_a_worker_that_does_not_know_a_group_is_told(
     sound: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     packed = sent(sound)
-    subject._opened.cache_clear()
+    sharing.opened.cache_clear()
     monkeypatch.setattr(subject, "GROUPS", {"density": subject.GROUPS["density"]})
     with pytest.raises(ClusterError, match=r"does not know the channel group '\w+'; start it with"):
         pickle.loads(packed)
@@ -203,7 +229,7 @@ def test_a_map_with_a_write_ahead_log_is_refused(sound: Path, tmp_path: Path) ->
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA journal_mode = WAL")
         asked = Subject(connection, path, read_header(connection, path))
-        with pytest.raises(ClusterError, match=r"a journal of the kind 'wal'\. Close .*, or leave"):
+        with pytest.raises(ClusterError, match=r"is of the kind 'wal'\. Close .*, or leave"):
             pickle.dumps(asked)
 
 

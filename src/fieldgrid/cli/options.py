@@ -44,7 +44,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="tcp://HOST:8786",
-        help="A Dask scheduler, whose workers do it; they must find the map at the same path.",
+        help="A Dask scheduler, whose workers do it, with the map at the same path.",
     ),
 ]
 Cell = Annotated[

@@ -73,7 +73,7 @@ class OnCluster(Closing):
                     if not some:
                         break
                     waiting.append(next(numbers))
-                    self._cluster.add([Task(group, name, (waiting[-1], some))])
+                    self._cluster.add([Task(group, name, (waiting[-1], packed(some)))])
                 if not waiting:
                     return
                 while waiting[0] not in done:
@@ -117,7 +117,7 @@ def _next(ended: SimpleQueue[Ended | _Lost]) -> tuple[int, list[Any]]:
 
 
 def packed(work: object) -> bytes:
-    """Work for a worker. ClusterError when it cannot be sent."""
+    """Work or items for a worker. ClusterError when they cannot be sent."""
     try:
         return pickle.dumps(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -126,14 +126,14 @@ def packed(work: object) -> bytes:
         ) from error
 
 
-def do_batch(work: bytes, number: int, items: tuple[Any, ...]) -> list[Any]:
+def do_batch(work: bytes, number: int, items: bytes) -> list[Any]:
     """What a worker makes of some items, up to the first that work refuses.
 
     ClusterError when the worker cannot do the work, as where it lacks a file.
     """
     del number
     done, call = list[Any](), _unpacked(work)
-    for item in items:
+    for item in pickle.loads(items):
         try:
             done.append(call(item))
         except ClusterError:
