@@ -1,6 +1,6 @@
-"""Work on a map by one thread, by two, and by the two workers of a Dask cluster, interleaved:
+"""`verify --deep` by one thread, by two, and by the two workers of a Dask cluster, interleaved:
 
-    python -m benchmarks.cluster verify|align MAP.gpkg [ROUNDS]
+    python -m benchmarks.cluster MAP.gpkg [ROUNDS]
 
 Scheduler and workers are programs of their own, which stay for all rounds. The ratios of wall times
 say something on an idle machine with two cores only; the processor time says anywhere what the way
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,21 +69,7 @@ def _verify(path: Path, given: Mapping[str, Any]) -> None:
         assert universal.verify(deep=True, **given).sound
 
 
-def _align(path: Path, given: Mapping[str, Any]) -> None:
-    from fieldgrid.align import align_map
-    from fieldgrid.mapfile import open_map
-
-    with open_map(path) as universal:
-        align_map(universal, **given)
-
-
-WORK: Mapping[str, Callable[[Path, Mapping[str, Any]], None]] = {
-    "verify": _verify,
-    "align": _align,
-}
-
-
-def main(what: str, path: Path, rounds: int) -> None:
+def main(path: Path, rounds: int) -> None:
     """Print the times of each way, and how they compare."""
     from distributed import Client
 
@@ -102,13 +88,13 @@ def main(what: str, path: Path, rounds: int) -> None:
         for _ in range(rounds):
             for name, given in ways.items():
                 start, own_s = time.perf_counter(), time.process_time() + _workers_s(client)
-                WORK[what](path, given)
+                _verify(path, given)
                 taken[name].append(time.perf_counter() - start)
                 cpu_s = time.process_time() + _workers_s(client) - own_s
                 busy[name].append(cpu_s)
                 print(
-                    f"{what}, {name}: {taken[name][-1]:.1f} s, processor time {cpu_s:.1f} s; load "
-                    f"{os.getloadavg()[0]:.1f}",
+                    f"verify --deep, {name}: {taken[name][-1]:.1f} s, processor time {cpu_s:.1f} s; "
+                    f"load {os.getloadavg()[0]:.1f}",
                     flush=True,
                 )
     for unit, runs in (("clock", taken), ("processor time", busy)):
@@ -123,4 +109,4 @@ def main(what: str, path: Path, rounds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), int((sys.argv[3:] or [ROUNDS])[0]))
+    main(Path(sys.argv[1]), int((sys.argv[2:] or [ROUNDS])[0]))

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,16 +21,13 @@ from fieldgrid.align.drives import Drive, Role, read_drives
 from fieldgrid.align.network import Match, solve, turn_sigma_deg
 from fieldgrid.align.pairs import Overlap, Pair, bounded, overlapping, placed, thinned
 from fieldgrid.align.report import MapAlignment, summed_up
-from fieldgrid.align.score import PROBE_DEG, Against, Peak, Scores, TurnPeak, peak, turn_peak
-from fieldgrid.align.submaps import Picture, Submap, draw
+from fieldgrid.align.score import PROBE_DEG, Against, TurnPeak, peak, turn_peak
+from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
 from fieldgrid.mapfile.transform import transform_of
-from fieldgrid.workers.order import Runner, runner
-
-if TYPE_CHECKING:
-    from distributed import Client
+from fieldgrid.workers.order import in_order
 
 COARSE_M, FINE_M = 0.2, 0.1
 """Sides of the cells in which drives are compared, as wholes and finely."""
@@ -50,14 +47,7 @@ FAR_SIGMAS = 3.0
 
 FINE_ROUNDS = 2
 
-_Item = TypeVar("_Item")
 _Found = TypeVar("_Found")
-
-_Seen = tuple[Picture, Picture, tuple[Picture, Picture] | None]
-"""Pictures of two submaps, and of the second one turned to either side."""
-
-_TOGETHER = 8
-"""Submaps or pairs that travel together."""
 
 Progress = Callable[[str, int, int], None]
 """Told of a stage and how far it is: (stage, done, all)."""
@@ -73,7 +63,6 @@ def align_map(
     rounds: int = FINE_ROUNDS,
     progress: Progress | None = None,
     jobs: int | None = None,
-    scheduler: str | Client | None = None,
 ) -> MapAlignment:
     """How drives lie against each other, and the transforms that make them coincide; changes
     nothing (`MapFile.set_transforms` does).
@@ -82,21 +71,14 @@ def align_map(
     as far as they are sure. Those in `to`, and `datum_from`, hold: they are right. With `to` no
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
-    good to a decimetre, in a third of the time. `jobs` is the number of threads, all cores when
-    not given; with a `scheduler`, the address of one of Dask or a client, the workers of that
-    cluster do it. Raises ConfigError for names that are not in the map, or nothing to align,
-    ClusterError where no scheduler answers or its workers cannot read the map.
+    good to a decimetre, in a third of the time. Raises ConfigError for names that are not in
+    the map, or nothing to align.
     """
     if not 0.0 < reach_m <= MOST_REACH_M:
         raise ConfigError(f"A reach of {reach_m:g} m cannot be; give 0 to {MOST_REACH_M:g} m.")
-    roles = _roles(universal, sessions, to, datum_from)
+    drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
     tell = progress or (lambda stage, done, count: None)
-    with runner(jobs, scheduler) as workers:
-        drives = read_drives(universal, roles)
-        return _aligned(drives, _Run(drives, reach_m, tell, workers), rounds)
-
-
-def _aligned(drives: list[Drive], run: _Run, rounds: int) -> MapAlignment:
+    run = _Run(drives, reach_m, tell, jobs)
     agreements, coarse = run.compare_as_wholes()
     believed = {(one.a, one.b) for one in agreements if one.doubt is None}
     matched = np.bincount([n for m in coarse for n in (m.a, m.b)], minlength=len(drives)) > 0
@@ -192,41 +174,6 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
     return chosen
 
 
-@dataclass(frozen=True)
-class _Drawing:
-    """Draws submaps."""
-
-    lattice: Lattice
-    turns_deg: Sequence[float]
-
-    def __call__(self, placed_by: tuple[Submap, Transform]) -> list[Picture]:
-        submap, transform = placed_by
-        return draw(submap, transform, self.lattice, self.turns_deg)
-
-
-@dataclass(frozen=True)
-class _Scoring:
-    """Scores the shifts of a picture against another."""
-
-    reach_m: float
-
-    def __call__(self, both: tuple[Picture, Picture]) -> Scores | None:
-        return Against(both[0], self.reach_m).scores(both[1])
-
-
-def match_finely(seen: _Seen) -> tuple[Peak, TurnPeak] | None:
-    """The shift at which two pictures agree, and the turn where there are probes for one."""
-    a, b, probes = seen
-    against = Against(a, FINE_REACH_M)
-    score = against.scores(b)
-    if score is None:
-        return None
-    turned = (
-        TurnPeak(0.0, 0.0) if probes is None else turn_peak(against, probes[0], score, probes[1])
-    )
-    return peak(score, np.zeros(2)), turned
-
-
 class _Run:
     """Comparing submaps, on all cores."""
 
@@ -235,10 +182,10 @@ class _Run:
         drives: Sequence[Drive],
         reach_m: float,
         tell: Progress,
-        workers: Runner,
+        jobs: int | None,
     ) -> None:
         self._drives, self._reach_m = drives, reach_m
-        self._tell, self._workers = tell, workers
+        self._tell, self._jobs = tell, jobs
         self._local_m = max(f.spec.cell_m for d in drives for s in d.submaps for f in s.frames)
 
     def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
@@ -249,9 +196,8 @@ class _Run:
         by_pair = defaultdict(list)
         pairs = [placed(one, pictures) for one in thinned(self._overlaps(pictures, None))]
         for pair, score in self._each(
-            _Scoring(reach_m),
+            lambda p: Against(pictures[p.a][p.k], reach_m).scores(pictures[p.b][p.l]),
             pairs,
-            lambda p: (pictures[p.a][p.k], pictures[p.b][p.l]),
             "drives",
         ):
             by_pair[pair.a, pair.b].append((pair, score))
@@ -282,14 +228,19 @@ class _Run:
         turns_deg = 0.0, -PROBE_DEG, PROBE_DEG
         pictures, less, more = self._draw(transforms, FINE_M, stage, turns_deg)
 
-        def seen(p: Pair) -> _Seen:
-            probes = None if p.a == p.b else (less[p.b][p.l], more[p.b][p.l])
-            return pictures[p.a][p.k], pictures[p.b][p.l], probes
+        def match(p: Pair) -> Match | None:
+            against = Against(pictures[p.a][p.k], FINE_REACH_M)
+            score = against.scores(pictures[p.b][p.l])
+            if score is None:
+                return None
+            turned = TurnPeak(0.0, 0.0)
+            if p.a != p.b:
+                turned = turn_peak(against, less[p.b][p.l], score, more[p.b][p.l])
+            return Match(*p, *peak(score, np.zeros(2)), *turned)
 
         chosen = bounded(self._overlaps(pictures, believed))
         pairs = [placed(one, pictures) for one in chosen]
-        matched = self._each(match_finely, pairs, seen, stage)
-        return [Match(*pair, *found[0], *found[1]) for pair, found in matched]
+        return [one for _, one in self._each(match, pairs, stage)]
 
     def _draw(
         self,
@@ -302,8 +253,11 @@ class _Run:
         lattice = Lattice(max(cell_m, self._local_m))
         places = [(n, submap) for n, drive in enumerate(self._drives) for submap in drive.submaps]
         pictures: list[list[list[Picture]]] = [[[] for _ in self._drives] for _ in turns_deg]
-        submaps = ((submap, transforms[n]) for n, submap in places)
-        drawn = self._workers.in_order(_Drawing(lattice, turns_deg), submaps, _TOGETHER)
+        drawn = in_order(
+            lambda place: draw(place[1], transforms[place[0]], lattice, turns_deg),
+            places,
+            self._jobs,
+        )
         for done, ((n, _), turned) in enumerate(zip(places, drawn, strict=True)):
             for of_turn, picture in zip(pictures, turned, strict=True):
                 of_turn[n].append(picture)
@@ -322,18 +276,13 @@ class _Run:
         return overlapping(pictures, compared)
 
     def _each(
-        self,
-        work: Callable[[_Item], _Found | None],
-        pairs: Sequence[Pair],
-        of_pair: Callable[[Pair], _Item],
-        stage: str,
+        self, work: Callable[[Pair], _Found | None], pairs: Sequence[Pair], stage: str
     ) -> list[tuple[Pair, _Found]]:
-        """What work finds for pairs, without those for which it finds nothing; `of_pair` is what
-        it is given of one."""
+        """What work finds for pairs, without those for which it finds nothing."""
         results = []
-        items = (of_pair(pair) for pair in pairs)
-        every = self._workers.in_order(work, items, _TOGETHER)
-        for done, (pair, found) in enumerate(zip(pairs, every, strict=True)):
+        for done, (pair, found) in enumerate(
+            zip(pairs, in_order(work, pairs, self._jobs), strict=True)
+        ):
             if found is not None:
                 results.append((pair, found))
             self._tell(f"comparing {stage}", done + 1, len(pairs))

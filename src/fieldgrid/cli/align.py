@@ -53,7 +53,6 @@ def command(
     ] = False,
     figure: options.Figure = None,
     jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Make the drives of a map coincide, from what they saw and nothing else.
@@ -70,15 +69,12 @@ def command(
 
         fieldgrid align vineyard.gpkg --rows
 
-        fieldgrid align vineyard.gpkg --scheduler tcp://10.0.0.5:8786
-
         fieldgrid align vineyard.gpkg --undo
     """
     if undo:
         taken = {"map_", "session", "undo", "as_json", "quiet", "verbose"}
         options.refuse_given(ctx, taken, "--undo cannot use it; leave it out")
     options.check_figure(figure)
-    options.check_scheduler(scheduler, jobs)
     from fieldgrid.align import align_map, undo_alignment
     from fieldgrid.mapfile import open_map
     from fieldgrid.rows import find_rows
@@ -95,7 +91,7 @@ def command(
         with progress.stages() as show:
             found = align_map(
                 universal, session, to=to or (), datum_from=datum_from, reach_m=reach,
-                progress=show, jobs=jobs, scheduler=scheduler,
+                progress=show, jobs=jobs,
             )  # fmt: skip
         if rows:
             plantings["before" if found.transforms else "now"] = find_rows(universal)

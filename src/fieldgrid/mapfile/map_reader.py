@@ -6,7 +6,7 @@ import math
 import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -339,17 +339,8 @@ class MapReader:
 
     def _channels(self, row: tuple[Any, ...]) -> Callable[[], tuple[EncodedChannel, ...]]:
         with reading(self._connection, self.path):
-            return _Held(loader(self._connection, row[0])())
-
-
-@dataclass(frozen=True, slots=True)
-class _Held:
-    """What a frame saw, at hand; it can be sent to another process."""
-
-    channels: tuple[EncodedChannel, ...]
-
-    def __call__(self) -> tuple[EncodedChannel, ...]:
-        return self.channels
+            channels = loader(self._connection, row[0])()
+        return lambda: channels
 
 
 def _no_grid() -> tuple[EncodedChannel, ...]:
