@@ -93,7 +93,7 @@ def main(path: Path, rounds: int) -> None:
                 cpu_s = time.process_time() + _workers_s(client) - own_s
                 busy[name].append(cpu_s)
                 print(
-                    f"verify --deep, {name}: {taken[name][-1]:.1f} s, processor time {cpu_s:.1f} s; "
+                    f"verify --deep, {name}: {taken[name][-1]:.1f} s, processor {cpu_s:.1f} s; "
                     f"load {os.getloadavg()[0]:.1f}",
                     flush=True,
                 )
