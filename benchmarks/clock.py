@@ -21,7 +21,7 @@ from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, conditioned
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.clock import clock_offset
+from fieldgrid.pose.clock import check_clock
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig
@@ -133,7 +133,7 @@ def tell(
     steps = motion.steps
     assert steps is not None
     return tuple(
-        clock_offset(drive, fixes, motion._replace(steps=late(steps, late_s)), Axle(rig))
+        check_clock(drive, fixes, motion._replace(steps=late(steps, late_s)), Axle(rig))[0]
         for late_s in LATE_S
     )
 

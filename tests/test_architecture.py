@@ -20,7 +20,7 @@ LAYERS = (
     ("array_types", "choices", "closing", "limits", "version"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
-        *("plane_fit", "publish", "measured", "reasons"),
+        *("plane_fit", "publish", "measured", "reasons", "utc"),
     ),
     ("notebook", "workers"),
     (

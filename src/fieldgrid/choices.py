@@ -25,6 +25,8 @@ class Doubt(StrEnum):
     """What of a drive stops a build unless it is accepted, by the codes of `inspect`."""
 
     CLOCK_OFFSET = "clock-offset"
+    FRAMES_MISPLACED = "frames-misplaced"
+    CAMERA_YAW = "camera-yaw"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"
     CAMERAS_UNFIT = "cameras-unfit"

@@ -103,6 +103,7 @@ def test_a_figure(fieldgrid: Run, few: Path, tmp_path: Path) -> None:
         (("--topic", "left=/a", "--topic", "left=/b"), "left is given twice"),
         (("--time-offset", "nan"), "is no number of seconds"),
         (("--time-offset", "1e300"), "is no number of seconds"),
+        (("--gnss-offset", "inf"), "is no number of seconds"),
     ],
 )
 def test_options_that_are_wrong(
@@ -118,7 +119,8 @@ def test_options_that_are_wrong(
     [
         (("--topic", "left=/a"), "is no bag and has no topics"),
         (("--topic", "middle=/a"), "'middle' is nothing that a topic can be"),
-        (("--time-offset", "1e6"), "is beyond a day"),
+        (("--time-offset", "2e9"), "An image time offset of 2000000000.0 s is beyond 40 years"),
+        (("--gnss-offset", "-2e9"), "A GNSS time offset of -2000000000.0 s is beyond 40 years"),
         (("--mounting", "nowhere.json"), "nowhere.json cannot be read"),
     ],
 )

@@ -121,7 +121,7 @@ def test_thirty_milliseconds(drive: Make, moved_s: float, log: str) -> None:
     assert found.clock.offset_s == pytest.approx(-moved_s, abs=0.005)
     assert found.clock.sigma_s < 0.01
     _, remedy = finding(found, "clock-offset")
-    assert f"--time-offset {found.clock.offset_s:.3f}, or image_time_offset_s = " in remedy
+    assert f"--time-offset {found.clock.offset_s:.3f} or image_time_offset_s = " in remedy
 
 
 def test_two_seconds_are_an_error_without_a_gyro_too(drive: Make) -> None:
@@ -153,9 +153,9 @@ def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
     assert f"--time-offset {-moved_s:.3f}" in remedy
 
 
-@pytest.mark.long
 def test_fixes_alone_in_gps_time(drive: Make) -> None:
-    """The gyro shows that it is the fixes: moving the images would not mend it."""
+    """The gyro shows that it is the fixes: moving the images would not mend it, moving them
+    does."""
     folder = drive()
     fixes_as_table(folder, 18.0)
     found = inspect_recording(folder)
@@ -164,10 +164,14 @@ def test_fixes_alone_in_gps_time(drive: Make) -> None:
     message, remedy = finding(found, "clock-offset")
     assert "the fixes carry GPS time" in message
     told = re.match(
-        r"The gyro goes with the images, so move the stamps of the fixes by (\S+) s", remedy
+        r"The gyro goes with the images: give --gnss-offset (\S+) or gnss_time_offset_s = ", remedy
     )
     assert told is not None
     assert abs(float(told[1]) + 18.0) < 0.05
+    moved_ns = round(float(told[1]) * 1e9)
+    mended = inspect_recording(folder, options=DriveOptions(gnss_offset_ns=moved_ns))
+    assert mended.builds
+    assert serious(mended) == set()
 
 
 @pytest.mark.parametrize(
@@ -456,3 +460,37 @@ def test_a_build_fails_where_the_inspection_says_so(
             (session,) = universal.sessions()
             kept = session.config["settings"]["checks"]
         assert kept == {"accept": [code]}
+
+
+# --- the camera beside the drive
+
+
+def test_a_camera_that_looks_aside_stops_a_build(drive: Make) -> None:
+    folder = drive()
+    change_mounting(folder, camera_yaw_deg=3.0)
+    found = inspect_recording(folder)
+    assert not found.builds
+    assert serious(found) == {"camera-yaw"}
+    message, remedy = finding(found, "camera-yaw")
+    assert "3.0° ± 0.1° farther left than declared" in message
+    assert "`fieldgrid mount --write`" in remedy
+    assert "--accept camera-yaw" in remedy
+
+
+def test_images_in_another_order_than_their_stamps_stop_a_build(drive: Make) -> None:
+    """As a program leaves them that sorts 10 before 2."""
+    folder = drive()
+    table = folder / "frames.csv"
+    head, *rows = table.read_text().splitlines()
+    as_text = sorted(range(len(rows)), key=str)
+    mixed = [
+        ",".join(row.split(",")[:3] + rows[k].split(",")[3:])
+        for row, k in zip(rows, as_text, strict=True)
+    ]
+    table.write_text("\n".join([head, *mixed]) + "\n")
+    found = inspect_recording(folder)
+    assert not found.builds
+    assert "frames-misplaced" in codes(found, Severity.ERROR)
+    _, remedy = finding(found, "frames-misplaced")
+    assert "frames.csv" in remedy
+    assert "--accept frames-misplaced" in remedy

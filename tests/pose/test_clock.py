@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from fieldgrid.motion import Motion
+from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
 from fieldgrid.pose.axle import Axle
+from fieldgrid.pose.clock import Contradiction
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings
 from tests.scenes import paper_rig
 from tests.simulated import (
     DATUM,
+    K_TURN,
     SLALOM,
     Command,
     Drive,
@@ -26,6 +29,7 @@ from tests.simulated import (
 )
 
 WEAVING = [*SLALOM, Command(4.0, 0.5), *SLALOM[1:]]
+UNREPEATED = [*SLALOM, *K_TURN, *SLALOM[:4]]
 
 
 def report(drive: Drive, late_s: float, *, seed: int = 0, noise_m: float = 0.01) -> PoseReport:
@@ -100,9 +104,73 @@ def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
     assert search.misfit(3600.0) == np.inf
 
 
+@pytest.mark.parametrize("late_s", [2.0, -18.0])
+def test_fixes_of_another_clock_than_images_and_gyro_are_told(late_s: float) -> None:
+    """A computer of another time stamps images and gyro alike: it is the fixes to move."""
+    drive = simulate(UNREPEATED, 20.0, speed_mps=1.5)
+    fixes = fixes_of(drive, 0.2, 0.02, seed=6)
+    gyro = gyro_of(drive, noise_dps=0.1)
+    gyro = gyro._replace(time_ns=gyro.time_ns + round(late_s * 1e9))
+    steps = steps_of(drive, 1.2, noise=1.0, late_s=late_s, seed=7)
+    told = estimate_poses(fixes, None, DATUM, motion=Motion(gyro, steps=steps)).report
+    assert told.clock is not None
+    assert told.clock.gyro_too
+    assert told.clock.offset_s == pytest.approx(-late_s, abs=3.0 * told.clock.sigma_s)
+    assert told.clock.sigma_s < 0.03
+    (note,) = (n for n in told.notes if "gnss_time_offset_s" in n)
+    moved = re.search(r"add (-?\d+\.\d+) to gnss_time_offset_s .* or to --gnss-offset", note)
+    assert moved is not None
+    assert float(moved[1]) == pytest.approx(late_s, abs=0.1)
+    # A gyro of the receiver's clock says that it is the images.
+    motion = Motion(gyro_of(drive, noise_dps=0.1), steps=steps)
+    other = estimate_poses(fixes, None, DATUM, motion=motion).report.clock
+    assert other is not None
+    assert not other.gyro_too
+    assert other.offset_s == pytest.approx(-late_s, abs=3.0 * other.sigma_s)
+
+
+def exchanged(steps: Steps, order: Sequence[int]) -> Steps:
+    """The motions of other moments at these stamps."""
+    others = Steps(*(column[list(order)] for column in steps))
+    return others._replace(start_ns=steps.start_ns, stop_ns=steps.stop_ns)
+
+
+def contradiction(drive: Drive, steps: Steps, noise_m: float = 0.02) -> Contradiction:
+    fixes = fixes_of(drive, 0.2, noise_m, seed=8)
+    motion = Motion(gyro_of(drive, noise_dps=0.1), steps=steps)
+    found = estimate_poses(fixes, None, DATUM, motion=motion).report.contradiction
+    assert found is not None
+    return found
+
+
+def test_images_of_other_moments_than_stamped_are_told() -> None:
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    steps = steps_of(drive, 1.2, noise=1.0, seed=9)
+    count = len(steps.start_ns)
+    as_text = sorted(range(count), key=str)
+    assert contradiction(drive, exchanged(steps, as_text)).is_certain
+    one_late = [*range(count // 2), *range(count // 2 - 1, count - 1)]
+    assert contradiction(drive, exchanged(steps, one_late)).is_certain
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize("scale", [1.0, 1.08])
+def test_images_of_their_moments_do_not_contradict(noise_m: float, scale: float) -> None:
+    """However poor the fixes are, and with a calibration that is somewhat off."""
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    steps = steps_of(drive, 1.2, noise=1.0, seed=10)
+    longer = steps._replace(forward_m=scale * steps.forward_m, right_m=scale * steps.right_m)
+    found = contradiction(drive, longer, noise_m)
+    assert found.off == 0
+    assert not found.is_certain
+
+
 def test_without_steps_there_is_none() -> None:
     drive = simulate(SLALOM, 20.0)
-    assert estimate_poses(fixes_of(drive), None, DATUM).report.clock is None
+    found = estimate_poses(fixes_of(drive), None, DATUM).report
+    assert found.clock is None
+    assert found.contradiction is None
+    assert found.camera_yaw is None
 
 
 def test_the_camera_s_place_is_regarded() -> None:

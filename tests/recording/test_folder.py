@@ -17,8 +17,17 @@ from fieldgrid.errors import CalibrationError, FieldgridError, GnssError, Record
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion
-from fieldgrid.recording import Columns, Recording, frame_table, open_recording, stored
+from fieldgrid.recording import (
+    Columns,
+    DriveOptions,
+    Recording,
+    frame_table,
+    open_drive,
+    open_recording,
+    stored,
+)
 from fieldgrid.rig import LeverArm, Mount, StereoCamera, nose_heading_deg
+from tests.conftest import TWO_LANES
 
 SharedData = Callable[[str], Path]
 
@@ -185,6 +194,27 @@ def test_the_settings_file_is_heard(drive: Path) -> None:
     assert recording.name == "north block"
     assert recording.rig.image_time_offset_ns == -123_456_700
     assert recording.datum_hint == Datum(41.5, -4.0, 780.25)
+
+
+def test_fixes_are_moved_to_the_clock_of_the_images(drive: Path) -> None:
+    """What is given outranks the settings; images and gyro stay."""
+    shutil.copytree(TWO_LANES / "imu", drive / "imu")
+    as_written, gyro = open_recording(drive), open_recording(drive).motion().gyro
+    assert gyro is not None
+    (drive / "recording.toml").write_text("gnss_time_offset_s = -18.25\n")
+    by_file = open_drive(drive).recording()
+    assert by_file.log.moved_ns == -18_250_000_000
+    moved = by_file.fixes().time_ns - as_written.fixes().time_ns
+    assert moved.tolist() == [-18_250_000_000] * len(moved)
+    by_option = open_drive(drive, DriveOptions(gnss_offset_ns=1_500_000_000)).recording()
+    moved = by_option.fixes().time_ns - as_written.fixes().time_ns
+    assert set(moved.tolist()) == {1_500_000_000}
+    for one in (by_file, by_option):
+        assert one.frame_times_ns().tolist() == as_written.frame_times_ns().tolist()
+        assert one.rig.image_time_offset_ns == 0
+        same = one.motion().gyro
+        assert same is not None
+        assert same.time_ns.tolist() == gyro.time_ns.tolist()
 
 
 def test_the_session_file_hints_at_the_datum_and_settings_outrank_it(drive: Path) -> None:
@@ -560,7 +590,7 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
         ("name = ", "is not TOML"),
         (
             "speed = 3",
-            "'speed' is not a setting; known are name, image_time_offset_s, frames, calib",
+            "'speed' is not a setting; known are name, image_time_offset_s, gnss_time_off",
         ),
         ("name = 3", "name is 3; give a text"),
         ("gnss = 3", r"gnss is 3; give a table \[gnss\]"),
@@ -572,8 +602,8 @@ def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path)
         ("image_time_offset_s = nan", "image_time_offset_s is NaN, which is no number; give"),
         ("image_time_offset_s = true", "image_time_offset_s is True, which is no number"),
         (
-            "image_time_offset_s = 90000",
-            "image_time_offset_s is 90000; give .* at most a day",
+            "image_time_offset_s = 1300000000",
+            "image_time_offset_s is 1300000000; give .* at most 40 years",
         ),
         ("datum = 3", r"datum is 3; give a table \[datum\]"),
         ("[datum]\nlat_deg = 1\nlon_deg = 2", "lacks height_m; give the height above"),

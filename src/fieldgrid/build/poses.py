@@ -11,17 +11,29 @@ from fieldgrid.array_types import Int64
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.build.stuck import REPEATED
 from fieldgrid.choices import Doubt
-from fieldgrid.errors import ConfigError, FieldgridError, GnssError
+from fieldgrid.errors import (
+    CalibrationError,
+    ConfigError,
+    FieldgridError,
+    GnssError,
+    RecordingError,
+)
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
-from fieldgrid.pose import Budget, Estimate, estimate_poses
+from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses
+from fieldgrid.pose.camera_yaw import off_sentence
 from fieldgrid.pose.clock import WIDEST_S
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import Carrier, Lidar, Rig
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.utc import utc_text
+
+ASKEW_DEG = 2.0
+"""A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
+than that a vehicle may slip on a slope, which looks the same."""
 
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
@@ -96,8 +108,8 @@ def check_images(recording: Recording, trajectory: Trajectory) -> None:
     fixes = trajectory.time_ns
     if images[-1] < fixes[0] or images[0] > fixes[-1]:
         raise GnssError(
-            f"Images ({_clock(images[0])} to {_clock(images[-1])}) and fixes "
-            f"({_clock(fixes[0])} to {_clock(fixes[-1])}) do not overlap in time; "
+            f"Images ({utc_text(images[0])} to {utc_text(images[-1])}) and fixes "
+            f"({utc_text(fixes[0])} to {utc_text(fixes[-1])}) do not overlap in time; "
             f"{_advice(recording, images, fixes)}."
         )
 
@@ -105,17 +117,37 @@ def check_images(recording: Recording, trajectory: Trajectory) -> None:
 def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
     """What to do about images and fixes that are apart."""
     choose = "choose the log of this drive with --gnss"
-    shift_s = shift_to_overlap(
-        Span(int(images[0]), int(images[-1])), Span(int(fixes[0]), int(fixes[-1]))
-    )
+    seen, fixed = Span(int(images[0]), int(images[-1])), Span(int(fixes[0]), int(fixes[-1]))
+    shift_s = shift_to_overlap(seen, fixed)
     if shift_s is None:
-        return f"{choose}, or set image_time_offset_s in recording.toml"
-    whole_s = recording.rig.image_time_offset_ns / 1e9 + shift_s
+        began_s = round((fixed.first_ns - seen.first_ns) / 1e9)
+        return (
+            f"if it is the log of this drive, and both began at about the same time, "
+            f"{_offset_words(recording, began_s)} (the camera's motion tells the rest), else "
+            f"{choose}"
+        )
     return (
         f"they would if images were {abs(shift_s):g} s {'later' if shift_s > 0 else 'earlier'} "
-        f"({explanation(shift_s, int(fixes[0]))}): if that is so, give --time-offset {whole_s:g} "
-        f"or image_time_offset_s = {whole_s:g}, else {choose}"
+        f"({explanation(shift_s, fixed.first_ns)}): if that is so, "
+        f"{_offset_words(recording, shift_s)}, else {choose}"
     )
+
+
+def _offset_words(recording: Recording, shift_s: float) -> str:
+    """How to move images by so much against the fixes: where a gyro overlaps no fix either, it
+    goes with the images, and the fixes are moved the other way."""
+    gyro, fixes_ns = recording.motion().gyro, recording.fixes().time_ns
+    if gyro is not None and (gyro.time_ns[-1] < fixes_ns.min() or gyro.time_ns[0] > fixes_ns.max()):
+        return _gnss_offset(f"{recording.log.moved_ns / 1e9 - shift_s:.10g}")
+    return _image_offset(f"{recording.rig.image_time_offset_ns / 1e9 + shift_s:.10g}")
+
+
+def _gnss_offset(whole_s: str) -> str:
+    return f"give --gnss-offset {whole_s} or gnss_time_offset_s = {whole_s} in recording.toml"
+
+
+def _image_offset(whole_s: str) -> str:
+    return f"give --time-offset {whole_s} or image_time_offset_s = {whole_s} in recording.toml"
 
 
 class Doubted(NamedTuple):
@@ -146,15 +178,52 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
     far_m = abs(clock.offset_s) * speed_mps
     if far_m <= MISPLACED_M and abs(clock.offset_s) <= WIDEST_S:
         return None
-    whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
     error = GnssError(
         f"The images of {recording.name} are stamped {-clock.offset_s:+.2f} s ± "
         f"{clock.sigma_s:.2f} s against the fixes, as {clock.steps} steps of the camera show"
-        f"{f' ({why})' if why else ''}, and at {speed_mps:.1f} m/s that is {far_m:.2f} m; give "
-        f"--time-offset {whole_s:.3f}, or image_time_offset_s in recording.toml."
+        f"{f' ({why})' if why else ''}, and at {speed_mps:.1f} m/s that is {far_m:.2f} m; "
+        f"{clock_remedy(recording, clock)}"
     )
     return Doubted(Doubt.CLOCK_OFFSET, error)
+
+
+def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
+    """That the images are of other moments than they are stamped, each by another time."""
+    found = estimate.report.contradiction
+    if found is None or not found.is_certain:
+        return None
+    error = RecordingError(
+        f"{found.off} of {found.steps} steps between the images of {recording.name} are not those "
+        "of the drive, whatever offset their clock may have, so the images are not in the order of "
+        "their stamps, or some are missing or stamped wrong; look at the order in frames.csv (as "
+        "text, 10 comes before 2), and at how the images were written."
+    )
+    return Doubted(Doubt.FRAMES_MISPLACED, error)
+
+
+def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
+    """That the camera certainly looks elsewhere than declared, by so much that the map would be
+    wrong."""
+    yaw = estimate.report.camera_yaw
+    if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG or yaw.moved is not None:
+        return None
+    return Doubted(
+        Doubt.CAMERA_YAW,
+        CalibrationError(
+            f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
+            "camera_yaw_deg in mounting.json."
+        ),
+    )
+
+
+def clock_remedy(recording: Recording, clock: ClockOffset) -> str:
+    """What to give so that images and fixes are of one clock, with what is declared already."""
+    if clock.gyro_too:
+        whole_s = recording.log.moved_ns / 1e9 - clock.offset_s
+        return f"the gyro goes with the images: {_gnss_offset(f'{whole_s:.3f}')}."
+    whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
+    return f"{_image_offset(f'{whole_s:.3f}')}."
 
 
 def usual_speed_mps(trajectory: Trajectory) -> float:
@@ -196,8 +265,3 @@ def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
         f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
         f"{reason}; {advice}."
     )
-
-
-def _clock(time_ns: int) -> str:
-    moment = np.datetime64(int(time_ns), "ns")
-    return str(np.datetime_as_string(moment, unit="ms")) + "Z"

@@ -31,6 +31,8 @@ from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_poses,
     doubted_clock,
+    doubted_frames,
+    doubted_yaw,
     estimate_drive,
     no_ground,
     none_usable,
@@ -236,7 +238,8 @@ class NewSession:
         report.notes += estimate.report.notes
         report.fixes = len(estimate.fix_row)
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-        report.notes += settle(doubted_clock(recording, estimate), self.settings)
+        for doubted in (doubted_clock, doubted_frames, doubted_yaw):
+            report.notes += settle(doubted(recording, estimate), self.settings)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory
 

@@ -59,6 +59,17 @@ class DriveFlags(NamedTuple):
         ),
     ] = None
 
+    gnss_offset: Annotated[
+        float | None,
+        typer.Option(
+            "--gnss-offset",
+            metavar="S",
+            help="Seconds to add to the times of the GNSS log to give the time of images, gyro "
+            "and wheels [default: the recording's own].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
     def options(self, columns: str | None = None) -> DriveOptions:
         """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
         is none."""
@@ -75,18 +86,22 @@ class DriveFlags(NamedTuple):
             if match[1] in topics:
                 raise typer.BadParameter(f"{match[1]} is given twice", param_hint="--topic")
             topics[match[1]] = match[2]
-        offset_s = self.time_offset
-        if offset_s is not None and not math.isfinite(offset_s * 1e9):  # as nanoseconds below
-            raise typer.BadParameter(
-                f"{offset_s} is no number of seconds", param_hint="--time-offset"
-            )
         return DriveOptions(
             self.gnss,
             None if columns is None else columns_from_text(columns),
             topics,
             self.mounting,
-            None if offset_s is None else round(offset_s * 1e9),
+            _nanoseconds(self.time_offset, "--time-offset"),
+            _nanoseconds(self.gnss_offset, "--gnss-offset"),
         )
+
+
+def _nanoseconds(offset_s: float | None, flag: str) -> int | None:
+    if offset_s is None:
+        return None
+    if not math.isfinite(offset_s * 1e9):
+        raise typer.BadParameter(f"{offset_s} is no number of seconds", param_hint=flag)
+    return round(offset_s * 1e9)
 
 
 Drive = Annotated[DriveFlags, FieldsOf(DriveFlags)]

@@ -12,9 +12,16 @@ import numpy as np
 
 from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.perception import follows_camera
-from fieldgrid.build.poses import check_images, check_poses, estimate_drive
+from fieldgrid.build.poses import (
+    check_images,
+    check_poses,
+    doubted_frames,
+    doubted_yaw,
+    estimate_drive,
+)
 from fieldgrid.build.report import SessionReport
-from fieldgrid.inspection.clocks import clock_findings, clock_unknown, with_gyro
+from fieldgrid.choices import Doubt
+from fieldgrid.inspection.clocks import clock_findings, clock_unknown
 from fieldgrid.inspection.coverage import coverage, coverage_findings
 from fieldgrid.inspection.findings import Finding, error, warning
 from fieldgrid.inspection.fixes import (
@@ -37,6 +44,7 @@ from fieldgrid.inspection.rigs import ground_seen, mount_findings, scale, scale_
 from fieldgrid.inspection.sampling import sample_every, stretches
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.pose import Estimate
+from fieldgrid.pose.camera_yaw import yaw_notes
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -175,14 +183,10 @@ def _with_poses(
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
         by_way = scale(seen.steps, fixes_alone.trajectory, off_ns)
         findings += scale_findings(by_way, recording.rig)
+    if with_camera is not None:
+        _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:
-        gyro = recording.motion().gyro
-        findings += clock_findings(
-            clock,
-            recording.rig.image_time_offset_ns,
-            fixes_alone.trajectory,
-            fixes_off=with_gyro(seen.steps, gyro, clock.offset_s),
-        )
+        findings += clock_findings(clock, recording, fixes_alone.trajectory)
     elif clock is None and seen.followed and not (by_way is not None and by_way.is_off):
         findings.append(clock_unknown(seen.followed))
     # With a wrong clock the camera's motion would be laid beside that of other moments.
@@ -239,6 +243,18 @@ def _with_map(
         told += sync_findings(found.sync)
     findings += told if clocks_agree else []
     return found
+
+
+def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
+    """Images of other moments than they are stamped, and a camera that looks elsewhere."""
+    stopping = (doubted_frames(recording, estimate), doubted_yaw(recording, estimate))
+    for doubted in stopping:
+        if doubted is not None:
+            findings.append(refusal(doubted.error, doubted.doubt.value))
+    yaw = estimate.report.camera_yaw
+    if yaw is not None and stopping[1] is None:
+        code = Doubt.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
+        findings += [warning(code, note) for note in yaw_notes(yaw)]
 
 
 def _with_mount(

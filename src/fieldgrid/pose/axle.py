@@ -62,7 +62,7 @@ def axle_of(vehicle: Vehicle | None, steps: Steps | None) -> Axle:
         return Axle(vehicle)
     if not isinstance(vehicle, Rig):
         return Axle(vehicle)
-    ahead = None if steps is None else travel(_ways(steps)).ahead_m
+    ahead = None if steps is None else travel(ways_of(steps)).ahead_m
     if ahead is None or ahead.sigma > SURE_AXLE_M:
         return Axle(vehicle, UNNAMED_AXLE_M)
     antenna_ahead_m = ahead.value + vehicle.antenna.forward_m
@@ -77,7 +77,7 @@ def axle_by_gyro(axle: Axle, ahead: Constant) -> Axle:
     return Axle(with_antenna_ahead(axle.vehicle, ahead.value), ahead.sigma, told=True)
 
 
-def _ways(steps: Steps) -> Ways:
+def ways_of(steps: Steps) -> Ways:
     """The steps of the grid origin as :mod:`fieldgrid.travel` takes them."""
     gear = np.where(steps.forward_m >= 0.0, 1.0, -1.0)
     distance_m = np.hypot(steps.forward_m, steps.right_m)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.motion import Motion, Steps
+from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
+from fieldgrid.pose.camera_turns import FEWEST_STEPS, goes_with, turns_with
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import NO_HINTS, GearHints
 from fieldgrid.smoother import model, refine
@@ -38,11 +40,13 @@ OUTLIER_FREEDOM = 4.0
 FARTHEST_S, SCAN_S = 60.0, 0.25
 """Where nothing near fits, offsets are tried up to the farthest: GPS time is 18 s off UTC."""
 
-POOR_MISFIT, BETTER_SHARE = 4.0, 0.5
-"""A drive and its camera fit badly when steps are off by more than two usual sigmas; another
-offset must be better by so much to be believed."""
+POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
+"""A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
+offset must be better by so much to be believed, near or far: a drive that repeats itself fits
+somewhat at the offset of one repetition, too."""
 
-FEWEST_STEPS = 10
+MOST_ROUNDS = 6
+"""In which the offset of camera and gyro beside the fixes settles."""
 
 MOST_SIGMA_S = 0.1
 """A drive that does not tell the offset better than this does not tell it."""
@@ -50,6 +54,16 @@ MOST_SIGMA_S = 0.1
 CLEAR_LEAD = 16.0
 """By so much the sum of squares must be larger at every other offset: four sigmas. On an even
 drive, noise alone makes a lowest place."""
+
+CONTRADICTION_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 5.0, 0.1, 4
+"""Images are not of their stamps when so many of the camera's steps, and such a share, are farther
+from the drive than so many sigmas. In honest drives, KITTI and the rendered ones, it is none."""
+
+SURE_HEADING_DEG = 3.0
+"""Where the drive does not know its heading better than this, it contradicts no camera."""
+
+PLACING_SHARE = 0.1
+"""By what share of its length a step may be off when the calibration is: other checks tell that."""
 
 LEAST_SIGMA_S = 0.003
 """What no drive tells: exposure, and the time between two lines of a sensor."""
@@ -61,17 +75,32 @@ LEAST_OFFSET_S = 0.02
 class ClockOffset(NamedTuple):
     """`offset_s` ± `sigma_s` is to be added to image time stamps, beyond what the rig declares
     already, to give the receiver's time; from `steps` motions of the camera. `misfit` is the
-    mean squared distance of a step from the drive, in sigmas that are usual."""
+    mean squared distance of a step from the drive, in sigmas that are usual. With `gyro_too` the
+    gyro goes with the images, as the turns of both tell: then it is the fixes that are off."""
 
     offset_s: float
     sigma_s: float
     steps: int
     misfit: float
+    gyro_too: bool = False
 
     @property
     def is_certain(self) -> bool:
         """Whether there is an offset, and large enough to matter."""
         return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
+
+
+class Contradiction(NamedTuple):
+    """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
+    the drive, at any offset that the clock may have."""
+
+    off: int
+    steps: int
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the images are of other moments than they are stamped, each by another time."""
+        return self.off >= max(CONTRADICTED_LEAST, CONTRADICTED_SHARE * self.steps)
 
 
 class ClockSearch:
@@ -85,6 +114,8 @@ class ClockSearch:
         self._steps, self._ahead_m = steps, ahead_m
         self._time_ns = drive.time_ns
         self._east_m, self._north_m, self._phi_rad = found.state[:, : model.PHI + 1].T
+        self._place_sigma_m = found.relative_sigma_m
+        self._heading_sigma_deg = np.degrees(found.heading_sigma_rad)
 
     def misfit(self, offset_s: float) -> float:
         """The mean squared distance of the steps from the drive with this offset; infinite
@@ -93,6 +124,22 @@ class ClockSearch:
         if len(steps.start_ns) < max(FEWEST_STEPS, len(self._steps.start_ns) // 2):
             return float("inf")
         return float(self._squared(steps, offset_s).mean())
+
+    def contradiction(self, offset_s: float) -> Contradiction:
+        """How many steps are not of the drive with this offset, whatever its own errors."""
+        steps = self._inside(offset_s, 0.0)
+        ahead, right, turn = self._differences(steps, offset_s)
+        ends_ns = np.stack([steps.start_ns, steps.stop_ns]) + round(offset_s * 1e9)
+        place_m = np.interp(ends_ns, self._time_ns, self._place_sigma_m)
+        heading_deg = np.interp(ends_ns, self._time_ns, self._heading_sigma_deg)
+        length_m = np.hypot(steps.forward_m, steps.right_m)
+        distance_2 = (place_m**2).sum(axis=0) + (PLACING_SHARE * length_m) ** 2
+        distance_2 += steps.sigma_m**2 + DISTANCE_SIGMA_M**2
+        turn_2 = (heading_deg**2).sum(axis=0) + steps.sigma_deg**2 + TURN_SIGMA_DEG**2
+        squared = (ahead**2 + right**2) / distance_2 + turn**2 / turn_2
+        sure = (heading_deg < SURE_HEADING_DEG).all(axis=0)
+        off = sure & (squared > CONTRADICTION_SIGMAS**2)
+        return Contradiction(int(off.sum()), int(sure.sum()))
 
     def best(self, near_s: float = 0.0, reach_s: float = WIDEST_S) -> ClockOffset | None:
         """The offset within `reach_s` of `near_s` at which the camera's motion fits the drive;
@@ -122,12 +169,17 @@ class ClockSearch:
             return None
         return ClockOffset(offset_s, sigma_s, count, float(coarse[at]) / count)
 
-    def far(self) -> ClockOffset | None:
-        """The best offset within a minute, near or far; None when there is no clear one."""
+    def rough(self) -> float | None:
+        """Where the steps fit best within a minute, near or far; None where there are too few."""
         scan_s = np.arange(-FARTHEST_S, FARTHEST_S + SCAN_S / 2.0, SCAN_S)
         misfits = [self.misfit(offset) for offset in scan_s]
         at = int(np.argmin(misfits))
-        return self.best(float(scan_s[at])) if np.isfinite(misfits[at]) else None
+        return float(scan_s[at]) if np.isfinite(misfits[at]) else None
+
+    def far(self) -> ClockOffset | None:
+        """The best offset within a minute, near or far; None when there is no clear one."""
+        rough_s = self.rough()
+        return None if rough_s is None else self.best(rough_s)
 
     def _inside(self, near_s: float, margin_s: float) -> Steps:
         times_ns, steps = self._time_ns, self._steps
@@ -178,31 +230,94 @@ class ClockSearch:
         return east, north, np.degrees(phi)
 
 
-def clock_offset(
+def check_clock(
     drive: Drive,
     fixes: AcceptedFixes,
     motion: Motion,
     axle: Axle,
     hints: GearHints = NO_HINTS,
-) -> ClockOffset | None:
-    """The offset at which the camera's motion fits the drive without it; None when the drive
-    is too even to tell. Looked for farther away only where it fits badly near by."""
+) -> tuple[ClockOffset | None, Contradiction | None]:
+    """The offset at which the camera's motion fits the drive without it, and how many of its
+    steps do not fit even so.
+
+    The offset is None when the drive is too even to tell; it is looked for farther away only
+    where the camera fits badly near by. Both are None without enough steps.
+    """
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
-        return None
+        return None, None
     search = ClockSearch(drive, steps, axle)
     near = search.best()
     usual = near.misfit if near is not None else search.misfit(0.0)
-    if usual < POOR_MISFIT:
-        return near
-    # Steps of other moments, or a gyro that goes with the images, would spoil the drive.
-    without = [Motion(gyro=motion.gyro), Motion()] if drive.at.has_gyro() else [Motion()]
-    for known in without:
-        alone = smooth_drive(fixes, fixes.time_ns, known, axle, hints=hints)
-        far = ClockSearch(alone, steps, axle).far()
+    if usual >= POOR_MISFIT:
+        far = min(
+            _far_offsets(fixes, steps, motion.gyro, axle, hints),
+            key=lambda one: one.misfit,
+            default=None,
+        )
         if far is not None and far.misfit < BETTER_SHARE * usual:
-            return far
-    return near
+            return _with_gyro(far, steps, motion.gyro), None
+    unfit = search.contradiction(near.offset_s if near is not None else 0.0)
+    if motion.gyro is not None and turns_with(steps, motion.gyro):
+        unfit = Contradiction(0, unfit.steps)
+    if near is not None and usual >= max(POOR_MISFIT, NEAR_SHARE * search.misfit(0.0)):
+        near = None
+    return _with_gyro(near, steps, motion.gyro), unfit
+
+
+def _with_gyro(found: ClockOffset | None, steps: Steps, gyro: Gyro | None) -> ClockOffset | None:
+    if found is None or gyro is None:
+        return found
+    return found._replace(gyro_too=goes_with(steps, gyro, found.offset_s))
+
+
+def _far_offsets(
+    fixes: AcceptedFixes, steps: Steps, gyro: Gyro | None, axle: Axle, hints: GearHints
+) -> Iterator[ClockOffset]:
+    """What the offset is by the fixes alone; by fixes and gyro; by fixes and a gyro that goes
+    with the images. Steps of other moments are left out of all three: they would spoil the
+    drive, and so would a gyro of the wrong clock."""
+
+    def search(known: Gyro | None) -> ClockSearch:
+        alone = smooth_drive(fixes, fixes.time_ns, Motion(gyro=known), axle, hints=hints)
+        return ClockSearch(alone, steps, axle)
+
+    by_fixes = search(None)
+    found = [by_fixes.far()]
+    rough_s = by_fixes.rough()
+    if gyro is not None:
+        found.append(search(gyro).far())
+        if rough_s is not None:
+            found.append(_together(fixes, steps, gyro, rough_s, axle, hints))
+    return (one for one in found if one is not None)
+
+
+def _together(
+    fixes: AcceptedFixes,
+    steps: Steps,
+    gyro: Gyro,
+    offset_s: float,
+    axle: Axle,
+    hints: GearHints,
+) -> ClockOffset | None:
+    """The offset, near the one given, of a camera and a gyro of one clock, by how late the fixes
+    are beside both; None where that does not settle or is not told."""
+    for _ in range(MOST_ROUNDS):
+        by_ns = round(offset_s * 1e9)
+        moved = Motion(
+            gyro=gyro._replace(time_ns=gyro.time_ns + by_ns),
+            steps=steps._replace(start_ns=steps.start_ns + by_ns, stop_ns=steps.stop_ns + by_ns),
+        )
+        drive = smooth_drive(fixes, fixes.time_ns, moved, axle, hints=hints)
+        late = drive.smoothed.declared.late_s
+        if late.sigma > MOST_SIGMA_S:
+            return None
+        if abs(late.value) < max(LEAST_SIGMA_S, late.sigma / 2.0):
+            misfit = ClockSearch(drive, steps, axle).misfit(offset_s)
+            sigma_s = math.hypot(late.sigma, LEAST_SIGMA_S)
+            return ClockOffset(offset_s, sigma_s, len(steps.start_ns), misfit)
+        offset_s += late.value
+    return None
 
 
 def _lowest(offsets_s: Float64, sums: Float64) -> tuple[float, float, float] | None:

@@ -16,7 +16,8 @@ from fieldgrid.gnss import NO_STRAYS, condition, summarise
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
-from fieldgrid.pose.clock import clock_offset
+from fieldgrid.pose.camera_yaw import camera_yaw
+from fieldgrid.pose.clock import check_clock
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied import denied_by, unsure_declared
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
@@ -130,7 +131,10 @@ def estimate_poses(
     elif rig is not None:
         slope = slope_seen(log.accepted)
         table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
-    clock = clock_offset(drive, log.accepted, motion, axle, hints)
+    clock, contradiction = check_clock(drive, log.accepted, motion, axle, hints)
+    # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
+    follows_path = source.kind == "smooth" and not np.isfinite(recorded_deg).any()
+    yaw = camera_yaw(motion.steps, axle) if follows_path else None
     denied = denied_by(drive, declared, clock)
     table = unsure_declared(_carried(table, rig, source), drive, denied)
     trajectory = judged(table, log.datum, settings, budget, str(source))
@@ -141,6 +145,8 @@ def estimate_poses(
         attitude=None if lean is None else lean.attitude,
         recorded=comparison,
         clock=clock,
+        contradiction=contradiction,
+        camera_yaw=yaw,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
@@ -151,7 +157,7 @@ def estimate_poses(
             *slope_notes(slope, rig),
             *drive_notes(
                 *(drive, log.accepted, declared, axle, denied),
-                *(source, settings, clock, trajectory),
+                *(source, settings, clock, yaw, trajectory),
             ),
         ),
     )

@@ -26,6 +26,7 @@ from fieldgrid.rig import Rig, Vehicle
 from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from fieldgrid.settings import GateLimits, PoseSettings
 from fieldgrid.trajectory import MAX_GAP_NS, Trajectory
+from fieldgrid.utc import utc_text
 
 GIVEN = "given poses"
 """What a trajectory of them says where its headings come from."""
@@ -182,7 +183,7 @@ def _georeference(
         raise GnssError(f"No fix tells where the poses lie; declare it with {declare}.")
     if pairs is None:
         spans = " and the fixes ".join(
-            f"({_clock(one[0])} to {_clock(one[-1])})"
+            f"({utc_text(one[0])} to {utc_text(one[-1])})"
             for one in (poses.time_ns, log.accepted.time_ns)
         )
         raise GnssError(
@@ -197,10 +198,6 @@ def _georeference(
             "farther, take a better receiver, or declare it with --frame-heading DEG."
         )
     return found
-
-
-def _clock(time_ns: np.int64) -> str:
-    return str(np.datetime_as_string(np.datetime64(int(time_ns), "ns"), unit="ms")) + "Z"
 
 
 def _table(

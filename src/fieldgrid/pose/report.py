@@ -14,7 +14,8 @@ from fieldgrid.attitude import Attitude
 from fieldgrid.gnss import ConditioningSummary
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
-from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
+from fieldgrid.pose.clock import ClockOffset, Contradiction
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import Drive
@@ -48,9 +49,10 @@ class PoseReport:
 
     `attitude` is how the vehicle leans, None where nothing tells it. `recorded` is a recorded
     heading beside the estimate; `clock` the time offset between images and fixes, as seen from the
-    camera's motion; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with their fixes.
-    `camera_scale` and `wheel_scale` are by what share the distances of camera and wheels are too
-    long.
+    camera's motion, `contradiction` how much of that motion no offset explains, and `camera_yaw`
+    where it has the camera look; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
+    their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
+    wheels are too long.
     """
 
     conditioning: ConditioningSummary
@@ -63,6 +65,8 @@ class PoseReport:
     wheel_scale: Constant | None
     notes: tuple[str, ...]
     georeference: Georeference | None = None
+    contradiction: Contradiction | None = None
+    camera_yaw: CameraYaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -70,6 +74,7 @@ class PoseReport:
         parts = {
             "recorded_heading": self.recorded,
             "clock_offset": self.clock,
+            "camera_contradiction": self.contradiction,
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
             "wheel_scale": self.wheel_scale,
@@ -82,6 +87,7 @@ class PoseReport:
                 name: None if part is None else _plain(part._asdict())
                 for name, part in parts.items()
             },
+            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "notes": list(self.notes),
         }
@@ -117,12 +123,15 @@ def drive_notes(
     source: HeadingSource,
     settings: PoseSettings,
     clock: ClockOffset | None,
+    yaw: CameraYaw | None,
     trajectory: Trajectory,
 ) -> Iterator[str]:
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
     yield from _leap_note(fixes)
     yield from _clock_note(clock)
+    if yaw is not None:
+        yield from yaw_notes(yaw)
     if not names_axle(rig):
         yield _no_axle(rig, axle)
     yield from denied_notes(drive, denied)
@@ -160,10 +169,16 @@ def _leap_note(fixes: AcceptedFixes) -> Iterator[str]:
 
 def _clock_note(clock: ClockOffset | None) -> Iterator[str]:
     if clock is not None and clock.is_certain:
+        remedy = (
+            f"and the gyro with them; if so, add {-clock.offset_s:.3f} to gnss_time_offset_s in "
+            "recording.toml, or to --gnss-offset."
+            if clock.gyro_too
+            else f"if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or to "
+            "--time-offset."
+        )
         yield (
             f"The images seem stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
-            f"fixes; if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or "
-            "to --time-offset."
+            f"fixes{',' if clock.gyro_too else ';'} {remedy}"
         )
 
 

@@ -63,7 +63,8 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
         ),
         folder,
         log_path,
-        options.columns or settings.columns,
+        settings,
+        options,
     )
 
     def make(drive: Drive) -> Recording:

@@ -43,7 +43,8 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
         ),
         path,
         log_path,
-        options.columns or settings.columns,
+        settings,
+        options,
     )
     if not ((path / TABLE).is_file() or has_frames(path) or settings.frames is not None):
         return _without_frames(path, options, drive)

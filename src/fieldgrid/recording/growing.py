@@ -205,6 +205,10 @@ def open_growing(path: str | Path, options: DriveOptions | None = None) -> Growi
         what = "is no folder" if path.exists() else "does not exist"
         raise RecordingError(f"{path} {what}; give the folder in which images appear.")
     settings = read_settings(path / SETTINGS)
+    live = "Fixes that arrive live are moved to the clock of the images by their source alone"
+    options.refuse(live, "gnss_offset_ns")
+    if settings.gnss_offset_ns:
+        raise RecordingError(f"{live}; leave gnss_time_offset_s out of {path / SETTINGS}.")
     mounting = options.find_mounting(mounting_path(path), path)
     offset_ns = options.offset_or(settings.image_time_offset_ns)
     seen = read_seen(path, settings, mounting, offset_ns, growing=True)

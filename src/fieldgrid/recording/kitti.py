@@ -44,7 +44,7 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
     drive = Drive(
         path=path,
         name=folder.resolve().name,
-        log=FixLog(oxts_fixes(times_ns, rows), motion=oxts_motion(times_ns, rows)),
+        log=options.in_time(FixLog(oxts_fixes(times_ns, rows), motion=oxts_motion(times_ns, rows))),
         gnss_source="oxts",
         notes=("The heights of oxts are above mean sea level, not above the ellipsoid.",),
     )

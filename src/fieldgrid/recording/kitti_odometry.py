@@ -65,6 +65,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     offset_ns = options.offset_or(settings.image_time_offset_ns)
     if log_path is not None:
         log = read_fix_log(log_path, options.columns or settings.columns)
+        log = options.in_time(log, settings.gnss_offset_ns)
         drive = replace(
             drive,
             log=log,

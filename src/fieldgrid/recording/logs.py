@@ -16,6 +16,7 @@ from fieldgrid.recording.fix_table import read_fix_table
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.isoxml import is_time_log, read_time_log
 from fieldgrid.recording.options import DriveOptions
+from fieldgrid.recording.settings_file import Settings
 from fieldgrid.recording.stream_log import looks_like_stream, read_stream
 from fieldgrid.recording.tables import COMMENTS, DELIMITERS, split_header
 
@@ -106,11 +107,14 @@ def _looks_like_table(head: bytes) -> bool:
     return not first.startswith(("$", "!", *COMMENTS)) or "lat" in first.lower()
 
 
-def with_log(drive: Drive, folder: Path, log_path: Path | None, columns: Columns | None) -> Drive:
+def with_log(
+    drive: Drive, folder: Path, log_path: Path | None, settings: Settings, options: DriveOptions
+) -> Drive:
     """A drive in a folder with the fixes of a log, or a remark that there is none."""
     if log_path is None:
         return replace(drive, notes=(*drive.notes, passed_over(folder)))
-    log = read_fix_log(log_path, columns)
+    log = read_fix_log(log_path, options.columns or settings.columns)
+    log = options.in_time(log, settings.gnss_offset_ns)
     return replace(
         drive,
         log=log,
@@ -125,7 +129,7 @@ def open_log(path: Path, options: DriveOptions) -> Drive:
     options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
     options.refuse_topics(path)
     options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
-    log = read_fix_log(path, options.columns)
+    log = options.in_time(read_fix_log(path, options.columns))
     return Drive(
         path=path,
         name=path.stem,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fieldgrid.errors import CalibrationError, ConfigError, quoted
 from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.mounting import Mounting, missing_mounting, read_mounting
 from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.rig import LeverArm, Mount
@@ -20,7 +21,12 @@ ROLES = (
 """What a topic can be to a recording."""
 
 MAX_OFFSET_S = 86_400
-"""Time zones and a wrong date put a clock off by up to a day; beyond that it is no clock."""
+"""Time zones and a wrong date put a clock off by up to a day; what is further off by itself
+counts from when a sensor was switched on."""
+
+MAX_GIVEN_OFFSET_S = 40 * 365 * 86_400
+"""A computer without a battery for its clock may be years off; nanoseconds given for seconds are
+beyond."""
 
 NO_MOUNTING = Mounting(Mount(1.0, 0.0), LeverArm(0.0, 0.0, 0.0), source="no mounting")
 
@@ -30,6 +36,7 @@ _FLAGS = {
     "topics": "--topic",
     "mounting": "--mounting",
     "image_time_offset_ns": "--time-offset",
+    "gnss_offset_ns": "--gnss-offset",
 }
 
 
@@ -41,7 +48,8 @@ class DriveOptions:
     `gnss` picks one of several GNSS logs by file name, or gives the path of another; `columns`
     says what the columns of a table of fixes are; `topics` names topics by their role (`ROLES`);
     `mounting` is another `mounting.json`, or what stands for it; `image_time_offset_ns` is added
-    to image times to give GNSS time and outranks the recording's own; `poses` are those that
+    to image times to give GNSS time and outranks the recording's own, `gnss_offset_ns` to the
+    times of the GNSS log to give the time of images, gyro and wheels; `poses` are those that
     another program estimated, and outrank what the recording says of them. With `unmounted`, a
     sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
     may be missing: it is the frame that then cannot be read.
@@ -52,6 +60,7 @@ class DriveOptions:
     topics: Mapping[str, str] = field(default_factory=dict)
     mounting: str | Path | Mounting | None = None
     image_time_offset_ns: int | None = None
+    gnss_offset_ns: int | None = None
     poses: PoseSource | None = None
     unmounted: bool = False
     incomplete: bool = False
@@ -62,12 +71,16 @@ class DriveOptions:
                 raise ConfigError(
                     f"{quoted(role)} is nothing that a topic can be; known are {', '.join(ROLES)}."
                 )
-        offset_ns = self.image_time_offset_ns
-        if offset_ns is not None and abs(offset_ns) > MAX_OFFSET_S * 1_000_000_000:
-            raise ConfigError(
-                f"An image time offset of {offset_ns / 1e9} s is beyond a day; give the seconds "
-                "that an image time must be moved by to be GNSS time."
-            )
+        for offset_ns, what, goal in (
+            (self.image_time_offset_ns, "image", "GNSS time"),
+            (self.gnss_offset_ns, "GNSS", "the time of images, gyro and wheels"),
+        ):
+            if offset_ns is not None and abs(offset_ns) > MAX_GIVEN_OFFSET_S * 1_000_000_000:
+                article = "An" if what == "image" else "A"
+                raise ConfigError(
+                    f"{article} {what} time offset of {offset_ns / 1e9} s is beyond 40 years; give "
+                    f"the seconds that a time of it must be moved by to be {goal}."
+                )
 
     def refuse(self, why: str, *names: str) -> None:
         """Raise ConfigError, with `why`, for options of these names that were given."""
@@ -103,3 +116,7 @@ class DriveOptions:
     def offset_or(self, own_ns: int) -> int:
         """The offset of image times that was given, else the recording's own."""
         return own_ns if self.image_time_offset_ns is None else self.image_time_offset_ns
+
+    def in_time(self, log: FixLog, own_ns: int = 0) -> FixLog:
+        """A GNSS log moved by the offset that was given, else by the recording's own."""
+        return log.moved(own_ns if self.gnss_offset_ns is None else self.gnss_offset_ns)

@@ -24,7 +24,7 @@ from fieldgrid.recording.entries import (
 )
 from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS, is_inside, read_text
 from fieldgrid.recording.motion_files import check_axes
-from fieldgrid.recording.options import MAX_OFFSET_S
+from fieldgrid.recording.options import MAX_GIVEN_OFFSET_S
 from fieldgrid.recording.pixels import BAYER_PATTERNS, BITS
 from fieldgrid.recording.pose_source import PoseSource
 
@@ -58,6 +58,7 @@ class Settings:
 
     name: str = ""
     image_time_offset_ns: int = 0
+    gnss_offset_ns: int = 0
     datum: Datum | None = None
     columns: Columns | None = None
     frames: str | None = None
@@ -189,10 +190,17 @@ class _Poses(Table):
 class _File(Table):
     name: str = entry(_TEXT, "")
     image_time_offset_s: Exact = entry(
-        "give the seconds that an image time must be moved by to be GNSS time, at most a day",
+        "give the seconds that an image time must be moved by to be GNSS time, at most 40 years",
         Decimal(0),
-        ge=-MAX_OFFSET_S,
-        le=MAX_OFFSET_S,
+        ge=-MAX_GIVEN_OFFSET_S,
+        le=MAX_GIVEN_OFFSET_S,
+    )
+    gnss_time_offset_s: Exact = entry(
+        "give the seconds that a time of the GNSS log must be moved by to be that of images, gyro "
+        "and wheels, at most 40 years",
+        Decimal(0),
+        ge=-MAX_GIVEN_OFFSET_S,
+        le=MAX_GIVEN_OFFSET_S,
     )
     frames: _Path | None = entry(_INSIDE, None)
     calibration: _Path | None = entry(_INSIDE, None)
@@ -237,6 +245,7 @@ def read_settings(path: Path) -> Settings:
     return Settings(
         name=said.name,
         image_time_offset_ns=round(said.image_time_offset_s * 1_000_000_000),
+        gnss_offset_ns=round(said.gnss_time_offset_s * 1_000_000_000),
         datum=datum,
         columns=columns,
         frames=said.frames,

@@ -119,6 +119,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
     else:
         log = read_fix_log(log_path, options.columns or settings.columns)
         fixes = BagFixes(log, log_path.name, log_path)
+    fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
     used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
     for role in {"imu", "odometry"} & used.keys():
         try:
