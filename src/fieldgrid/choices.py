@@ -25,6 +25,7 @@ class Doubt(StrEnum):
     """What of a drive stops a build unless it is accepted, by the codes of `inspect`."""
 
     CLOCK_OFFSET = "clock-offset"
+    CLOCK_JUMP = "clock-jump"
     FRAMES_MISPLACED = "frames-misplaced"
     CAMERA_YAW = "camera-yaw"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"

@@ -188,6 +188,20 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
     return Doubted(Doubt.CLOCK_OFFSET, error)
 
 
+def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
+    """That images and gyro are of one clock before some instant and of another after it."""
+    jump = estimate.report.jump
+    if jump is None:
+        return None
+    error = RecordingError(
+        f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
+        f"{utc_text(jump.time_ns)}: over that hole in their stamps the camera went "
+        f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; make two recordings of the "
+        "drive there, of which each gets the offset that `fieldgrid inspect` finds."
+    )
+    return Doubted(Doubt.CLOCK_JUMP, error)
+
+
 def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
     """That the images are of other moments than they are stamped, each by another time."""
     found = estimate.report.contradiction

@@ -32,6 +32,7 @@ from fieldgrid.build.poses import (
     check_poses,
     doubted_clock,
     doubted_frames,
+    doubted_jump,
     doubted_yaw,
     estimate_drive,
     no_ground,
@@ -238,7 +239,7 @@ class NewSession:
         report.notes += estimate.report.notes
         report.fixes = len(estimate.fix_row)
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-        for doubted in (doubted_clock, doubted_frames, doubted_yaw):
+        for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
             report.notes += settle(doubted(recording, estimate), self.settings)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory

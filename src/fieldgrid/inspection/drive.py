@@ -16,6 +16,7 @@ from fieldgrid.build.poses import (
     check_images,
     check_poses,
     doubted_frames,
+    doubted_jump,
     doubted_yaw,
     estimate_drive,
 )
@@ -246,13 +247,17 @@ def _with_map(
 
 
 def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
-    """Images of other moments than they are stamped, and a camera that looks elsewhere."""
-    stopping = (doubted_frames(recording, estimate), doubted_yaw(recording, estimate))
+    """A clock that jumps, images of other moments than stamped, a camera that looks elsewhere."""
+    stopping = (
+        doubted_jump(recording, estimate),
+        doubted_frames(recording, estimate),
+        doubted_yaw(recording, estimate),
+    )
     for doubted in stopping:
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
     yaw = estimate.report.camera_yaw
-    if yaw is not None and stopping[1] is None:
+    if yaw is not None and stopping[-1] is None:
         code = Doubt.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
         findings += [warning(code, note) for note in yaw_notes(yaw)]
 

@@ -18,6 +18,7 @@ from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
 from fieldgrid.pose.camera_yaw import camera_yaw
 from fieldgrid.pose.clock import check_clock
+from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied import denied_by, unsure_declared
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
@@ -146,6 +147,7 @@ def estimate_poses(
         recorded=comparison,
         clock=clock,
         contradiction=contradiction,
+        jump=clock_jump(log.accepted, motion.steps, motion.gyro),
         camera_yaw=yaw,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),

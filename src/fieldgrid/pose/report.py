@@ -16,6 +16,7 @@ from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.pose.clock import ClockOffset, Contradiction
+from fieldgrid.pose.clock_jump import ClockJump
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import Drive
@@ -48,11 +49,11 @@ class PoseReport:
     """What was found out about a drive besides its poses.
 
     `attitude` is how the vehicle leans, None where nothing tells it. `recorded` is a recorded
-    heading beside the estimate; `clock` the time offset between images and fixes, as seen from the
-    camera's motion, `contradiction` how much of that motion no offset explains, and `camera_yaw`
-    where it has the camera look; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
+    heading beside the estimate; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
     their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
-    wheels are too long.
+    wheels are too long. As the camera's motion has it, `clock` is the time offset between images
+    and fixes, `jump` where the clock of images and gyro jumps, `contradiction` how much of that
+    motion no offset explains, and `camera_yaw` where the camera looks.
     """
 
     conditioning: ConditioningSummary
@@ -66,6 +67,7 @@ class PoseReport:
     notes: tuple[str, ...]
     georeference: Georeference | None = None
     contradiction: Contradiction | None = None
+    jump: ClockJump | None = None
     camera_yaw: CameraYaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -75,6 +77,7 @@ class PoseReport:
             "recorded_heading": self.recorded,
             "clock_offset": self.clock,
             "camera_contradiction": self.contradiction,
+            "clock_jump": self.jump,
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
             "wheel_scale": self.wheel_scale,
