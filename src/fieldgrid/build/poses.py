@@ -122,22 +122,22 @@ def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
     if shift_s is None:
         began_s = round((fixed.first_ns - seen.first_ns) / 1e9)
         return (
-            f"if it is the log of this drive, and both began at about the same time, "
-            f"{_offset_words(recording, began_s)} (the camera's motion tells the rest), else "
-            f"{choose}"
+            "if it is the log of this drive, and both began at about the same time, "
+            f"{_offset_words(recording, fixed, began_s)} (the camera's motion tells the rest), "
+            f"else {choose}"
         )
     return (
         f"they would if images were {abs(shift_s):g} s {'later' if shift_s > 0 else 'earlier'} "
         f"({explanation(shift_s, fixed.first_ns)}): if that is so, "
-        f"{_offset_words(recording, shift_s)}, else {choose}"
+        f"{_offset_words(recording, fixed, shift_s)}, else {choose}"
     )
 
 
-def _offset_words(recording: Recording, shift_s: float) -> str:
+def _offset_words(recording: Recording, fixed: Span, shift_s: float) -> str:
     """How to move images by so much against the fixes: where a gyro overlaps no fix either, it
     goes with the images, and the fixes are moved the other way."""
-    gyro, fixes_ns = recording.motion().gyro, recording.fixes().time_ns
-    if gyro is not None and (gyro.time_ns[-1] < fixes_ns.min() or gyro.time_ns[0] > fixes_ns.max()):
+    gyro = recording.motion().gyro
+    if gyro is not None and (gyro.time_ns[-1] < fixed.first_ns or gyro.time_ns[0] > fixed.last_ns):
         return _gnss_offset(f"{recording.log.moved_ns / 1e9 - shift_s:.10g}")
     return _image_offset(f"{recording.rig.image_time_offset_ns / 1e9 + shift_s:.10g}")
 
