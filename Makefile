@@ -76,6 +76,7 @@ heading: .venv/installed ## Measure heading and gear on real logs, where they ar
 	$(PY) -m benchmarks.heading
 	$(PY) -m benchmarks.variations
 	$(PY) -m benchmarks.stretches
+	$(PY) -m benchmarks.damages
 
 accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, alignment and changes
 	$(PY) -m benchmarks.accuracy

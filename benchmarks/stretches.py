@@ -1,8 +1,9 @@
 """Short stretches of drives that are declared rightly: `python -m benchmarks.stretches`.
 
-Nothing of their antennas, stamps and clocks is to be denied. Each rendered drive is estimated over
-stretches that begin anywhere and last 6 to 70 s, with its gyro, with its camera, and with both; a
-line tells of each whose positions count as less sure for a denial, and one of how many they are.
+Nothing of their antennas, stamps, clocks and cameras is to be denied. Each rendered drive is
+estimated over stretches that begin anywhere and last 6 to 70 s, with its gyro, with its camera, and
+with both; a line tells of each whose positions count as less sure for a denial, and one of how many
+they are.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ def report() -> Iterator[str]:
     """A line for each denial, and their count."""
     random = np.random.default_rng(SEED)
     made = refused = denied = 0
+    by_camera = np.zeros(4, dtype=np.int64)
     for name, logs in RENDERED:
         if not (DATA / name).exists():
             yield f"{name}: absent"
@@ -56,9 +58,25 @@ def report() -> Iterator[str]:
                 notes = [note for note in found.report.notes if any(d in note for d in DENIALS)]
                 denied += bool(notes)
                 what = ("gyro", "camera", "both")[k % 3]
+                told = found.report
+                doubts = (
+                    told.jump is not None,
+                    told.contradiction is not None and told.contradiction.is_certain,
+                    told.camera_yaw is not None and told.camera_yaw.is_off,
+                    told.camera_yaw is not None and told.camera_yaw.moved is not None,
+                )
+                by_camera += np.array(doubts)
                 for note in notes:
                     yield f"{name} {log}, {what}, {lasts_s:.0f} s from {from_s:.0f} s: {note}"
     yield f"{made} stretches (and {refused} refused), {denied} denied falsely"
+    yield "told falsely by the camera: " + ", ".join(
+        f"{what} {count}"
+        for what, count in zip(
+            ("clock-jump", "frames-misplaced", "camera-yaw", "camera-moved"),
+            by_camera.tolist(),
+            strict=True,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -1,0 +1,218 @@
+"""The example drive, damaged as drives of users are: `python -m benchmarks.damages`.
+
+Each damage is made in a copy, of which a map is built and compared with the truth. What matters is
+not that the map is good, but that the drive is refused, or that its poses know and something is
+said: a line a damage tells all of it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from benchmarks import EXAMPLE
+from fieldgrid.build import build_map
+from fieldgrid.errors import FieldgridError, TruthError
+from fieldgrid.evaluation import Truth, evaluate, read_truth
+from fieldgrid.evaluation.truth import TruthPose
+from fieldgrid.mapfile import open_map
+from fieldgrid.recording import DriveOptions
+from fieldgrid.settings import BuildSettings
+from fieldgrid.trajectory import Status
+
+LOG = "gnss_rtk.nmea"
+Damage = Callable[[Path], None]
+
+
+def _copy(folder: Path) -> Path:
+    """The example; images are links."""
+    (folder / "gnss").mkdir(parents=True)
+    shutil.copy(EXAMPLE / "gnss" / LOG, folder / "gnss")
+    for name in ("calibration", "imu"):
+        shutil.copytree(EXAMPLE / name, folder / name)
+    for name in ("frames.csv", "session.json"):
+        shutil.copy(EXAMPLE / name, folder)
+    for side in ("left", "right"):
+        (folder / side).mkdir()
+        for image in (EXAMPLE / side).iterdir():
+            (folder / side / image.name).symlink_to(image.resolve())
+    return folder
+
+
+def _rows(path: Path, change: Callable[[list[list[str]]], list[list[str]]]) -> None:
+    head, *rows = path.read_text().splitlines()
+    changed = change([row.split(",") for row in rows])
+    path.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
+
+
+def later(what: str, by_s: float, of: slice = slice(None)) -> Damage:
+    """Rows of a table stamped later."""
+    column = 1 if what == "frames.csv" else 0
+
+    def change(rows: list[list[str]]) -> list[list[str]]:
+        for row in rows[of]:
+            row[column] = f"{float(row[column]) + by_s:.3f}"
+        return rows
+
+    return lambda folder: _rows(folder / what, change)
+
+
+def images_of(order: Callable[[int], list[int]]) -> Damage:
+    """The images of other frames at the stamps of these."""
+
+    def change(rows: list[list[str]]) -> list[list[str]]:
+        return [row[:3] + rows[k][3:] for row, k in zip(rows, order(len(rows)), strict=True)]
+
+    return lambda folder: _rows(folder / "frames.csv", change)
+
+
+def mounted(**values: object) -> Damage:
+    """Keys of mounting.json that are said wrong."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "calibration" / "mounting.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+
+    return damage
+
+
+def seen(change: Callable[[np.ndarray], np.ndarray], sides: str, of: slice = slice(None)) -> Damage:
+    """Images that are other than the camera saw them."""
+
+    def damage(folder: Path) -> None:
+        for side in sides.split():
+            for path in sorted((folder / side).iterdir())[of]:
+                image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                path.unlink()
+                if image is None or not cv2.imwrite(str(path), change(image)):
+                    raise OSError(f"{path} cannot be changed")
+
+    return damage
+
+
+def _shifted(right_px: float, down_px: float) -> Callable[[np.ndarray], np.ndarray]:
+    move = np.array([[1.0, 0.0, right_px], [0.0, 1.0, down_px]], dtype=np.float32)
+    return lambda image: cv2.warpAffine(
+        image, move, image.shape[::-1], borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def _all(*damages: Damage) -> Damage:
+    def damage(folder: Path) -> None:
+        for one in damages:
+            one(folder)
+
+    return damage
+
+
+def _exchanged(folder: Path) -> None:
+    for old, new in (("left", "other"), ("right", "left"), ("other", "right")):
+        os.rename(folder / old, folder / new)
+
+
+IMU, FRAMES, HALF = "imu/imu_100hz.csv", "frames.csv", slice(25, None)
+DAMAGES: dict[str, Damage] = {
+    "none": lambda folder: None,
+    "computer 2 s late": _all(later(IMU, 2.0), later(FRAMES, 2.0)),
+    "computer 18 s early": _all(later(IMU, -18.0), later(FRAMES, -18.0)),
+    "computer set ahead 0.7 s": _all(later(IMU, 0.7, slice(4842, None)), later(FRAMES, 0.7, HALF)),
+    "images 0.3 s late": later(FRAMES, 0.3),
+    "gyro 0.5 s late": later(IMU, 0.5),
+    "frames sorted as text": images_of(lambda n: sorted(range(n), key=str)),
+    "images one late": images_of(lambda n: [0, *range(n - 1)]),
+    "images one late from the middle": images_of(lambda n: [*range(25), *range(24, n - 1)]),
+    "left and right exchanged": _exchanged,
+    "right image one late": lambda folder: _rows(
+        folder / FRAMES,
+        lambda rows: [row[:4] + rows[max(k - 1, 0)][4:] for k, row in enumerate(rows)],
+    ),
+    "camera turned 3 deg": mounted(camera_yaw_deg=3.0),
+    "camera tilted 3 deg less": mounted(camera_tilt_down_deg=13.0),
+    "camera 0.3 m lower": mounted(camera_height_above_ground_m=2.35),
+    "antenna 0.9 m aside": mounted(gnss_antenna_from_camera_mid_flu_m=[-0.45, -0.8, 0.35]),
+    "antenna 0.9 m ahead": mounted(gnss_antenna_from_camera_mid_flu_m=[0.45, 0.12, 0.35]),
+    "camera pushed 2.5 deg aside": seen(_shifted(40.0, 0.0), "left right", HALF),
+    "camera pushed 1.9 deg down": seen(_shifted(0.0, 30.0), "left right", HALF),
+    "right camera pushed 2 px down": seen(_shifted(0.0, 2.0), "right", HALF),
+    "right camera pushed 1.5 px aside": seen(_shifted(1.5, 0.0), "right", HALF),
+    "images of an eighth of the light": seen(lambda i: (i / 8).astype(np.uint8), "left right"),
+    "six black images": seen(lambda i: 0 * i, "left right", slice(20, 26)),
+}
+
+
+class Score(NamedTuple):
+    """Of the frames that were used: how many of how many, how many positions are within three
+    sigma, the largest error and the median sigma; and the share of obstacle cells that are within
+    10 cm of an obstacle, NaN where the truth has no frame of these times."""
+
+    used: int
+    frames: int
+    within: int
+    most_m: float
+    sigma_m: float
+    precision: float
+
+
+def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -> Score:
+    """Poses are compared frame by frame, whatever their stamps."""
+    with open_map(path) as built:
+        frames = list(built.frames(session))
+        try:
+            precision = evaluate(built, truth).groups[-1].obstacles.precision["0.10"]
+        except TruthError:
+            precision = math.nan
+    used = [frame for frame in frames if frame.status is Status.OK]
+    off_m, sigma_m = np.array(
+        [
+            (
+                math.hypot(
+                    frame.pose.east_m - true[frame.frame_id].east_m,
+                    frame.pose.north_m - true[frame.frame_id].north_m,
+                ),
+                frame.pose.position_sigma_m,
+            )
+            for frame in used
+        ]
+    ).T
+    within = int((off_m <= 3.0 * np.maximum(sigma_m, 0.01)).sum())
+    most_m, median_m = float(off_m.max()), float(np.median(sigma_m))
+    return Score(len(used), len(frames), within, most_m, median_m, precision)
+
+
+def report() -> Iterator[str]:
+    """A line a damage."""
+    truth = read_truth(EXAMPLE / "truth")
+    with (EXAMPLE / "frames.csv").open(newline="") as table:
+        ids = [row["frame_id"] for row in csv.DictReader(table)]
+    true = dict(zip(ids, truth.poses, strict=True))
+    yield f"{'':36}{'used':>7}{'3 sigma':>9}{'off most':>10}{'sigma':>9}{'prec 10cm':>11}  said"
+    for name, damage in DAMAGES.items():
+        with tempfile.TemporaryDirectory() as place:
+            folder, out = _copy(Path(place) / "drive"), Path(place) / "map.gpkg"
+            damage(folder)
+            try:
+                (built,) = build_map([folder], out, BuildSettings(), DriveOptions(LOG))
+            except FieldgridError as problem:
+                yield f"{name:36}{'refused':>7}  {problem}"
+                continue
+            score = _score(out, built.session, true, truth)
+        yield (
+            f"{name:36}{score.used:4d}/{score.frames}{score.within:6d}/{score.used}"
+            f"{score.most_m:8.2f} m{score.sigma_m:7.3f} m{100 * score.precision:9.1f} %  "
+            f"{' '.join(built.notes)}"
+        )
+
+
+if __name__ == "__main__":
+    for line in report():
+        print(line, flush=True)
