@@ -26,6 +26,9 @@ ALIKE, LEAD = 0.8, 0.05
 
 FEWEST_SHIFTS = 40
 
+PARTS, FEWEST_PAIRS = 5, 2
+"""A drive is split between so many parts, and a side of it looked at with so many pairs."""
+
 SHIFT_SIGMA_PX = (1e6, 30.0, 30.0)
 """Nothing is known of the shift itself, and little of how it grows across the image: enough to
 leave it level where all matches lie on a line."""
@@ -35,13 +38,14 @@ class Misalignment(NamedTuple):
     """How many rows lower the right images lie, in pixels: `median_px` of all matches,
     `residual_px` the median size of a shift that may also grow across the image;
     `roll_deg` of the right camera against the left, `scatter_px` between the pairs, `matches`
-    how many points."""
+    how many points, of so many `pairs`."""
 
     median_px: float
     residual_px: float
     roll_deg: float
     scatter_px: float
     matches: int
+    pairs: int
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -81,7 +85,23 @@ def misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalign
         roll_deg=float(np.degrees(np.arctan(plane[1] / width))),
         scatter_px=1.4826 * float(np.median(off)),
         matches=len(shifts),
+        pairs=len(pairs),
     )
+
+
+def drive_misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalignment | None:
+    """That of the pairs of a drive, in order of time, together; or of those before or after some
+    moment where only these are so far off that matching fails, since a camera was pushed."""
+    whole = misalignment(pairs, size_px)
+    if whole is not None and whole.residual_px > SHIFT_ERROR_PX:
+        return whole
+    splits = np.linspace(0, len(pairs), PARTS + 1)[1:-1].round().astype(int).tolist()
+    parts = [
+        part for at in splits for part in (pairs[:at], pairs[at:]) if len(part) >= FEWEST_PAIRS
+    ]
+    found = [one for one in (misalignment(part, size_px) for part in parts) if one is not None]
+    worst = max(found, key=lambda one: one.residual_px, default=whole)
+    return worst if worst is not None and worst.residual_px > SHIFT_ERROR_PX else whole
 
 
 def shift_px(shifts: Float64) -> float | None:

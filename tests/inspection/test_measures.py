@@ -11,7 +11,7 @@ from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.measures import Look, blur, exposure
 from fieldgrid.inspection.rigs import scale
 from fieldgrid.pose import estimate_poses
-from fieldgrid.vertical import misalignment
+from fieldgrid.vertical import drive_misalignment, misalignment
 from tests.simulated import DATUM, Command, fixes_of, simulate, steps_of
 
 SIZE_PX = (640, 480)
@@ -55,6 +55,20 @@ def test_misalignment_in_spite_of_wrong_matches(
 def test_too_few_matches_tell_nothing() -> None:
     assert misalignment([], SIZE_PX) is None
     assert misalignment([shifts_of(0, 5.0, 0.0, 0.0)[:20]], SIZE_PX) is None
+
+
+@pytest.mark.parametrize("pushed_at", [0.2, 0.5, 0.6, 0.8])
+def test_a_camera_that_was_pushed_is_noticed_though_most_pairs_are_right(pushed_at: float) -> None:
+    count = 10
+    pairs = [shifts_of(k, 2.0 * (k >= pushed_at * count), 0.0, 0.1) for k in range(count)]
+    found = drive_misalignment(pairs, SIZE_PX)
+    assert found is not None
+    assert found.residual_px == pytest.approx(2.0, abs=0.3)
+    assert found.pairs >= 2
+    before = drive_misalignment([shifts_of(k, 0.3, 0.0, 0.1) for k in range(count)], SIZE_PX)
+    assert before is not None
+    assert before.residual_px == pytest.approx(0.3, abs=0.1)
+    assert before.pairs == count
 
 
 def test_blur_does_not_depend_on_contrast() -> None:

@@ -21,7 +21,7 @@ from fieldgrid.recording import CloudFrame, Frame, Recording
 from fieldgrid.rig import DepthCamera, Lidar, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import FEWEST_TIMES
-from fieldgrid.vertical import SHIFT_ERROR_PX, misalignment, vertical_shifts
+from fieldgrid.vertical import SHIFT_ERROR_PX, drive_misalignment, vertical_shifts
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
 """Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
@@ -81,13 +81,14 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
             shifts.append(vertical_shifts(*frame.images(), camera))
         except FieldgridError:
             continue
-    found = misalignment(shifts, (camera.width_px, camera.height_px))
+    found = drive_misalignment(shifts, (camera.width_px, camera.height_px))
     if found is None or found.residual_px <= SHIFT_ERROR_PX:
         return None
     error = CalibrationError(
         f"The right images of {recording.name} lie {found.median_px:+.1f} pixels lower than the "
-        f"left ones ({found.matches} matches in {len(shifts)} pairs), and rows must match to match "
-        "pixels; calibrate the pair anew, or give the rectification that belongs to these images."
+        f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), and rows "
+        "must match to match pixels; calibrate the pair anew, or give the rectification that "
+        "belongs to these images."
     )
     return Doubted(Doubt.VERTICAL_MISALIGNMENT, error)
 

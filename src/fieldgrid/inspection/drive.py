@@ -49,7 +49,7 @@ from fieldgrid.pose.camera_yaw import yaw_notes
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
-from fieldgrid.vertical import misalignment
+from fieldgrid.vertical import drive_misalignment
 
 GROUND_SHARE = 0.7
 """Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
@@ -121,7 +121,7 @@ def _looked(
     rows = None
     if isinstance(recording.rig.sensor, StereoCamera):
         camera = recording.rig.sensor
-        rows = misalignment(
+        rows = drive_misalignment(
             [look.shifts for look in seen.looks], (camera.width_px, camera.height_px)
         )
         findings += misalignment_findings(rows)
