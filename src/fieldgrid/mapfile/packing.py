@@ -11,13 +11,12 @@ from fieldgrid.kernel import kernel
 
 
 @kernel
-def differences(values, row, column, columns, expected, signed, stored):  # type: ignore[no-untyped-def]
-    """Fill flat `stored` with a part of a tile, values [256, 256], less what is expected of it;
+def differences(values, expected, signed, stored):  # type: ignore[no-untyped-def]
+    """Fill flat `stored` with the flat `values` of a part of a tile, less what is expected of it;
     `signed` ones become small numbers. Returns the bits that any of them has."""
     one, bits = np.uint64(1), np.uint64(0)
-    for j in range(stored.size // columns):
-        for i in range(columns):
-            stored[j * columns + i] = values[row + j, column + i]
+    for k in range(stored.size):
+        stored[k] = values[k]
     if expected.size > 0:
         for k in range(stored.size):
             stored[k] -= expected[k]

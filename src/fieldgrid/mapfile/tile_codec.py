@@ -93,9 +93,7 @@ def encode_tile(
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
     for guess, (name, signed) in zip(expectation.of(group, box), names, strict=True):
-        values = np.ascontiguousarray(cells[name])
-        part = box.first_row, box.first_column, box.shape[1]
-        bits = int(differences(values, *part, guess, signed, stored))
+        bits = int(differences(np.ravel(cells[name][box.slices]), guess, signed, stored))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
         count = -(-(bits >> shift).bit_length() // 8)
         split(stored, shift, planes[used : used + count])
