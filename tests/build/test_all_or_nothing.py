@@ -173,7 +173,7 @@ def a_day_later(table: str) -> str:
             GnssError,
             r"Images \(2011-06-16T10:30:19\.840Z to .*\) and fixes \(2011-06-15T.*Z to .*Z\) do "
             r"not overlap in time; .* \(1 day: one of the two has a wrong date\): .* --time-offset "
-            r"-86400 or image_time_offset_s = -86400, else choose .* --gnss",
+            r"-86400 or image_time_offset_s = -86400 in recording.toml, else .*",
         ),
         (
             lambda drive: (drive / "gnss" / "gnss_rtk.nmea").write_text(""),

@@ -68,7 +68,7 @@ def test_nothing_need_be_said(tmp_path: Path) -> None:
         ("[gnss.columns]\nlatitude = 'a'", "Columns: 'latitude' cannot be mapped"),
         ("name = 3", "name is 3; give a text in quotes"),
         ("sensor = 'radar'", "sensor is 'radar'; give one of stereo, depth, disparity, cloud"),
-        ("image_time_offset_s = 1e5", "image_time_offset_s is 1E.5; give the seconds that"),
+        ("image_time_offset_s = 1e10", "image_time_offset_s is 1E.10; give the seconds that"),
         ("image_time_offset_s = true", "image_time_offset_s is True, which is no number"),
         ("[datum]\nlat_deg = 3", "lacks lon_deg; give the longitude in degrees"),
         ("[datum]\nlat_deg = 99\nlon_deg = 0\nheight_m = 0", "99"),

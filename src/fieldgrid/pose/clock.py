@@ -176,6 +176,14 @@ class ClockSearch:
         at = int(np.argmin(misfits))
         return float(scan_s[at]) if np.isfinite(misfits[at]) else None
 
+    def tells(self, offset_s: float) -> bool:
+        """Whether the steps fit clearly worse a second and more beside this offset: along an even
+        way they fit at any."""
+        beside_s = np.arange(1.0, WIDEST_S + SCAN_S, SCAN_S)
+        beside = [self.misfit(offset_s + by_s) for by_s in (*-beside_s, *beside_s)]
+        lead = min(beside) - self.misfit(offset_s)
+        return lead * len(self._inside(offset_s, 0.0).start_ns) > CLEAR_LEAD
+
     def far(self) -> ClockOffset | None:
         """The best offset within a minute, near or far; None when there is no clear one."""
         rough_s = self.rough()
@@ -287,7 +295,7 @@ def _far_offsets(
     rough_s = by_fixes.rough()
     if gyro is not None:
         found.append(search(gyro).far())
-        if rough_s is not None:
+        if rough_s is not None and by_fixes.tells(rough_s):
             found.append(_together(fixes, steps, gyro, rough_s, axle, hints))
     return (one for one in found if one is not None)
 
