@@ -1,4 +1,4 @@
-"""The example drive, damaged as drives of users are: `python -m benchmarks.damages`.
+"""The example drive, damaged as drives of users are: `python -m benchmarks.damages [LOG]`.
 
 Each damage is made in a copy, of which a map is built and compared with the truth. What matters is
 not that the map is good, but that the drive is refused, or that its poses know and something is
@@ -12,6 +12,7 @@ import json
 import math
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,7 +31,7 @@ from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status
 
-LOG = "gnss_rtk.nmea"
+LOG = sys.argv[1] if len(sys.argv) > 1 else "gnss_rtk.nmea"
 Damage = Callable[[Path], None]
 
 

@@ -148,12 +148,24 @@ def test_images_of_other_moments_than_stamped_are_told() -> None:
     steps = steps_of(drive, 1.2, noise=1.0, seed=9)
     count = len(steps.start_ns)
     as_text = sorted(range(count), key=str)
-    assert contradiction(drive, exchanged(steps, as_text)).is_certain
+    found = contradiction(drive, exchanged(steps, as_text))
+    assert found.is_certain
+    assert not found.gyro_too
     one_late = [*range(count // 2), *range(count // 2 - 1, count - 1)]
-    assert contradiction(drive, exchanged(steps, one_late)).is_certain
+    found = contradiction(drive, exchanged(steps, one_late))
+    assert found.is_certain
+    assert not found.gyro_too
 
 
-@pytest.mark.parametrize("noise_m", [0.02, 0.3, 1.0])
+def test_a_gyro_that_turns_as_the_images_do_blames_the_fixes() -> None:
+    """They scatter by a metre and state two centimetres."""
+    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
+    found = contradiction(drive, steps_of(drive, 1.2, noise=1.0, seed=10), 1.0)
+    assert found.is_certain
+    assert found.gyro_too
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.3])
 @pytest.mark.parametrize("scale", [1.0, 1.08])
 def test_images_of_their_moments_do_not_contradict(noise_m: float, scale: float) -> None:
     """However poor the fixes are, and with a calibration that is somewhat off."""

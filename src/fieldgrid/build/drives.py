@@ -345,9 +345,8 @@ class _Build:
         """Take what the processes or workers tell."""
         assert self.executor is not None
         try:
-            event: Event = self.executor.events.get(
-                timeout=0.5
-            )  # so that Ctrl-C is heard everywhere
+            # With an end, so that Ctrl-C is heard everywhere.
+            event: Event = self.executor.events.get(timeout=0.5)
         except Empty:
             return
         drive = self.drives[event.drive]

@@ -203,17 +203,27 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
 
 
 def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
-    """That the images are of other moments than they are stamped, each by another time."""
+    """That images and fixes are of other moments, and not by one offset that was found."""
     found = estimate.report.contradiction
     if found is None or not found.is_certain:
         return None
-    error = RecordingError(
+    told = (
         f"{found.off} of {found.steps} steps between the images of {recording.name} are not those "
-        "of the drive, whatever offset their clock may have, so the images are not in the order of "
-        "their stamps, or some are missing or stamped wrong; look at the order in frames.csv (as "
-        "text, 10 comes before 2), and at how the images were written."
+        "of the fixes, and no offset of their clock was found that explains it"
     )
-    return Doubted(Doubt.FRAMES_MISPLACED, error)
+    if found.gyro_too:
+        why = (
+            "The gyro turns as the images do, so the fixes are of another drive, of another clock, "
+            "or far less good than they state; look at the log, and if it is the clock, give "
+            "--gnss-offset."
+        )
+    else:
+        why = (
+            "The images are not in the order of their stamps, or some are missing or stamped "
+            "wrong; look at the order in frames.csv (as text, 10 comes before 2), and at how the "
+            "images were written."
+        )
+    return Doubted(Doubt.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
 
 def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:

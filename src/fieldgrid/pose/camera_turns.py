@@ -18,7 +18,7 @@ CLEAR_SIGMAS, BETTER_SHARE = 5.0, 0.5
 """A step turns otherwise by more than so many of these; another clock must fit better by so much
 to be believed."""
 
-LEAST_TURNING_DEG, SLIPPED_SHARE = 90.0, 0.02
+LEAST_TURNING_DEG, SLIPPED_SHARE = 90.0, 0.05
 """A gyro vouches for the images of a drive that turns by so much in all, when no more of the steps
 turn otherwise."""
 
@@ -26,16 +26,15 @@ turn otherwise."""
 def goes_with(steps: Steps, gyro: Gyro, offset_s: float) -> bool:
     """Whether the camera's turns fit the gyro's clearly better as they are stamped than when they
     are moved by `offset_s`: then images and gyro have one clock, and the fixes another."""
-    as_stamped, moved = (_turns_off(steps, gyro, shift_s)[0] for shift_s in (0.0, offset_s))
-    if len(as_stamped) < FEWEST_STEPS:
-        return False
-    misfits = (
-        float(np.log1p((off_deg / GYRO_TURN_SIGMA_DEG) ** 2).mean())
-        if len(off_deg) >= FEWEST_STEPS
-        else math.inf
-        for off_deg in (as_stamped, moved)
-    )
-    return next(misfits) < BETTER_SHARE * next(misfits)
+    return _misfit(steps, gyro, 0.0) < BETTER_SHARE * _misfit(steps, gyro, offset_s)
+
+
+def _misfit(steps: Steps, gyro: Gyro, shift_s: float) -> float:
+    """How badly the turns fit with the steps moved; infinite with too few of them."""
+    off_deg, _ = _turns_off(steps, gyro, shift_s)
+    if len(off_deg) < FEWEST_STEPS:
+        return math.inf
+    return float(np.log1p((off_deg / GYRO_TURN_SIGMA_DEG) ** 2).mean())
 
 
 def turns_with(steps: Steps, gyro: Gyro) -> bool:

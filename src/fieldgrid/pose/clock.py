@@ -92,14 +92,16 @@ class ClockOffset(NamedTuple):
 
 class Contradiction(NamedTuple):
     """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
-    the drive, at any offset that the clock may have."""
+    the drive, at any offset of the clock that was found. With `gyro_too` the gyro turns as the
+    images do, so it is the fixes that are of other moments."""
 
     off: int
     steps: int
+    gyro_too: bool = False
 
     @property
     def is_certain(self) -> bool:
-        """Whether the images are of other moments than they are stamped, each by another time."""
+        """Whether images and fixes are of other moments, and not by one offset."""
         return self.off >= max(CONTRADICTED_LEAST, CONTRADICTED_SHARE * self.steps)
 
 
@@ -184,9 +186,8 @@ class ClockSearch:
         lead = min(beside) - self.misfit(offset_s)
         return lead * len(self._inside(offset_s, 0.0).start_ns) > CLEAR_LEAD
 
-    def far(self) -> ClockOffset | None:
-        """The best offset within a minute, near or far; None when there is no clear one."""
-        rough_s = self.rough()
+    def far(self, rough_s: float | None) -> ClockOffset | None:
+        """The best offset near where the steps fit best; None when there is no clear one."""
         return None if rough_s is None else self.best(rough_s)
 
     def _inside(self, near_s: float, margin_s: float) -> Steps:
@@ -244,12 +245,15 @@ def check_clock(
     motion: Motion,
     axle: Axle,
     hints: GearHints = NO_HINTS,
+    *,
+    recorded: Gyro | None = None,
 ) -> tuple[ClockOffset | None, Contradiction | None]:
     """The offset at which the camera's motion fits the drive without it, and how many of its
     steps do not fit even so.
 
     The offset is None when the drive is too even to tell; it is looked for farther away only
-    where the camera fits badly near by. Both are None without enough steps.
+    where the camera fits badly near by. Both are None without enough steps. `recorded` is the gyro
+    whether it is used or not: it tells of what moments the images are.
     """
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
@@ -264,13 +268,13 @@ def check_clock(
             default=None,
         )
         if far is not None and far.misfit < BETTER_SHARE * usual:
-            return _with_gyro(far, steps, motion.gyro), None
+            return _with_gyro(far, steps, recorded), None
     unfit = search.contradiction(near.offset_s if near is not None else 0.0)
-    if motion.gyro is not None and turns_with(steps, motion.gyro):
-        unfit = Contradiction(0, unfit.steps)
+    if recorded is not None and turns_with(steps, recorded):
+        unfit = unfit._replace(gyro_too=True)
     if near is not None and usual >= max(POOR_MISFIT, NEAR_SHARE * search.misfit(0.0)):
         near = None
-    return _with_gyro(near, steps, motion.gyro), unfit
+    return _with_gyro(near, steps, recorded), unfit
 
 
 def _with_gyro(found: ClockOffset | None, steps: Steps, gyro: Gyro | None) -> ClockOffset | None:
@@ -291,10 +295,11 @@ def _far_offsets(
         return ClockSearch(alone, steps, axle)
 
     by_fixes = search(None)
-    found = [by_fixes.far()]
     rough_s = by_fixes.rough()
+    found = [by_fixes.far(rough_s)]
     if gyro is not None:
-        found.append(search(gyro).far())
+        by_gyro = search(gyro)
+        found.append(by_gyro.far(by_gyro.rough()))
         if rough_s is not None and by_fixes.tells(rough_s):
             found.append(_together(fixes, steps, gyro, rough_s, axle, hints))
     return (one for one in found if one is not None)

@@ -88,6 +88,7 @@ def estimate_poses(
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
     motion, faulty_gyro = without_faulty_samples(motion)
+    gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
@@ -132,7 +133,8 @@ def estimate_poses(
     elif rig is not None:
         slope = slope_seen(log.accepted)
         table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
-    clock, contradiction = check_clock(drive, log.accepted, motion, axle, hints)
+    # A gyro of another clock than the fixes is not used, and yet tells that of the images.
+    clock, contradiction = check_clock(drive, log.accepted, motion, axle, hints, recorded=gyro)
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
     follows_path = source.kind == "smooth" and not np.isfinite(recorded_deg).any()
     yaw = camera_yaw(motion.steps, axle) if follows_path else None
@@ -147,7 +149,7 @@ def estimate_poses(
         recorded=comparison,
         clock=clock,
         contradiction=contradiction,
-        jump=clock_jump(log.accepted, motion.steps, motion.gyro),
+        jump=clock_jump(log.accepted, motion.steps, gyro),
         camera_yaw=yaw,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
