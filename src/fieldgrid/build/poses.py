@@ -219,9 +219,9 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
         )
     else:
         why = (
-            "The images are not in the order of their stamps, or some are missing or stamped "
-            "wrong; look at the order in frames.csv (as text, 10 comes before 2), and at how the "
-            "images were written."
+            "The images are not in the order of their stamps, some are missing or stamped wrong, "
+            "or their clock is seconds off; look at the order in frames.csv (as text, 10 comes "
+            "before 2), at how the images were written, and at the clock of the computer."
         )
     return Doubted(Doubt.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
