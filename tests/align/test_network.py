@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.align.drives import Drive, Role
-from fieldgrid.align.network import Match, Solution, solve
+from fieldgrid.align.network import FACE_M, Match, Solution, solve
 from fieldgrid.align.submaps import Submap
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
@@ -145,12 +145,12 @@ def test_of_four_receivers_the_one_that_lies_is_moved() -> None:
 
 
 def test_the_faces_of_a_row_are_apart_and_along_it_other_leaves_say_little() -> None:
-    off = {0: constant(0.0, 0.0), 1: constant(0.15, 0.4)}
+    off = {0: constant(0.0, 0.0), 1: constant(FACE_M, 0.4)}
     across = np.array([1.0, 0.0])
     some = [match._replace(across=across) for match in matches(off, [(0, 1)])]
     found = solve([drive("a", 0.02, Role.HOLDS), drive("b", 0.3)], [Transform()] * 2, some)
     assert np.abs(moved(found, 1)[:, 0]).max() < 0.03
-    assert found.face_m == pytest.approx(0.15, abs=0.02)
+    assert found.face_m == pytest.approx(FACE_M, abs=0.02)
     assert found.sigma_m[0, 1] > 0.08
 
 
