@@ -376,6 +376,7 @@ def test_evaluate_table(fieldgrid: Run, two_lanes_map: Path) -> None:
     ):
         assert re.search(f"^{row}$", text, re.MULTILINE), row
     assert "000000" not in text
+    assert "lean" not in text  # the gyro and accelerometer of the example tell it
 
 
 def test_evaluate_frames(fieldgrid: Run, two_lanes_map: Path) -> None:

@@ -374,6 +374,24 @@ def test_without_a_row_there_is_one_group(tmp_path: Path) -> None:
     assert [group.name for group in evaluated(universal, truth).groups] == ["all frames"]
 
 
+def test_frames_of_sessions_that_tell_no_lean_are_counted(tmp_path: Path) -> None:
+    occupied = posts()
+    truth = write_truth(tmp_path / "truth", occupied, SQUARE)
+    poses = [pose_of(drive, k) for k, drive in enumerate(SQUARE)]
+    path = write_map(tmp_path / "m.gpkg", [(seen_from(pose, occupied), pose) for pose in poses])
+    assert evaluated(path, truth).unlevelled_frames == len(poses)
+    with (
+        open_map(tmp_path / "levelled.gpkg", datum=DATUM, cell_m=CELL_M) as universal,
+        universal.add_session("levelled", config=CONFIG) as session,
+    ):
+        for k, pose in enumerate(poses):
+            grid = seen_from(pose, occupied)
+            heights = np.zeros(grid.density.shape, np.int16)
+            # A frame that found no ground has no heights though the lean was known.
+            session.add(grid, pose, channels={"ground_cm": heights} if k else None)
+    assert evaluated(tmp_path / "levelled.gpkg", truth).unlevelled_frames == 0
+
+
 def test_errors_of_a_frame_are_signed_and_go_the_short_way_round(tmp_path: Path) -> None:
     drives = [Drive(-3.0, -4.0, 179.0), Drive(-3.0, -4.0, -10.0)]
     truth = write_truth(tmp_path / "truth", posts(), drives)

@@ -176,6 +176,12 @@ def _print_scores(result: Evaluation) -> None:
     output.print_table(("", *(group.name for group in groups)), rows)
     if result.unmatched_frames:
         output.print_line(f"{result.unmatched_frames} frames of the map are not in this truth")
+    if result.unlevelled_frames:
+        output.print_line(
+            f"position errors hold the vehicle's lean: {result.unlevelled_frames} frames tell none "
+            "and are where the camera were if it stood level, the truth where it is; the cells are "
+            "compared as they lie"
+        )
 
 
 def _tolerance_rows(score: str, groups: tuple[Group, ...]) -> list[tuple[str, ...]]:

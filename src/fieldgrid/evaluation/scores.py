@@ -8,6 +8,7 @@ the rows" can be told from "all".
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -20,7 +21,7 @@ from fieldgrid.array_types import Bool, Float64
 from fieldgrid.errors import TruthError
 from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec
+from fieldgrid.grids import FREE_UP_TO, GROUND_CHANNEL, OBSTACLE_ABOVE, GridSpec
 from fieldgrid.mapfile import FrameRecord, MapFile, MapView, SessionInfo
 from fieldgrid.trajectory import Status
 from fieldgrid.transfer import to_universal
@@ -94,11 +95,16 @@ class FrameError:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All scores of a map, as `fieldgrid evaluate --json` prints them."""
+    """All scores of a map, as `fieldgrid evaluate --json` prints them.
+
+    Of `unlevelled_frames` nobody knew how the vehicle leaned: their poses are of the point below
+    the camera as if it stood level, and the truth's of the camera itself.
+    """
 
     cell_m: float
     observable_pixels: int
     unmatched_frames: int
+    unlevelled_frames: int
     groups: tuple[Group, ...]
     frames: tuple[FrameError, ...]
 
@@ -136,11 +142,27 @@ def evaluate(
         cell_m=universal.cell_m,
         observable_pixels=observable_pixels,
         unmatched_frames=unmatched,
+        unlevelled_frames=_unlevelled(universal, [one for one, _ in matched if one.accepted]),
         groups=tuple(
             Group(name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs))
             for name, pairs in groups
         ),
         frames=tuple(_frame_error(record, pose) for record, pose in matched),
+    )
+
+
+def _unlevelled(universal: MapFile, records: list[FrameRecord]) -> int:
+    """How many are of sessions that tell no lean. Frames of those that do keep heights of the
+    ground, unless they found none."""
+    counts = Counter(record.session for record in records)
+    return sum(
+        count
+        for name, count in counts.items()
+        if not any(
+            channel.name == GROUND_CHANNEL
+            for frame in universal.frames(name, with_grid=True)
+            for channel in frame.load()
+        )
     )
 
 
