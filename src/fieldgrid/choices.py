@@ -27,6 +27,7 @@ class Doubt(StrEnum):
     CLOCK_OFFSET = "clock-offset"
     CLOCK_JUMP = "clock-jump"
     FRAMES_MISPLACED = "frames-misplaced"
+    MIRRORED = "mirrored"
     CAMERA_YAW = "camera-yaw"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"

@@ -465,6 +465,21 @@ def test_a_build_fails_where_the_inspection_says_so(
 # --- the camera beside the drive
 
 
+def test_a_longitude_without_its_minus_stops_a_build(drive: Make) -> None:
+    """A smooth drive, but mirrored: gyro and camera are all that tell."""
+    folder = drive()
+    fixes_as_table(folder, 0.0)
+    table = folder / "gnss" / "fixes.csv"
+    table.write_text(table.read_text().replace(",-4.7", ",4.7"))
+    found = inspect_recording(folder)
+    assert not found.builds
+    assert serious(found) == {"mirrored"}
+    message, remedy = finding(found, "mirrored")
+    assert "with left and right exchanged, and the gyro turns as the camera does" in message
+    assert "longitude 4.72" in remedy or "longitude 4.72" in message
+    assert "--accept mirrored" in remedy
+
+
 def test_a_camera_that_looks_aside_stops_a_build(drive: Make) -> None:
     folder = drive()
     change_mounting(folder, camera_yaw_deg=3.0)

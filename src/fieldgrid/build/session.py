@@ -27,6 +27,7 @@ from fieldgrid.build.doubt import (
     sweep_notes,
 )
 from fieldgrid.build.inputs import Inputs, to_arrays
+from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_poses,
@@ -239,6 +240,8 @@ class NewSession:
         report.notes += estimate.report.notes
         report.fixes = len(estimate.fix_row)
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
+        mirrored = doubted_mirror(recording, estimate.trajectory, steps)
+        report.notes += settle(mirrored, self.settings)
         for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
             report.notes += settle(doubted(recording, estimate), self.settings)
         check_poses(recording, estimate.trajectory)

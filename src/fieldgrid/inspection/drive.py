@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from fieldgrid.build.doubt import doubted_cameras
+from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_images,
@@ -179,12 +180,16 @@ def _with_poses(
         with_camera = estimate_drive(recording, settings, steps=seen.steps)
         clock = with_camera.report.clock
     off = clock is not None and clock.is_certain
-    by_way = None
-    if seen.steps is not None:
+    by_way, mirrored = None, None
+    if with_camera is not None:
+        mirrored = doubted_mirror(recording, with_camera.trajectory, seen.steps)
+    if mirrored is not None:  # what else the camera contradicts follows from that
+        findings.append(refusal(mirrored.error, mirrored.doubt.value))
+    elif seen.steps is not None:
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
         by_way = scale(seen.steps, fixes_alone.trajectory, off_ns)
         findings += scale_findings(by_way, recording.rig)
-    if with_camera is not None:
+    if with_camera is not None and mirrored is None:
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:
         findings += clock_findings(clock, recording, fixes_alone.trajectory)
