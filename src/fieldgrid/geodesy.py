@@ -3,7 +3,7 @@
 The plane touches the ellipsoid's normal at a :class:`Datum`, which never changes once a map
 has it. The closed forms below define the LTP; pyproj's topocentric pipeline is the oracle in
 the tests. This is also the only module that uses pyproj: for the coordinate reference system
-that a GIS can open.
+that a GIS can open, and for positions that a log has in one.
 """
 
 from __future__ import annotations
@@ -203,3 +203,21 @@ def ecef_to_geodetic(
     w = np.sqrt(1.0 - ECCENTRICITY_SQ * sin_lat * sin_lat)
     height = ring * cos_lat + z * sin_lat - SEMI_MAJOR_M * w
     return np.degrees(lat), np.degrees(np.arctan2(y, x)), height
+
+
+def unprojected(crs: str, northing_m: Float64, easting_m: Float64) -> tuple[Float64, Float64]:
+    """Latitude and longitude on WGS 84, degrees, of coordinates in a projection like EPSG:32630;
+    NaN where there are none. ConfigError for one that PROJ does not know."""
+    from pyproj import Transformer  # late, as above
+    from pyproj.exceptions import ProjError
+
+    try:
+        # Eastings first, whatever the system's own order is.
+        transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    except ProjError:
+        raise ConfigError(
+            f"Columns: crs is {crs!r}, which PROJ does not know; give a code like EPSG:32630."
+        ) from None
+    lon, lat = transformer.transform(easting_m, northing_m)
+    placed = np.isfinite(lat) & np.isfinite(lon)
+    return np.where(placed, lat, np.nan), np.where(placed, lon, np.nan)

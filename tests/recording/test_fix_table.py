@@ -342,3 +342,92 @@ def test_a_table_of_too_many_rows_is_refused(tmp_path: Path) -> None:
     assert len(read_fix_log(path).fixes) == 30
     with limited(rows=29), pytest.raises(LimitError, match=r"long\.csv has more than 29 rows; cut"):
         read_fix_log(path)
+
+
+# --- positions that are not decimal degrees
+
+DAY = "2011-06-15T10:30:11Z"
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"),
+    [
+        ("41.65 N", "4.72 W"),
+        ("N41.65", "w 4.72"),
+        ("41°39'0\"N", "4°43'12.0\"W"),
+        ("41 39 0", "-4 43 12"),
+        ("41° 39.0' N", "4° 43.2' W"),
+        ("416500000", "-47200000"),
+    ],
+)
+def test_ways_of_writing_a_position(tmp_path: Path, lat: str, lon: str) -> None:
+    fix = only(tmp_path, f"time;lat;lon\n{DAY};{lat};{lon}\n".replace('"', "″"))
+    assert fix.lat_deg == pytest.approx(41.65, abs=1e-9)
+    assert fix.lon_deg == pytest.approx(-4.72, abs=1e-9)
+
+
+@pytest.mark.parametrize("lat", ["41.65 W", "-41.65 S", "41 70 0", "N41.65N", "forty"])
+def test_a_text_that_is_no_latitude(tmp_path: Path, lat: str) -> None:
+    fails(tmp_path, f"time;lat;lon\n{DAY};{lat};4.72\n", "is not a number")
+
+
+def test_degrees_and_minutes_in_one_number(tmp_path: Path) -> None:
+    text = f"time,lat,lon\n{DAY},4139.0,-443.2\n"
+    fails(tmp_path, text, r"lat 4139 and lon -443.2 .* --columns lat_lon_units=ddmm")
+    fix = only(tmp_path, text, "lat_lon_units=ddmm")
+    assert (fix.lat_deg, fix.lon_deg) == (pytest.approx(41.65), pytest.approx(-4.72))
+
+
+@pytest.mark.parametrize(
+    ("names", "match"),
+    [
+        ("easting,northing", "if northing and easting are metres .* --columns crs=EPSG:32630"),
+        ("lon,lat", r"lat 4612300 and lon 357000\.5 are no degrees; .* --columns crs=EPSG:32630"),
+        ("east,height", r"has no column lat_deg.* name it with --columns lat=COLUMN"),
+    ],
+)
+def test_coordinates_of_a_projection(tmp_path: Path, names: str, match: str) -> None:
+    text = f"time,{names}\n{DAY},357000.5,4612300\n"
+    fails(tmp_path, text, match)
+    if "height" not in names:
+        fix = only(tmp_path, text, "crs=EPSG:32630")
+        assert (fix.lat_deg, fix.lon_deg) == (
+            pytest.approx(41.6493, abs=1e-3),
+            pytest.approx(-4.7175, abs=1e-3),
+        )
+
+
+def test_projections_that_cannot_be(tmp_path: Path) -> None:
+    text = f"time,x,y\n{DAY},357000.5,4612300\n"
+    with pytest.raises(ConfigError, match="which PROJ does not know"):
+        read(tmp_path, text, "crs=EPSG:99999")
+    with pytest.raises(ConfigError, match="leave lat_lon_units out"):
+        columns_from_text("crs=EPSG:32630,lat_lon_units=e7")
+
+
+# --- what spreadsheets and loggers in Europe write
+
+
+def test_umlauts_in_utf_8_without_a_byte_order_mark(tmp_path: Path) -> None:
+    text = f"Zeit;Länge;Breite\n{DAY};-4,72;41,65\n"
+    for encoded in (text.encode(), text.encode("latin-1"), text.encode("utf-8-sig")):
+        fix = only(tmp_path, encoded, "time=Zeit,lon=Länge,lat=Breite")
+        assert fix.lon_deg == -4.72
+
+
+@pytest.mark.parametrize(
+    "stamp", ["15.06.2011 10:30:11,25", "15.6.2011 10:30:11.25", "15.06.2011, 10:30:11.250"]
+)
+def test_a_date_with_its_day_first(tmp_path: Path, stamp: str) -> None:
+    fix = only(tmp_path, f"time;lat;lon\n{stamp};41,65;-4,72\n")
+    assert fix.time_ns == 1_308_133_811_250_000_000
+    day, clock = stamp.replace(",", " ", 1).split(maxsplit=1) if ", " in stamp else stamp.split()
+    fix = only(tmp_path, f"date;time;lat;lon\n{day};{clock};41,65;-4,72\n")
+    assert fix.time_ns == 1_308_133_811_250_000_000
+
+
+def test_a_time_of_day_alone(tmp_path: Path) -> None:
+    text = "time,lat,lon\n10:30:11.25,41.65,-4.72\n"
+    fails(tmp_path, text, r"time '10:30:11.25' can not be read .* time_epoch=")
+    fix = only(tmp_path, text, "time_epoch=2011-06-15T00:00:00Z")
+    assert fix.time_ns == 1_308_133_811_250_000_000

@@ -570,10 +570,14 @@ def test_an_nmea_log_without_a_date_is_named(drive: Path) -> None:
     ("old", "new", "message"),
     [
         ("lat_deg", "y", "has no column lat_deg, and none whose name is known"),
-        ("time_ns", "when", r"has no column with UTC times; name it with time=COLUMN"),
+        ("time_ns", "when", r"has no column with UTC times; name it with --columns time=COLUMN"),
         ("41.65", "north", r"line 2: lat_deg 'north' is not a number"),
         ("787.4", "high", r"line 2: height_m 'high' is not a number"),
-        ("1308133815000000000", "soon", r"has no column with UTC times \(time_ns can not be read"),
+        (
+            "1308133815000000000",
+            "soon",
+            r"has no column with UTC times \(time_ns 'soon' can not be read",
+        ),
     ],
 )
 def test_a_csv_log_that_cannot_be(old: str, new: str, message: str, drive: Path) -> None:

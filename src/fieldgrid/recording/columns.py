@@ -85,7 +85,18 @@ _TIME_WORDS = frozenset({"time", "timestamp", "stamp", "datetime", "utc", "epoch
 _NO_TIME_WORDS = frozenset(
     {"delta", "elapsed", "uptime", "duration", "zone", "timezone", "diff", "since", "boot", "fix"}
 )
-_OPTIONS = ("time_units", "time_zone", "time_epoch", "speed_units", "height_units", "heading_units")
+_OPTIONS = (
+    *("time_units", "time_zone", "time_epoch", "speed_units", "height_units", "heading_units"),
+    *("lat_lon_units", "crs"),
+)
+LAT_LON_UNITS = ("deg", "ddmm", "e7")
+"""Of positions: degrees, degrees and minutes in one number as in NMEA, 1e-7 degrees."""
+
+# Of a projection, in the place of latitude and longitude.
+_PROJECTED = {
+    "lat": ("northing", "utm_northing", "northings", "north", "utm_north", "utm_y", "y", "n"),
+    "lon": ("easting", "utm_easting", "eastings", "east", "utm_east", "utm_x", "x", "e"),
+}
 
 ROLES = ("time", *_NAMES)
 """What a column may be mapped to."""
@@ -105,7 +116,8 @@ class Columns:
 
     `names` maps :data:`ROLES` to column names as the header has them, '' for none. The units
     are those of the mapped or guessed column, '' for what its name says. `time_epoch` is the UTC
-    from which a relative time counts, '' for a time that is one by itself.
+    from which a relative time counts, '' for a time that is one by itself. `crs` is the projection
+    of which `lat` and `lon` are northing and easting, like EPSG:32630; '' for degrees.
     """
 
     names: Mapping[str, str] = field(default_factory=dict)
@@ -115,6 +127,8 @@ class Columns:
     speed_units: str = ""
     height_units: str = ""
     heading_units: str = ""
+    lat_lon_units: str = ""
+    crs: str = ""
 
     def __post_init__(self) -> None:
         for role in self.names:
@@ -126,12 +140,15 @@ class Columns:
             ("speed_units", tuple(_SPEEDS)),
             ("height_units", tuple(_LENGTHS)),
             ("heading_units", HEADING_UNITS),
+            ("lat_lon_units", LAT_LON_UNITS),
         ):
             value = getattr(self, key)
             if value and value not in known_units:
                 raise ConfigError(
                     f"Columns: {key} is {value!r}; give one of {', '.join(known_units)}."
                 )
+        if self.crs and self.lat_lon_units:
+            raise ConfigError("Columns: crs is of metres; leave lat_lon_units out.")
         if self.time_zone:
             try:
                 zone_s(self.time_zone)
@@ -208,10 +225,11 @@ def _without_prefix(plain: str) -> str:
 _ALL_NAMES = frozenset(name for names in _NAMES.values() for name in names)
 
 
-def guess(role: str, header: Sequence[str]) -> str | None:
-    """The column that holds a role by its name, as it stands in the header."""
+def guess(role: str, header: Sequence[str], *, projected: bool = False) -> str | None:
+    """The column that holds a role by its name, as it stands in the header; of a projection,
+    northing and easting by their own names first."""
     bases = [(take_apart(name).base, name) for name in header]
-    for wanted in _NAMES[role]:
+    for wanted in (*_PROJECTED[role], *_NAMES[role]) if projected else _NAMES[role]:
         for base, name in bases:
             if base in (wanted, wanted.replace("_", "")):
                 return name

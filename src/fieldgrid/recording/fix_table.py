@@ -24,6 +24,7 @@ from fieldgrid.recording.columns import (
 )
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
+from fieldgrid.recording.places import Places
 from fieldgrid.recording.qualities import read_qualities
 from fieldgrid.recording.table_time import TimeColumn, find_time
 from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
@@ -81,6 +82,8 @@ class _Plan:
     columns: Columns
     time: TimeColumn = field(init=False)
     places: dict[str, int] = field(init=False)
+    where: Places = field(init=False)
+    told: tuple[str, ...] = field(init=False)
     counts: Counter[str] = field(default_factory=Counter)
     unknown: set[str] = field(default_factory=set)
 
@@ -91,7 +94,8 @@ class _Plan:
             name = self.columns.names.get(role)
             if name is None:
                 own = _OWN.get(role, "")
-                name = own if own in header else guess(role, header)
+                projected = role in ("lat", "lon") and bool(self.columns.crs)
+                name = own if own in header else guess(role, header, projected=projected)
             elif name and name not in header:
                 raise RecordingError(
                     f"{self.table.path} has no column {name!r} for {role}; "
@@ -101,16 +105,30 @@ class _Plan:
                 self.places[role] = header.index(name)
         for role in ("lat", "lon"):
             if role not in self.places:
-                raise RecordingError(
-                    f"{self.table.path} has no column {_OWN[role]}, and none whose name is known "
-                    f"for it; name it with {role}=COLUMN. It has: {', '.join(header)[:500]}."
-                )
+                raise RecordingError(self._no_place(role))
+        self.where, self.told = Places(
+            self.table,
+            *(self.places["lat"], self.places["lon"]),
+            *(self.columns.lat_lon_units, self.columns.crs),
+        ).settled()
         self.time = find_time(self.table, self.columns)
+
+    def _no_place(self, role: str) -> str:
+        header = self.table.header
+        told = f"{self.table.path} has no column {_OWN[role]}, and none whose name is known for it"
+        has = f"It has: {', '.join(header)[:500]}."
+        metres = [guess(axis, header, projected=True) for axis in ("lat", "lon")]
+        if None not in metres and not self.columns.crs:
+            return (
+                f"{told}; if {metres[0]} and {metres[1]} are metres north and east in a "
+                f"projection, name that with --columns crs=EPSG:32630 (UTM zone 30 north). {has}"
+            )
+        return f"{told}; name it with --columns {role}=COLUMN. {has}"
 
     def fixes(self, block: Block) -> FixColumns:
         """The fixes of some rows; rows without a position or without a time are counted."""
         times_ns = self.time.utc_ns(block)
-        lat, lon = self._numbers("lat", block), self._numbers("lon", block)
+        lat, lon = self.where.lat_lon(block)
         placed, timed = np.isfinite(lat) & np.isfinite(lon), times_ns > 0
         unplaced = (block.rows[k] for k in np.flatnonzero(~placed))
         self.counts["rows without a position skipped"] += sum(
@@ -249,6 +267,7 @@ class _Plan:
         if self.unknown:
             words = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
             notes.append(f"{name}: quality {words} is not known; taken as unknown.")
+        notes += self.told
         return tuple(notes + [f"{name}: {n} {what}." for what, n in self.counts.items() if n])
 
 

@@ -68,14 +68,23 @@ def find_time(table: Table, columns: Columns) -> TimeColumn:
     names = [said] if said else time_candidates(table.header)
     found = [time for name in names if (time := _column(table, name, columns)) is not None]
     if not found:
-        tried = f" ({', '.join(names)[:200]} can not be read as one)" if names else ""
+        tried = f" ({', '.join(_shown(table, n) for n in names)[:200]} can not be read as one)"
         raise RecordingError(
-            f"{table.path} has no column with UTC times{tried}; name it with time=COLUMN and, if "
-            "need be, time_units=s, ms, us, ns, gps_s or gps_ms; of a time that counts from the "
-            "start of a drive or a week, say when that was with time_epoch=2026-05-14T07:30:00Z. "
+            f"{table.path} has no column with UTC times{tried if names else ''}; name it with "
+            "--columns time=COLUMN and, if need be, time_units=s, ms, us, ns, gps_s or gps_ms; of "
+            "a time that counts from the start of a drive or a week, or from midnight, say when "
+            "that was with time_epoch=2026-05-14T07:30:00Z; write a date with time like "
+            "2026-05-14T07:30:00.25Z, or with its day first like 14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
         )
     return _noted(_finest(found) if len(found) > 1 else found[0], bool(said))
+
+
+def _shown(table: Table, name: str) -> str:
+    """A column with its first value, as an error shows it."""
+    cells = table.sample.cells(table.header.index(name))
+    value = next((cell.strip() for cell in cells if cell.strip()), "")
+    return f"{name} {value[:40]!r}"
 
 
 def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:

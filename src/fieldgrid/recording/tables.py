@@ -5,10 +5,11 @@ Comma, semicolon, tab or bar; a decimal comma; a byte order mark; a ``#`` before
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
@@ -23,6 +24,9 @@ from fieldgrid.recording.files import open_log_bytes
 
 COMMENTS = ("#", "%")
 DELIMITERS = ",;\t|"
+Parse = Callable[[str], float | None]
+"""Reads a cell that is no plain number; None for what it cannot read either."""
+
 NOTHING = frozenset({"", "nan", "na", "n/a", "none", "null", "nil", "-", "--", "#n/a"})
 """What loggers write, in lower case, when they have no value."""
 
@@ -98,8 +102,9 @@ class Table:
             yield block
             block = Block(line, list(islice(self._rows, self._block_rows)))
 
-    def numbers(self, block: Block, column: int) -> Float64:
-        """One column as numbers, NaN where there is none; an error names line and cell."""
+    def numbers(self, block: Block, column: int, parse: Parse | None = None) -> Float64:
+        """One column as numbers, NaN where there is none; an error names line and cell. `parse`
+        reads what is no plain number."""
         cells = block.cells(column)
         if self.decimal_comma:
             cells = [cell.replace(",", ".") for cell in cells]
@@ -107,14 +112,17 @@ class Table:
             values = np.fromiter(map(float, cells), np.float64, len(cells))
         except ValueError:
             lines = enumerate(cells, block.line)
-            values = np.array([self._number(cell, line, column) for line, cell in lines])
+            values = np.array([self._number(cell, line, column, parse) for line, cell in lines])
         values[np.isinf(values)] = np.nan
         return values
 
-    def _number(self, cell: str, line: int, column: int) -> float:
+    def _number(self, cell: str, line: int, column: int, parse: Parse | None) -> float:
         try:
             return float("nan") if cell.strip().lower() in NOTHING else float(cell)
         except ValueError:
+            value = parse(cell) if parse is not None else None
+            if value is not None:
+                return value
             raise self.error(line, column, cell, "is not a number") from None
 
     def error(self, line: int, column: int, cell: str, what: str) -> RecordingError:
@@ -131,11 +139,8 @@ class Table:
 def open_table(path: Path) -> Iterator[Table]:
     """The table in a file, packed by gzip or not. What breaks while reading names the file."""
     with open_log_bytes(path) as stream:
-        start = stream.peek(4)[:3] if isinstance(stream, io.BufferedReader) else b""
-        utf16 = start[:2] in (b"\xff\xfe", b"\xfe\xff")
-        # Latin-1 decodes everything: an umlaut in a remark must not cost the drive.
-        encoding = "utf-16" if utf16 else "utf-8-sig" if start == b"\xef\xbb\xbf" else "latin-1"
-        text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="")
+        start = stream.peek(4) if isinstance(stream, io.BufferedReader) else b""
+        text = io.TextIOWrapper(stream, encoding=_encoding(start), errors="replace", newline="")
         try:
             yield Table(path, text)
         except (csv.Error, UnicodeError) as problem:
@@ -144,6 +149,18 @@ def open_table(path: Path) -> Iterator[Table]:
             ) from problem
         finally:
             text.detach()
+
+
+def _encoding(start: bytes) -> str:
+    """The encoding of a file by how it starts: UTF-8 where that is possible, else Latin-1, which
+    decodes everything: an umlaut in a remark must not cost the drive."""
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(start)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
 
 
 def split_header(lines: Iterable[str]) -> tuple[str, list[str]]:

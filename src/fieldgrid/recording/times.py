@@ -31,6 +31,8 @@ _NUMBER = re.compile(r"\+?\d+(?:\.\d*)?(?:[eE]\+?\d{1,3})?")
 _CIVIL = re.compile(
     r"(\d{4})[-/.]?(\d\d)[-/.]?(\d\d)[T _-]?(\d\d)[:.-]?(\d\d)[:.-]?(\d\d)", re.ASCII
 )
+_DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})[.,T ]\s*(\d:)?", re.ASCII)
+_CLOCK = re.compile(r"\s*(\d\d?):(\d\d):(\d\d)((?:\.\d*)?)\s*", re.ASCII)
 _REST = re.compile(
     r"(?:[.,:](\d{1,12}))?\s*(?:Z|UTC|GMT)?\s*([+-](?:0\d|1[0-5]):?(?:\d\d)?)?", re.I | re.A
 )
@@ -81,6 +83,7 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
         unit = next((unit for size, unit in sizes if size <= value < 1e20), None)
         if not _is_compact_date(cell):
             return None if unit is None else TimeScale(UNITS[unit])
+    cell = _year_first(cell)
     match = _CIVIL.match(cell)
     if match is None:
         return None
@@ -90,6 +93,26 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
         return None
     zoned = bool(rest[2]) or cell[-1] in "Zz" or cell[-3:].upper() in ("UTC", "GMT")
     return TimeScale(dashed=dashed, zoned=zoned)
+
+
+def _year_first(cell: str) -> str:
+    """A date like 15.06.2011, whose day comes first wherever dots are written, as 2011-06-15."""
+    match = _DAY_FIRST.match(cell.lstrip()) if "." in cell[:6] else None
+    if match is None:
+        return cell
+    day, month, year, hour = match.groups()
+    rest = cell.lstrip()[match.end() :]
+    return f"{year}-{month:>02}-{day:>02} {'0' + hour if hour else ''}{rest}"
+
+
+def _since_midnight(cell: str, places: int) -> str:
+    """A time of day as decimal seconds (or smaller units) since midnight; else the cell."""
+    match = _CLOCK.fullmatch(cell)
+    if match is None:
+        return cell
+    hour, minute, second = map(int, match.groups()[:3])
+    seconds = Decimal(f"{(hour * 60 + minute) * 60 + second}{match[4]}")
+    return f"{seconds.scaleb(9 - places):f}"
 
 
 def _is_compact_date(cell: str) -> bool:
@@ -104,9 +127,11 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
     A cell that cannot be read raises :class:`UnreadableTimeError`, which has its place.
     """
     if scale.places is None:
-        return _valid(_civil_ns(cells, scale))
+        return _valid(_civil_ns([_year_first(cell) for cell in cells], scale))
     if decimal_comma:
         cells = [cell.replace(",", ".") for cell in cells]
+    if scale.declared:
+        cells = [_since_midnight(cell, scale.places) for cell in cells]
     return _valid(_on_scale(_decimal_ns(cells, scale.places), scale))
 
 
