@@ -15,7 +15,7 @@ from fieldgrid.cost import LETHAL
 from fieldgrid.costmap import MAX_CELLS
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapFile, MapView, Mark, MarkKind, open_map
+from fieldgrid.mapfile import MapFile, MapView, Mark, MarkKind, blocks, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,
@@ -277,6 +277,34 @@ def test_marks_count_and_are_evidence_of_nothing(tmp_path: Path) -> None:
         assert Costmap.from_map(universal).cost(*bad) == 0
         universal.remove_marks([1, 2])
         np.testing.assert_array_equal(Costmap.from_map(universal).costs, plain.costs)
+
+
+@pytest.mark.parametrize("layer", ["density", "max"])
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_costs_are_those_of_the_whole_however_it_is_cut(
+    times: int, layer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_asymmetric_map(tmp_path / "f.gpkg")
+    with open_map(path, writable=True) as universal:
+        east_m, north_m = EXTENT.west_m + 1.3, EXTENT.south_m + 1.1
+        ring = [(0.0, 0.0), (3.1, 0.4), (2.2, 2.9)]
+        for kind, aside_m in ((MarkKind.FREE, 0.0), (MarkKind.KEEPOUT, 4.0)):
+            rings = tuple((east_m + aside_m + a, north_m + b) for a, b in ring)
+            universal.add_marks([Mark(kind, rings)])
+        cell_m = times * universal.cell_m
+        layers = ("max", "peak", "seen_share", *universal.deciding(cell_m))
+        view = universal.read(cell_m=cell_m, layers=tuple(dict.fromkeys(layers)))
+        whole = CostCurve().cost(*view.decision(layer))
+        monkeypatch.setattr(blocks, "_ROWS", 8)
+        monkeypatch.setattr(blocks, "_COLUMNS", 16)
+        monkeypatch.setattr(costmap, "_BLOCK_CELLS", 100)
+        cut = Costmap.from_map(universal, cell_m=cell_m, layer=layer)
+        np.testing.assert_array_equal(cut.costs, whole)
+        assert len(np.unique(cut.costs)) > 2
+        near = Costmap.from_map(universal, cell_m=cell_m, inflation_m=2.0, robot_radius_m=0.3)
+        monkeypatch.undo()
+        other = Costmap.from_map(universal, cell_m=cell_m, inflation_m=2.0, robot_radius_m=0.3)
+        np.testing.assert_array_equal(near.costs, other.costs)
 
 
 def test_distances_of_a_view_are_worked_out_when_they_are_asked_for(

@@ -28,11 +28,13 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from fieldgrid import figures, palette
 from fieldgrid.errors import ConfigError, MapError
+from fieldgrid.figures import relief
 from fieldgrid.figures.page import add_scale_bar
 from fieldgrid.figures.relief import contour_levels, hillshade
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import FrameRecord, MapView, Mark, MarkKind, open_map
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
@@ -332,6 +334,53 @@ def test_another_layer_has_its_own_scale_and_colours() -> None:
     assert image.colorbar.ax.get_ylabel() == "height (m)"
 
 
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize("layer", [name for name in LAYERS if name != "density"])
+def test_every_layer_is_drawn_whatever_its_values_are(layer: str, seen: bool) -> None:
+    values = np.zeros(WINDOW.shape, dtype=LAYERS[layer].dtype)
+    values[OBSTACLE] = 1
+    observed = np.full(WINDOW.shape, seen)
+    low, high = image_of(
+        figures.universal_grid(view(observed=observed, layers={layer: values}), layer=layer)
+    ).get_clim()
+    assert low < high
+
+
+@pytest.mark.parametrize("zoom", [1, 40])  # more and fewer pixels than cells
+@pytest.mark.parametrize("layer", ["density", "variance"])
+def test_the_picture_is_that_of_the_colours_of_the_cells(
+    layer: str, zoom: int, tmp_path: Path
+) -> None:
+    random = np.random.default_rng(0)
+    window = Window(-90, 40, 37 * zoom, 31 * zoom)
+    density = random.integers(0, 256, window.shape).astype(np.uint8)
+    observed = random.random(window.shape) < 0.8
+    layers = {"variance": random.random(window.shape, dtype=np.float32)}
+    shown = view(window=window, density=density, observed=observed, layers=layers)
+    of_cells, of_colours = (figures.universal_grid(shown, layer=layer) for _ in range(2))
+    image_of(of_colours).set_interpolation_stage("rgba")
+    np.testing.assert_array_equal(
+        pixels(of_cells, tmp_path / "cells.png"), pixels(of_colours, tmp_path / "colours.png")
+    )
+
+
+def test_shades_do_not_depend_on_how_many_rows_are_worked_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    random = np.random.default_rng(0)
+    heights = random.normal(3.0, 0.1, (300, 60)).astype(np.float32)
+    known = random.random(heights.shape) < 0.6
+    whole_m = relief.smoothed(heights, known, 4.0)
+    whole = relief._shades(whole_m, known, 0.1)
+    monkeypatch.setattr(relief, "_BAND_CELLS", 60)
+    cut_m = relief.smoothed(heights, known, 4.0)
+    np.testing.assert_array_equal(cut_m, whole_m)
+    for one, other in zip(relief._shades(cut_m, known, 0.1), whole, strict=True):
+        np.testing.assert_array_equal(one, other)
+    alone = hillshade(whole_m, 0.1)
+    np.testing.assert_array_equal(whole[0], np.nan_to_num(alone) > 0.0)
+
+
 def test_heights_have_shades_and_contours() -> None:
     """Ground that rises to the east by 0.2: the light comes from the north-west."""
     heights = np.broadcast_to(0.1 * np.arange(WINDOW.width, dtype=np.float32), WINDOW.shape)
@@ -339,10 +388,10 @@ def test_heights_have_shades_and_contours() -> None:
     figure = figures.universal_grid(view(layers={"ground": heights}), layer="ground")
     values, shades = figure.axes[0].get_images()
     assert shades.get_extent() == values.get_extent() == [4.0, 12.0, -1.0, 3.0]
-    grey = np.asarray(shades.get_array())
-    assert (grey[:, 0, 3] == 0.0).all()  # not seen
-    assert (grey[:, 3:-3, :3] == 1.0).all()
-    assert (grey[:, 3:-3, 3] > 0.1).all()
+    opacity = np.asarray(shades.get_alpha())
+    assert (opacity[:, 0] == 0.0).all()  # not seen
+    assert (np.asarray(shades.get_array())[:, 3:-3] == 1).all()
+    assert (opacity[:, 3:-3] > 0.1).all()
     (contours,) = (c for c in figure.axes[0].collections if isinstance(c, QuadContourSet))
     assert list(contours.levels) == pytest.approx(np.arange(0.2, 1.6, 0.2))
     for level, path in zip(contours.levels[1:-1], contours.get_paths()[1:-1], strict=True):

@@ -18,15 +18,16 @@ from fieldgrid.cost import DENSITIES, INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapView, Readable
+from fieldgrid.mapfile import Blocks, MapView, Readable
 
 MAX_CELLS = 100_000_000
-"""Cells of a costmap: it holds 9 bytes of each, and 11 while it is made."""
+"""Cells of a costmap: it holds 9 bytes of each, and 10 while it is made, beside what a block of the
+map takes."""
 
 MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
-_BLOCK_ROWS = 256
+_BLOCK_CELLS = 1_000_000
 _ROUNDING = 1.0 + 1e-6
 """A distance that equals a radius up to rounding is within it."""
 
@@ -131,8 +132,9 @@ class Costmap:
                 f"{', '.join(DENSITIES)}."
             )
         wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
-        view = universal.read(bounds, cell_m, layers=tuple(wanted), at=at)
-        costmap = cls._of(view, curve or CostCurve(), settings, layer)
+        with universal.read_blocks(bounds, cell_m, layers=tuple(wanted), at=at) as blocks:
+            costs = _costs_of(blocks, curve or CostCurve(), layer)
+            costmap = cls._of(blocks, universal.datum, costs, settings)
         for cost in (LETHAL, UNKNOWN_COST):  # so that the first question takes no longer
             costmap._distances.to(cost)
         return costmap
@@ -151,17 +153,16 @@ class Costmap:
         those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`. Its
         distances are worked out when they are first asked for."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        return cls._of(view, curve or CostCurve(), settings, "density")
+        whole = Blocks(view.lattice, view.window, iter((view,)))
+        costs = _costs_of(whole, curve or CostCurve(), "density")
+        return cls._of(whole, view.datum, costs, settings)
 
     @classmethod
-    def _of(cls, view: MapView, curve: CostCurve, inflation: Inflation, layer: str) -> Self:
-        _check_size(view)
-        costs = np.full((view.window.height + 2, view.window.width + 2), UNKNOWN_COST, np.uint8)
-        costs[1:-1, 1:-1] = curve.cost(*view.decision(layer, curve.least_drop_m))
+    def _of(cls, blocks: Blocks, datum: Datum, costs: UInt8, inflation: Inflation) -> Self:
         distances = _Distances(costs)
         # It changes no cell that is an obstacle or unknown.
-        _inflate(costs, distances, inflation, view.lattice)
-        return cls(view.lattice, view.window, view.datum, costs, distances)
+        _inflate(costs, distances, inflation, blocks.lattice)
+        return cls(blocks.lattice, blocks.window, datum, costs, distances)
 
     @property
     def bounds(self) -> Bounds:
@@ -250,6 +251,19 @@ def _distance_cells(other: Bool) -> Float32:
     return np.asarray(found, dtype=np.float32)
 
 
+def _costs_of(blocks: Blocks, curve: CostCurve, layer: str) -> UInt8:
+    """The costs of the cells with a border, block by block: what decides them takes more bytes than
+    they do."""
+    window = blocks.window
+    _check_size(blocks)
+    costs = np.full((window.height + 2, window.width + 2), UNKNOWN_COST, np.uint8)
+    inside = costs[1:-1, 1:-1]
+    for view in blocks.views:
+        decided = view.decision(layer, curve.least_drop_m)
+        inside[window.slices_of(view.window)] = curve.cost(*decided)
+    return costs
+
+
 def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice: Lattice) -> None:
     """Raise the costs of known cells near obstacles, in place, some rows at a time."""
     radius_m = inflation.robot_radius_m
@@ -258,8 +272,9 @@ def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice:
     if reach < 1.0:
         return
     to_obstacle = distances.to(LETHAL)
-    for first in range(0, costs.shape[0], _BLOCK_ROWS):
-        rows = slice(first, first + _BLOCK_ROWS)
+    count = max(1, _BLOCK_CELLS // costs.shape[1])
+    for first in range(0, costs.shape[0], count):
+        rows = slice(first, first + count)
         cost, distance = costs[rows], to_obstacle[rows]
         near = (distance <= reach) & (cost < LETHAL)
         cells = distance[near].astype(np.float64)
@@ -269,11 +284,11 @@ def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice:
         cost[near] = np.maximum(cost[near], inflated)
 
 
-def _check_size(view: MapView) -> None:
-    width, height = view.window.width, view.window.height
+def _check_size(blocks: Blocks) -> None:
+    width, height = blocks.window.width, blocks.window.height
     if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
         raise ConfigError(
-            f"A costmap of {width} x {height} cells of {view.lattice.cell_m} m is over "
+            f"A costmap of {width} x {height} cells of {blocks.lattice.cell_m} m is over "
             f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller bounds "
             "or a larger cell."
         )

@@ -84,8 +84,9 @@ def command(
 
     with opened(map_, datum_from) as universal:
         chosen = _sessions(universal, at, session)
+        some = None if at is None and session is None else chosen
         name = map_.stem or map_.resolve().name
-        asked = _Asked(cell, options.bounds(bounds), chosen, averaging, layer, route, name)
+        asked = _Asked(cell, options.bounds(bounds), chosen, some, averaging, layer, route, name)
         drawn = _draw(universal, figure, asked)
     save(drawn, out)
     if as_json:
@@ -111,11 +112,13 @@ def _sessions(universal: MapFile | Farm, at: str | None, session: str | None) ->
 
 
 class _Asked(NamedTuple):
-    """What is to be drawn."""
+    """What is to be drawn: the drives of `sessions`, and the cells of `some`, or as they are stored
+    over all sessions."""
 
     cell_m: float | None
     bounds: Bounds | None
     sessions: list[str]
+    some: list[str] | None
     averaging: str
     layer: str
     route: Path | None
@@ -179,11 +182,11 @@ def _view(universal: MapFile | Farm, asked: _Asked) -> MapView:
             raise typer.BadParameter(
                 "it is of one map; several are joined by the mean", param_hint="--averaging"
             )
-        return universal.read(asked.bounds, cell_m, layers=layers, sessions=asked.sessions)
+        return universal.read(asked.bounds, cell_m, layers=layers, sessions=asked.some)
     return universal.read(
         asked.bounds,
         cell_m,
         layers=layers,
         averaging=Averaging(asked.averaging),
-        sessions=asked.sessions,
+        sessions=asked.some,
     )

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from fieldgrid import palette
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.changes import ChangedObject
 from fieldgrid.figures.drives import Drive
 from fieldgrid.figures.marks import draw_marks
@@ -66,20 +66,19 @@ def draw_grid(
     bounds = view.bounds
     values = view.layer(layer)
     seen = view.observed & np.isfinite(values)
-    known, colours = values[seen], LAYERS[layer].colours
-    low = colours.low if colours.low is not None else float(known.min(initial=np.inf))
-    high = colours.high if colours.high is not None else float(known.max(initial=-np.inf))
+    low, high = _ends(layer, values, seen)
     if not low < high:  # nothing was seen, or the same everywhere
         low, high = (low - 0.5, low + 0.5) if np.isfinite(low) else (0.0, 1.0)
     axes.set_facecolor(UNSEEN)
     image = axes.imshow(
         np.ma.masked_array(values, mask=~seen),
         extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
-        cmap=LinearSegmentedColormap.from_list(layer, list(colours.ramp)),
+        cmap=LinearSegmentedColormap.from_list(layer, list(LAYERS[layer].colours.ramp)),
         vmin=low,
         vmax=high,
         origin="lower",
         interpolation="none",
+        interpolation_stage="data",  # the same picture, without four floats of colour a cell
         aspect="equal",
     )
     if LAYERS[layer].above_datum:
@@ -96,6 +95,19 @@ def draw_grid(
     name_axes(axes, title or f"universal grid, {cells}")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)
     _add_bar(axes, image, _label(layer), below=is_wide(bounds))
+
+
+def _ends(layer: str, values: AnyArray, seen: Bool) -> tuple[float, float]:
+    """The least and the greatest value that has a colour; NaN where nothing says."""
+    colours = LAYERS[layer].colours
+    if colours.low is not None and colours.high is not None:
+        return colours.low, colours.high
+    known = values[seen]
+    ends = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+    return (
+        ends[0] if colours.low is None else colours.low,
+        ends[1] if colours.high is None else colours.high,
+    )
 
 
 def _label(layer: str) -> str:
@@ -158,6 +170,7 @@ def change(view: ChangeView, objects: Sequence[ChangedObject] = (), *, title: st
         vmin=0,
         vmax=len(Change) - 1,
         interpolation="none",
+        interpolation_stage="data",
         aspect="equal",
     )
     _mark_objects(axes, objects, bounds)

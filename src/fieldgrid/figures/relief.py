@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
 from scipy.ndimage import gaussian_filter
 
 from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, Bool, Float64
+from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, UInt8
 from fieldgrid.mapfile import MapView
 
 SMOOTHED_M = 0.5
@@ -24,6 +25,12 @@ LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])
 EXAGGERATION = 3.0
 """Slopes are shaded as if they were so much steeper."""
 
+_TRUNCATED = 4.0
+"""Sigmas at which the Gaussian ends."""
+
+_BAND_CELLS = 1_000_000
+"""Cells whose slopes are worked out at a time: they take some hundred bytes each."""
+
 CONTOUR, LINES = palette.CONTOUR, 12
 """Their colour, and about how many contours there are at most."""
 
@@ -34,32 +41,66 @@ def draw_relief(axes: Axes, view: MapView, heights_m: AnyArray, known: Bool) -> 
         return
     cell_m, bounds = view.lattice.cell_m, view.bounds
     smooth_m = smoothed(heights_m, known, SMOOTHED_M / cell_m)
-    shade = np.nan_to_num(hillshade(smooth_m, cell_m))
-    # White where it is lighter than level ground, black where it is darker.
-    grey = np.zeros((*shade.shape, 4))
-    grey[..., :3] = (shade > 0.0)[..., None]
-    grey[..., 3] = np.where(known, np.minimum(np.abs(shade), 0.6), 0.0)
+    lighter, opacity = _shades(smooth_m, known, cell_m)
     axes.imshow(
-        grey,
+        lighter,
+        alpha=opacity,
+        cmap="gray",
+        vmin=0,
+        vmax=1,
         extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
         origin="lower",
         interpolation="none",
+        interpolation_stage="data",  # the same picture, without four floats of colour a cell
         aspect="equal",
     )
     levels = contour_levels(float(heights_m[known].min()), float(heights_m[known].max()))
     if len(levels):
         east_m, north_m = view.lattice.centres(view.window)
-        drawn = np.ma.masked_invalid(smooth_m)
+        drawn = np.ma.masked_invalid(smooth_m, copy=False)
         lines = axes.contour(east_m, north_m, drawn, levels=levels, colors=CONTOUR, linewidths=0.7)
         axes.clabel(lines, fontsize=7, fmt="%g")
 
 
 def smoothed(heights_m: AnyArray, known: Bool, sigma_cells: float) -> Float64:
     """The mean of the known heights about each cell by a Gaussian; NaN where they are few."""
-    weight = gaussian_filter(known.astype(np.float64), sigma_cells)
-    total = gaussian_filter(np.where(known, heights_m, 0.0).astype(np.float64), sigma_cells)
-    enough = weight >= SEEN_SHARE
-    return np.asarray(np.divide(total, weight, out=np.full_like(total, np.nan), where=enough))
+    found = np.full(known.shape, np.nan)
+    reach = math.ceil(_TRUNCATED * sigma_cells) + 1
+    for rows, wide, inside in _bands(known.shape, reach):
+        seen = known[wide]
+        total = np.where(seen, heights_m[wide], 0.0).astype(np.float64)
+        weight, total = (
+            gaussian_filter(one, sigma_cells, truncate=_TRUNCATED)[inside]
+            for one in (seen.astype(np.float64), total)
+        )
+        np.divide(total, weight, out=found[rows], where=weight >= SEEN_SHARE)
+    return found
+
+
+def _shades(smooth_m: Float64, known: Bool, cell_m: float) -> tuple[UInt8, Float32]:
+    """What is laid over the heights: 1, white, where it is lighter than level ground, and 0, black,
+    where it is darker; and how opaque that is, 0..1."""
+    lighter = np.zeros(known.shape, dtype=np.uint8)
+    opacity = np.zeros(known.shape, dtype=np.float32)
+    for rows, wide, inside in _bands(known.shape, 1):
+        shade = np.nan_to_num(hillshade(smooth_m[wide], cell_m)[inside])
+        lighter[rows] = shade > 0.0
+        opacity[rows] = np.where(known[rows], np.minimum(np.abs(shade), 0.6), 0.0)
+    return lighter, opacity
+
+
+def _bands(shape: tuple[int, ...], reach: int) -> Iterator[tuple[slice, slice, slice]]:
+    """Rows of an array, some at a time; those up to so many beside them, too; and where the first
+    lie among these."""
+    height, width = shape
+    count = max(_BAND_CELLS // width, 2 * reach)
+    for first in range(0, height, count):
+        last, start = min(first + count, height), max(first - reach, 0)
+        yield (
+            slice(first, last),
+            slice(start, min(last + reach, height)),
+            slice(first - start, last - start),
+        )
 
 
 def hillshade(heights_m: Float64, cell_m: float) -> Float64:
