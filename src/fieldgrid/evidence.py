@@ -17,11 +17,14 @@ from fieldgrid.array_types import Float64, UInt8
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import Blocks, MapView
 from fieldgrid.polyline import lengths, normals
 
 UNSEEN, FREE, OBSTACLE = 0, 1, 2
 """Classes of cells."""
+
+_BAND_CELLS = 4_000_000
+"""Cells that are worked on at a time where it takes some bytes of each."""
 
 
 class Strip(NamedTuple):
@@ -43,9 +46,17 @@ class Evidence(NamedTuple):
     @classmethod
     def of(cls, view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
         """The classes of a view: an obstacle is a cell whose density is above the threshold."""
-        cells = view.observed.astype(np.uint8)
-        cells[view.observed & (view.density > obstacle_above)] = OBSTACLE
-        return cls(view.lattice, view.window, cells)
+        return cls.of_blocks(Blocks(view.lattice, view.window, iter((view,))), obstacle_above)
+
+    @classmethod
+    def of_blocks(cls, blocks: Blocks, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
+        """The same of the blocks of a map, of which no two are held at once."""
+        cells = np.zeros(blocks.window.shape, dtype=np.uint8)
+        for view in blocks.views:
+            part = cells[blocks.window.slices_of(view.window)]
+            part[view.observed] = FREE
+            part[view.observed & (view.density > obstacle_above)] = OBSTACLE
+        return cls(blocks.lattice, blocks.window, cells)
 
     @property
     def origin_m(self) -> tuple[float, float]:
@@ -57,12 +68,6 @@ class Evidence(NamedTuple):
     def cell_m(self) -> float:
         """Side of the cells."""
         return self.lattice.cell_m
-
-    def obstacle_points(self) -> Float64:
-        """The middles of the obstacle cells [n, 2], metres east and north."""
-        j, i = np.nonzero(self.cells == OBSTACLE)
-        east_m, north_m = self.lattice.centres(self.window)
-        return np.column_stack([east_m[i], north_m[j]])
 
     def strip(
         self,
@@ -109,10 +114,18 @@ def fill_pinholes(evidence: Evidence, hole_m: float) -> Evidence:
     size = int(hole_m * evidence.lattice.cells_per_m + 1e-9)
     if size < 2:
         return evidence
-    unseen = (evidence.cells == UNSEEN).astype(np.uint8)
-    padded = cv2.copyMakeBorder(unseen, size, size, size, size, cv2.BORDER_CONSTANT, value=1)
-    kernel = np.ones((size, size), np.uint8)
-    wide = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[size:-size, size:-size]
     cells = evidence.cells.copy()
-    cells[(unseen > 0) & (wide == 0)] = FREE
+    height, width = cells.shape
+    kernel = np.ones((size, size), np.uint8)
+    count, reach = max(_BAND_CELLS // width, 4 * size), 2 * size
+    for first in range(0, height, count):
+        last = min(first + count, height)
+        low, high = max(first - reach, 0), min(last + reach, height)
+        unseen = (evidence.cells[low:high] == UNSEEN).astype(np.uint8)
+        below, above = reach - (first - low), reach - (high - last)
+        padded = cv2.copyMakeBorder(
+            unseen, below, above, reach, reach, cv2.BORDER_CONSTANT, value=1
+        )
+        wide = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[reach:-reach, reach:-reach]
+        cells[first:last][(unseen[first - low : last - low] > 0) & (wide == 0)] = FREE
     return evidence._replace(cells=cells)

@@ -11,7 +11,8 @@ import shapely
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.evidence import Evidence, fill_pinholes
+from fieldgrid.evidence import OBSTACLE, Evidence, fill_pinholes
+from fieldgrid.geodesy import Datum
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, open_map
@@ -77,10 +78,11 @@ def find_rows(
             )  # fmt: skip
     if not 0 <= obstacle_above <= 254:
         raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
-    view = _view(universal, bounds, at)
-    drives = _drives(universal, at)
-    return rows_of_view(
-        view, drives, crop=crop, obstacle_above=obstacle_above, hole_m=hole_m, headland_m=headland_m
+    with universal.read_blocks(bounds, _cell_m(universal, bounds), at=at) as blocks:
+        evidence = Evidence.of_blocks(blocks, obstacle_above)
+        drives = _drives(universal, at)
+    return _planting(
+        evidence, universal.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m
     )
 
 
@@ -94,18 +96,32 @@ def rows_of_view(
     headland_m: float = DEFAULT_HEADLAND_M,
 ) -> Planting:
     """The same of a view that was read already."""
-    crop = crop if isinstance(crop, Crop) else crop_named(crop)
     evidence = Evidence.of(view, obstacle_above)
+    return _planting(
+        evidence, view.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m
+    )
+
+
+def _planting(
+    evidence: Evidence,
+    datum: Datum,
+    drives: Drives | None,
+    *,
+    crop: str | Crop,
+    hole_m: float,
+    headland_m: float,
+) -> Planting:
+    crop = crop if isinstance(crop, Crop) else crop_named(crop)
     measured = _measured(evidence, crop)
     ordered = order_rows(measured, crop)
     lanes = lane_lines(ordered)
-    filled, clean = fill_pinholes(evidence, hole_m), without_specks(evidence)
-    found_lanes = _lanes(evidence, filled, ordered, lanes, drives)
+    found_lanes = _lanes(evidence, fill_pinholes(evidence, hole_m), ordered, lanes, drives)
     areas = _block_areas(ordered, lanes)
+    clean = without_specks(evidence)
     obstacles = _obstacles(find_things(clean, ordered.rows), ordered, found_lanes)
     return Planting(
-        view.datum,
-        view.bounds,
+        datum,
+        evidence.lattice.bounds(evidence.window),
         evidence.cell_m,
         _rows(evidence, ordered, drives),
         found_lanes,
@@ -116,13 +132,13 @@ def rows_of_view(
     )
 
 
-def _view(universal: MapFile, bounds: Bounds | None, at: str | int | None) -> MapView:
+def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
     area = bounds or universal.bounds
     cell_m = universal.cell_m
     size = (area.east_m - area.west_m) * (area.north_m - area.south_m)
     while size / cell_m**2 > MAX_CELLS:
         cell_m *= 2.0
-    return universal.read(bounds, cell_m, at=at)
+    return cell_m
 
 
 def _drives(universal: MapFile, at: str | int | None) -> Drives:
@@ -148,10 +164,9 @@ def _drives(universal: MapFile, at: str | int | None) -> Drives:
 
 
 def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
-    points = evidence.obstacle_points()
-    if len(points) < 20:
+    if np.count_nonzero(evidence.cells == OBSTACLE) < 20:
         return []
-    points = thinned(points, max(evidence.cell_m, crop.min_spacing_m / 4.0))
+    points = thinned(evidence, max(evidence.cell_m, crop.min_spacing_m / 4.0))
     segments = find_segments(points, crop)
     if not len(segments.half_m):
         return []

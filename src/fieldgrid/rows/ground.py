@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -31,6 +32,7 @@ _PROTRUSION_M2 = 0.12
 _JOIN_M = 0.12
 _OPEN_M = 0.6
 _MIN_HEADLAND_M2 = 8.0
+_BAND_CELLS = 4_000_000
 
 
 _SECTION_SEEN = 0.8
@@ -107,7 +109,6 @@ def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(beside, connectivity=8)
     grown = cv2.dilate(canopy & obstacle, np.ones((3, 3), np.uint8))
     touching = np.bincount(labels[grown > 0], minlength=count) > 0
-    depth = cv2.distanceTransform((~canopy & 1).astype(np.uint8), cv2.DIST_L2, 3)
     cell_m2 = evidence.cell_m**2
     found = []
     for k in range(1, count):
@@ -118,10 +119,24 @@ def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
         least = _PROTRUSION_M2 if touching[k] else _THING_M2
         if area < least:
             continue
-        if touching[k] and depth[window][mine].max() * evidence.cell_m < _PROTRUSION_M:
+        if touching[k] and not _sticks_out(evidence, canopy, window, mine):
             continue
         found.append(Thing(_hull(evidence, mine, left, top), area))
     return found
+
+
+def _sticks_out(
+    evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool
+) -> bool:
+    """Whether some of these cells of a window are so far from the canopy that they are a thing."""
+    reach = math.ceil(_PROTRUSION_M / evidence.cell_m) + 2  # beyond it nothing is near enough
+    low = [max(part.start - reach, 0) for part in window]
+    wide = tuple(slice(a, part.stop + reach) for a, part in zip(low, window, strict=True))
+    depth = cv2.distanceTransform((~canopy[wide] & 1).astype(np.uint8), cv2.DIST_L2, 3)
+    inside = tuple(
+        slice(part.start - a, part.stop - a) for a, part in zip(low, window, strict=True)
+    )
+    return bool(depth[inside][mine].max() * evidence.cell_m >= _PROTRUSION_M)
 
 
 def _canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
@@ -143,10 +158,10 @@ def _canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
     return mask
 
 
-def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon) -> None:
+def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 1) -> None:
     west, south = evidence.origin_m
     ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
-    cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], 1)
+    cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], value)
 
 
 def _hull(evidence: Evidence, mine: Bool, left: int, top: int) -> shapely.Polygon:
@@ -161,33 +176,40 @@ def find_headlands(
     evidence: Evidence, blocks: list[shapely.Polygon], reach_m: float
 ) -> list[shapely.Polygon]:
     """Seen free ground beside blocks, up to `reach_m` from them, without narrow strips."""
-    free = (evidence.cells == FREE).astype(np.uint8)
-    near = np.zeros_like(free)
-    inside = np.zeros_like(free)
+    beside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
-        _fill(near, evidence, shapely.Polygon(block.buffer(reach_m).exterior))
-        _fill(inside, evidence, block)
+        _fill(beside, evidence, shapely.Polygon(block.buffer(reach_m).exterior))
+    for block in blocks:
+        _fill(beside, evidence, block, 0)
+    beside &= evidence.cells == FREE
     size = max(1, round(_OPEN_M / evidence.cell_m)) | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    ground = cv2.morphologyEx(free & near & ~inside & 1, cv2.MORPH_OPEN, kernel)
-    return polygons_of(evidence, ground, _MIN_HEADLAND_M2)
+    cv2.morphologyEx(beside, cv2.MORPH_OPEN, kernel, dst=beside)
+    return polygons_of(evidence, beside, _MIN_HEADLAND_M2)
 
 
 def _part_corners(fine: UInt8, mask: UInt8) -> None:
     """Clear the pixels of a mask twice as fine at which two cells meet in a corner alone: an
     outline that leads over a corner twice makes no valid polygon, and mending it takes longest."""
-    full = mask > 0
-    a, b, c, d = full[:-1, :-1], full[:-1, 1:], full[1:, :-1], full[1:, 1:]
-    for meet, shifts in ((a & d & ~b & ~c, ((1, 1), (2, 2))), (b & c & ~a & ~d, ((1, 2), (2, 1)))):
-        j, i = np.nonzero(meet)
-        for up, right in shifts:
-            fine[2 * j + up, 2 * i + right] = 0
+    rows = max(1, _BAND_CELLS // mask.shape[1])
+    for first in range(0, len(mask) - 1, rows):
+        full = mask[first : first + rows + 1] > 0
+        a, b, c, d = full[:-1, :-1], full[:-1, 1:], full[1:, :-1], full[1:, 1:]
+        for meet, shifts in (
+            (a & d & ~b & ~c, ((1, 1), (2, 2))),
+            (b & c & ~a & ~d, ((1, 2), (2, 1))),
+        ):
+            j, i = np.nonzero(meet)
+            for up, right in shifts:
+                fine[2 * (j + first) + up, 2 * i + right] = 0
 
 
 def polygons_of(evidence: Evidence, mask: UInt8, least_m2: float) -> list[shapely.Polygon]:
     """The areas of a mask as polygons with holes, along the outer edges of their cells."""
     # Twice as fine, so that an outline runs along cells' edges and not through their middles.
-    fine = np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)
+    fine = np.zeros((2 * mask.shape[0], 2 * mask.shape[1]), dtype=np.uint8)
+    for up, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        fine[up::2, right::2] = mask
     _part_corners(fine, mask)
     contours, tree = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     west, south = evidence.origin_m

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64, Int64
+from fieldgrid.evidence import OBSTACLE, Evidence
 from fieldgrid.kernel import kernel
 from fieldgrid.rows.crops import Crop
 
@@ -26,6 +27,7 @@ _ANGLES = 120
 """Directions that are tried over half a turn: 1.5° moves the end of a patch by a fifth of a row."""
 
 _MIN_POINTS = 12
+_BAND_CELLS = 4_000_000
 _NEIGHBOUR_WEIGHT = 0.5
 _MAX_TURN_RAD = np.radians(9.0)
 
@@ -56,14 +58,25 @@ class _Patches(NamedTuple):
     members: list[Int64]
 
 
-def thinned(points_m: Float64, cell_m: float) -> Float64:
-    """One point, the mean, for each square of `cell_m` that has any."""
-    keys = np.floor(points_m / cell_m).astype(np.int64)
-    keys -= keys.min(axis=0)
-    flat = keys[:, 0] * (keys[:, 1].max() + 1) + keys[:, 1]
-    _, place, count = np.unique(flat, return_inverse=True, return_counts=True)
-    sums = [np.bincount(place, points_m[:, axis], len(count)) for axis in (0, 1)]
-    return np.column_stack(sums) / count[:, None]
+def thinned(evidence: Evidence, cell_m: float) -> Float64:
+    """One point [n, 2] (metres east and north), the mean of the middles of its obstacle cells, for
+    each square of `cell_m` that has any."""
+    east_m, north_m = evidence.lattice.centres(evidence.window)
+    across, up = (np.floor(one / cell_m).astype(np.int64) for one in (east_m, north_m))
+    width = int(across[-1] - across[0]) + 1
+    rows = max(1, _BAND_CELLS // len(east_m))
+    # Bands begin where squares do.
+    edges = np.searchsorted(up, np.unique(up[::rows]))
+    found = []
+    for first, last in zip(edges, [*edges[1:], len(up)], strict=True):
+        j, i = np.nonzero(evidence.cells[first:last] == OBSTACLE)
+        flat = (up[first:last][j] - up[0]) * width + (across[i] - across[0])
+        squares, place, count = np.unique(flat, return_inverse=True, return_counts=True)
+        sums = (np.bincount(place, at, len(count)) for at in (east_m[i], north_m[first:last][j]))
+        found.append(np.column_stack([squares % width, squares // width, *sums, count]))
+    parts = np.concatenate(found)
+    parts = parts[np.lexsort((parts[:, 1], parts[:, 0]))]
+    return np.asarray(parts[:, 2:4] / parts[:, 4:])
 
 
 def find_segments(points_m: Float64, crop: Crop) -> Segments:
