@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -66,8 +66,9 @@ def measure_exports() -> Iterator[Line]:
             yield Line("  peak RSS", f"{peak_mb:.0f} MB", "asked <= 1000 MB")
 
 
-def write_tiles(path: Path, side: int, share: float) -> Path:
-    """A map of `side` x `side` tiles, some of them seen, in every cell: noise of one in ten.
+def write_tiles(path: Path, side: int, share: float, sessions: Sequence[str] = ("s",)) -> Path:
+    """A map of `side` x `side` tiles, some of them seen, in every cell: noise of one in ten. Each
+    of the sessions saw the same.
 
     Its tiles are put in as a session would, but without the 100,000 frames that it would take.
     """
@@ -81,8 +82,10 @@ def write_tiles(path: Path, side: int, share: float) -> Path:
         if (tx * 0.125) % 1.0 < share or abs(2 * ty + 1) == abs(2 * tx + 1) == side - 1
     }
 
-    with create_map(path, DATUM, cell_m=_CELL_M) as universal, universal.add_session("s") as one:
-        one.add(full_grid(GridSpec(10.0, 12.0), 1), pose_at(1.0, 1.0, 10.0, 0))
+    with create_map(path, DATUM, cell_m=_CELL_M) as universal:
+        for name in sessions:
+            with universal.add_session(name) as one:
+                one.add(full_grid(GridSpec(10.0, 12.0), 1), pose_at(1.0, 1.0, 10.0, 0))
     with closing(connect(path, path, writable=True)) as connection, writing(connection, path):
         header = read_header(connection, path)
         tables = tables_of(connection, header, path)
@@ -94,7 +97,8 @@ def write_tiles(path: Path, side: int, share: float) -> Path:
             cells = dict(empty_cells(tables.groups, weight.shape))
             cells["weight"], cells["sum"] = np.roll(weight, roll, axis), np.roll(total, roll, axis)
             stored = stored_of_session(tables.groups)
-            tables.put_session(1, tile, encode_groups(stored, Cells(cells), base=True))
+            for number in range(1, len(sessions) + 1):
+                tables.put_session(number, tile, encode_groups(stored, Cells(cells), base=True))
         Pyramid(connection, tables).rebuild()
         seal(connection)
     return path

@@ -97,9 +97,7 @@ def rows_of_view(
 ) -> Planting:
     """The same of a view that was read already."""
     evidence = Evidence.of(view, obstacle_above)
-    return _planting(
-        evidence, view.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m
-    )
+    return _planting(evidence, view.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m)
 
 
 def _planting(

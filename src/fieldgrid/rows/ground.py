@@ -125,9 +125,7 @@ def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
     return found
 
 
-def _sticks_out(
-    evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool
-) -> bool:
+def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool) -> bool:
     """Whether some of these cells of a window are so far from the canopy that they are a thing."""
     reach = math.ceil(_PROTRUSION_M / evidence.cell_m) + 2  # beyond it nothing is near enough
     low = [max(part.start - reach, 0) for part in window]
