@@ -24,6 +24,7 @@ import numpy as np
 import shapely
 
 from benchmarks.heading_scores import DATA
+from fieldgrid.align import align_map
 from fieldgrid.build import build_map
 from fieldgrid.changes import ChangedObject, ChangeKind, find_changes
 from fieldgrid.mapfile import Change, FrameRecord, create_map, open_map
@@ -128,6 +129,14 @@ def shifted(path: Path, out: Path, session: str, east_m: float, north_m: float) 
     return out
 
 
+def aligned(path: Path, out: Path) -> Path:
+    """A copy of a map with its sessions aligned."""
+    shutil.copy(path, out)
+    with open_map(out, writable=True) as universal:
+        universal.set_transforms(align_map(universal).transforms)
+    return out
+
+
 def offset_m(path: Path, session: str, to: str) -> tuple[float, float]:
     """The mean shift that puts the frames of a session onto those of another."""
     with open_map(path) as universal:
@@ -205,6 +214,8 @@ def measure(folder: Path) -> Iterator[str]:
     ):  # fmt: skip
         yield from score(f"RTK, {_words(options)}", rtk, "june", "later", truth, **options)
     yield from score("SF1", sf1, "june", "later", truth)
+    coinciding = aligned(sf1, folder / "sf1_aligned.gpkg")
+    yield from score("SF1, aligned", coinciding, "june", "later", truth)
     yield from score("SF1, position_sigma_m 0.1", sf1, "june", "later", truth, position_sigma_m=0.1)
 
     yield "nothing changed"

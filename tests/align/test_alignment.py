@@ -13,6 +13,7 @@ from fieldgrid.align import Role, align_map, undo_alignment
 from fieldgrid.align.submaps import cut
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Transform, open_map
+from fieldgrid.mapfile.transform import placing
 from tests.align.field import SPACING_M, Drive, Field, left_m, write_field
 
 OFF = Transform(0.9, -0.7)
@@ -60,6 +61,10 @@ def test_a_drive_comes_to_the_better_one_and_back_bit_for_bit(
         aligned = universal.transform("july").aligned
         assert aligned is not None
         assert aligned.to == ("june",)
+        (beside,) = aligned.beside
+        assert (beside.name, beside.sigma_m) == ("june", pair.sigma_m)
+        held = [frame.driven for frame in universal.frames("june") if frame.accepted]
+        assert beside.placing == placing(universal.transform("june"), held)
         assert universal.verify(deep=True).problems == ()
         assert {name: done == count for name, done, count in told}.values()
         again = align_map(universal)
@@ -97,6 +102,7 @@ def test_other_poses_keep_the_transform_and_not_its_sigma(path: Path) -> None:
         assert (after.shift_east_m, after.wander) == (aligned.shift_east_m, aligned.wander)
         assert after.aligned is not None
         assert after.aligned.sigma_m is None
+        assert after.aligned.beside == ()
         assert {frame.pose.position_sigma_m for frame in universal.frames("july")} == {0.35}
         assert universal.verify(deep=True).problems == ()
         # It is what others are compared with as far as its receiver is sure.

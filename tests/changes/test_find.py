@@ -13,8 +13,10 @@ from scipy.stats import beta
 
 from fieldgrid.changes import ChangedObject, ChangeKind, Changes, cells, find_changes
 from fieldgrid.changes.objects import are_alike, probability
+from fieldgrid.changes.sureness import sigmas_beside
 from fieldgrid.errors import ConfigError
-from fieldgrid.mapfile import Change, open_map
+from fieldgrid.mapfile import Change, Transform, open_map
+from fieldgrid.mapfile.transform import Aligned, Beside, placing
 from fieldgrid.transfer import Transfer
 from tests.changes.worlds import WIDE, Box, Drive, lane, pose, world_map
 
@@ -104,6 +106,43 @@ def test_the_less_sure_the_places_the_less_sure_the_change(tmp_path: Path) -> No
     assert sure[0] > 0.9
     assert sure[-1] < 0.8
     assert list(changes_of(path, position_sigma_m=0.3)) == []
+
+
+def aligned(path: Path, apart_m: float, **others: Transform) -> None:
+    """As alignment leaves two drives: neither is sure of its place, the second beside the first."""
+    with open_map(path, writable=True) as universal:
+        driven = [frame.driven for frame in universal.frames("first") if frame.accepted]
+        beside = Beside("first", apart_m, placing(universal.transform("first"), driven))
+        found = Aligned(0.4, 0.1, ("first",), None, (beside,))
+        universal.set_transforms({"second": Transform(aligned=found), **others})
+
+
+def test_drives_that_were_aligned_are_as_sure_as_they_lie_beside_each_other(tmp_path: Path) -> None:
+    beside = Box(0.1, 4.0, 0.5, 5.0)  # 0.7 m from the row
+    path = two(tmp_path, [ROW], [ROW, beside], sigma_m=0.4)
+    assert list(changes_of(path)) == []
+    aligned(path, 0.05)
+    found = only(changes_of(path))
+    assert found.kind is ChangeKind.APPEARED
+    # All looks err by what is between the drives, and no less.
+    assert 0.05 <= found.sigma_m < 0.1
+    assert list(changes_of(path, position_sigma_m=0.4)) == []
+    # It is worth nothing once the other one lies elsewhere.
+    aligned(path, 0.05, first=Transform(0.001))
+    assert list(changes_of(path)) == []
+
+
+def test_what_is_between_drives_is_shared_out_and_no_smaller(tmp_path: Path) -> None:
+    for sigma_m, parts in ((0.4, (0.03 / 2**0.5, 0.03 / 2**0.5)), (0.01, (None, None))):
+        folder = tmp_path / str(sigma_m)
+        folder.mkdir()
+        path = two(folder, [ROW], [ROW], sigma_m=sigma_m)
+        aligned(path, 0.03)
+        with open_map(path) as universal:
+            found = sigmas_beside(universal, ["first"], ["second"])
+        assert [found.get(name) for name in ("first", "second")] == [
+            part if part is None else pytest.approx(part) for part in parts
+        ]
 
 
 def test_the_far_face_of_a_row_is_not_new(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from fieldgrid.errors import ConfigError, DatumError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import LAYERS, Transform, evidence, merge_maps, open_map
 from fieldgrid.mapfile.records import frame_record
-from fieldgrid.mapfile.transform import Aligned, Wander, transform_of
+from fieldgrid.mapfile.transform import Aligned, Beside, Wander, transform_of
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
 
@@ -153,11 +153,18 @@ def test_a_wander_that_cannot_be(bad: Any) -> None:
 def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     transform = Transform(
         0.1, -0.2, 0.3, 4.0, 5.0, Wander((5, 7), (0.1, 0.2), (0.0, -0.1)),
-        Aligned(0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text()),
+        Aligned(
+            0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text(),
+            (Beside("june", 0.01, "12ab"), Beside("july", 0.03, "34cd")),
+        ),
     )  # fmt: skip
     text = transform.to_text()
     assert text is not None
     assert transform_of(text) == transform
+    # Maps that were aligned before it was kept do not say how sure that is beside others.
+    old = json.loads(text)
+    del old["aligned"]["beside"]
+    assert replace(transform_of(json.dumps(old)), aligned=transform.aligned) == transform
     # A place that was aligned is as sure as that, and no less sure than it was.
     for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.01), (math.nan, 0.02)):
         driven = replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m)

@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
+from fieldgrid.align.beside import with_beside
 from fieldgrid.align.drives import Drive, Role, read_drives
 from fieldgrid.align.network import Match, solve, turn_sigma_deg
 from fieldgrid.align.pairs import Overlap, Pair, bounded, overlapping, placed, thinned
@@ -95,7 +96,8 @@ def align_map(
         matches = run.compare_finely(solution.transforms, believed, stage)
         solution = solve(drives, solution.transforms, matches)
     rough_m = 0.0 if rounds else ROUGH_M
-    return summed_up(drives, before, agreements, matches, solution, rough_m)
+    found = summed_up(drives, before, agreements, matches, solution, rough_m)
+    return with_beside(universal, found)
 
 
 MOST_REACH_M = 20.0

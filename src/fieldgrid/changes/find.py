@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, sur
 from fieldgrid.changes.looks import lookers
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.changes.result import ChangedObject, ChangeKind, Changes
+from fieldgrid.changes.sureness import sigmas_beside
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import Change, MapFile
@@ -39,7 +40,8 @@ def find_changes(
     `MapFile.diff`, whose `bounds` and `cell_m` these are. Objects below `min_area_m2` or
     `min_confidence` (0..1) are left out. What is nearer than so many `sigmas` of both positions
     to what the other side saw is no change; what is nearer than `growth_m` is growth; an object may
-    have moved by up to `moved_m`. `position_sigma_m` is taken in place of what the frames say.
+    have moved by up to `moved_m`. `position_sigma_m` is taken in place of what the frames say;
+    without it drives that were aligned are as sure as they lie beside each other.
 
     `docs/changes.md` has the definitions. Raises ConfigError as `diff` does, and for settings that
     cannot be.
@@ -57,8 +59,11 @@ def find_changes(
     view = universal.diff(from_, to, bounds, cell_m)
     changed = np.isin(view.change, (Change.APPEARED, Change.VANISHED))
     places = list(squares(view.window, changed))
+    beside_m: Mapping[str, float] = {}
+    if position_sigma_m is None and places:
+        beside_m = sigmas_beside(universal, view.before, view.after)
     before, after = (
-        _drives(universal, names, view.lattice, places, position_sigma_m)
+        _drives(universal, names, view.lattice, places, position_sigma_m, beside_m)
         for names in (view.before, view.after)
     )
     parts = [changed_cells(before, after, view.lattice, place, sigmas) for place in places]
@@ -87,6 +92,7 @@ def _drives(
     lattice: Lattice,
     places: Sequence[Window],
     position_sigma_m: float | None,
+    beside_m: Mapping[str, float],
 ) -> Drives:
     """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
@@ -94,7 +100,12 @@ def _drives(
     return Drives(
         {
             name: lookers(
-                universal.frames(name, with_grid=True), infos[name], lattice, wide, position_sigma_m
+                universal.frames(name, with_grid=True),
+                infos[name],
+                lattice,
+                wide,
+                position_sigma_m,
+                beside_m.get(name, math.inf),
             )
             for name in names
         }

@@ -102,9 +102,11 @@ def lookers(
     lattice: Lattice,
     windows: Sequence[Window],
     position_sigma_m: float | None,
+    beside_m: float = math.inf,
 ) -> list[Looker]:
     """The accepted frames of a session that reach into any of the windows, in time order.
 
+    Positions are no more unsure than `beside_m`, the error beside the drives on the other side.
     Raises ConfigError for a frame without sigma where `position_sigma_m` gives none.
     """
     range_sigma_1pm = _range_sigma_1pm(info.config)
@@ -132,6 +134,7 @@ def lookers(
                 "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
                 "poses again with `fieldgrid build --repose`, or give --position-sigma."
             )
+        sigmas = min(sigmas[0], beside_m), sigmas[1]
         found.append((stretch, Looker(frame, reach, 1.0, range_sigma_1pm, *sigmas)))
     return [one._replace(weight=1.0 / stretches[stretch]) for stretch, one in found]
 

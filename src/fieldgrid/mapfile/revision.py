@@ -112,7 +112,7 @@ def repose(
     session_id, removed, metadata = find(connection, path, header.datum, name)
     if (aligned := metadata.transform.aligned) is not None:
         # What the alignment left was said of the poses that are replaced.
-        unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None)
+        unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None, beside=())
         metadata = metadata._replace(transform=replace(metadata.transform, aligned=unsure))
         connection.execute(
             "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",

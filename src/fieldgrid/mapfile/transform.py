@@ -5,10 +5,12 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any
+from hashlib import sha256
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,23 +62,35 @@ class Wander:
         )
 
 
+class Beside(NamedTuple):
+    """How sure a session lies beside another one, which may be surer than where either lies: the
+    1-sigma error of the shift between them, as long as the other is where it was (`placing`)."""
+
+    name: str
+    sigma_m: float
+    placing: str
+
+
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
     aligned to, and the transform that the session had before, as it was stored. The errors are None
-    where the poses have been estimated anew since: it was found for others."""
+    where the poses have been estimated anew since: it was found for others. `beside` has those of
+    the sessions it was compared with."""
 
     sigma_m: float | None
     turn_sigma_deg: float | None
     to: tuple[str, ...]
     before: str | None = None
+    beside: tuple[Beside, ...] = ()
 
     def __post_init__(self) -> None:
-        errors = self.sigma_m, self.turn_sigma_deg
+        errors = self.sigma_m, self.turn_sigma_deg, *(one.sigma_m for one in self.beside)
         if not all(error is None or error >= 0.0 for error in errors):
             raise ConfigError(
-                f"An alignment with the errors {self.sigma_m} m and {self.turn_sigma_deg}° cannot "
-                "be; they are numbers from 0."
+                f"An alignment with the errors {self.sigma_m} m and {self.turn_sigma_deg}°, beside "
+                f"others {[one.sigma_m for one in self.beside]} m, cannot be; they are numbers "
+                "from 0."
             )
 
 
@@ -205,8 +219,18 @@ class Transform:
         if self.wander is not None:
             kinds[_WANDER] = asdict(self.wander)
         if self.aligned is not None:
-            kinds[_ALIGNED] = asdict(self.aligned)
+            beside = [one._asdict() for one in self.aligned.beside]
+            kinds[_ALIGNED] = asdict(self.aligned) | {"beside": beside}
         return json.dumps(kinds)
+
+
+def placing(transform: Transform, driven: Iterable[Pose]) -> str:
+    """Tells whether a session still lies where it did: a digest of its accepted poses as driven and
+    of where the transform puts them."""
+    found = sha256((replace(transform, aligned=None).to_text() or "").encode())
+    for pose in driven:
+        found.update(struct.pack("<q3d", pose.time_ns, pose.east_m, pose.north_m, pose.heading_deg))
+    return found.hexdigest()[:16]
 
 
 _RIGID_FIELDS = (
@@ -265,4 +289,12 @@ def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
         raise TypeError("the errors of its alignment are no numbers")
     if not (before is None or isinstance(before, str)):
         raise TypeError("what it was before is no text")
-    return Aligned(sigma_m, turn_sigma_deg, tuple(str(name) for name in stored["to"]), before)
+    # Maps that were aligned before this was kept have none.
+    beside = tuple(
+        Beside(str(one["name"]), one["sigma_m"], str(one["placing"]))
+        for one in stored.get("beside", ())
+    )
+    if not all(_is_number(one.sigma_m) for one in beside):
+        raise TypeError("its errors beside other sessions are no numbers")
+    to = tuple(str(name) for name in stored["to"])
+    return Aligned(sigma_m, turn_sigma_deg, to, before, beside)
