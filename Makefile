@@ -85,6 +85,7 @@ accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, align
 	$(PY) -m benchmarks.clock
 	$(PY) -m benchmarks.align 100
 	$(PY) -m benchmarks.poor_receivers
+	$(PY) -m benchmarks.good_receivers
 	$(PY) -m benchmarks.changes
 
 fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each); counts go on from run to run
