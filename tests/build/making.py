@@ -65,12 +65,6 @@ def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
         connection.close()
 
 
-def children(pid: int) -> list[int]:
-    """The processes that a process, any thread of it, has started; none where /proc is missing."""
-    lists = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(word) for found in lists for word in found.read_text().split()]
-
-
 def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many frames each run of shares has that this process stages from now on."""
     runs: list[int] = []

@@ -21,7 +21,6 @@ from tests.build.making import (
     SMALL_SHARES,
     MakeDrive,
     build,
-    children,
     content,
     count_staged,
     damage,
@@ -106,23 +105,44 @@ def test_an_answer_that_cannot_be_read_ends_the_build(
 # --- a build that is ended
 
 
+ENDED = """
+import os, signal
+from fieldgrid.build.parts import DriveParts
+from pathlib import Path
+
+usual, taken = DriveParts.take, []
+
+def take(self, share):
+    part = usual(self, share)
+    taken.extend([] if part is None else [share])
+    if len(taken) == {parts_done}:
+        tasks = Path("/proc/self/task").glob("*/children")
+        Path({notes!r}).write_text(" ".join(found.read_text() for found in tasks))
+        os.kill(os.getpid(), signal.{how})
+    return part
+
+DriveParts.take = take
+"""
+"""Python to run first in a build, which notes its workers and gets a signal when it has taken so
+many parts: from outside, it may be through before one has looked."""
+
+
 def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) -> str:
     """A build by two processes that is ended once it has staged so many parts; what it said."""
-    child = subprocess.Popen(
-        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=SMALL_SHARES),
+    notes = out.with_suffix(".workers")
+    before = SMALL_SHARES + ENDED.format(parts_done=parts_done, notes=str(notes), how=how.name)
+    child = subprocess.run(
+        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=before),
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,
+        check=False,
     )
-    until = time.monotonic() + 120.0
-    folder = parts.parts_folder(out)
-    while len(list(folder.glob("*/*-*.json"))) < parts_done and time.monotonic() < until:
-        assert child.poll() is None, child.communicate()[1]
-        time.sleep(0.005)
-    workers = children(child.pid)
+    errors = child.stderr
+    workers = [int(word) for word in notes.read_text().split()]
     assert workers or not Path("/proc").exists()
-    child.send_signal(how)
-    errors = child.communicate(timeout=60)[1]
+    notes.unlink()
+    until = time.monotonic() + 120.0
     while any(map(_is_alive, workers)) and time.monotonic() < until:
         time.sleep(0.01)
     assert not any(map(_is_alive, workers))

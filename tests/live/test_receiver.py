@@ -15,7 +15,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.gnss import parse_nmea, parse_ubx
 from fieldgrid.live import Pauses, Receiver, ReceiverStream
-from fieldgrid.live.links import parse_address
+from fieldgrid.live.links import open_link, parse_address
 from tests.conftest import TWO_LANES
 from tests.live.sources import QUICK, TIMEOUT_S, listening, running
 
@@ -61,18 +61,33 @@ def test_tcp_gives_the_fixes_of_the_log_over_a_loss_of_the_link() -> None:
 
 
 def test_a_receiver_that_is_not_there_yet_is_tried_until_it_is() -> None:
-    with listening() as (server, place):
-        free = server.getsockname()
-    with running(Receiver(f"tcp://{place}")) as notes:
-        notes.wait_told("is not there (Connection refused); it is tried again and again.")
-        with socket.create_server(free) as server:
-            server.settimeout(TIMEOUT_S)
+    # Bound, so that no other program is given the port, and not listened at yet.
+    with socket.socket() as server:
+        server.settimeout(TIMEOUT_S)
+        server.bind(("127.0.0.1", 0))
+        place = f"127.0.0.1:{server.getsockname()[1]}"
+        with running(Receiver(f"tcp://{place}")) as notes:
+            notes.wait_told("is not there (Connection refused); it is tried again and again.")
+            server.listen()
             link, _ = server.accept()
             with link:
                 link.sendall(LOG)
                 notes.wait_told("is there again")
                 # Each loss is told once, however often it is tried; the end of the link, too.
                 assert len(notes.told) == 2
+
+
+@pytest.mark.parametrize("kind", ["tcp", "gpsd"])
+def test_a_socket_that_meets_itself_is_no_receiver(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket() as itself:
+        itself.bind(("127.0.0.1", 0))
+        itself.connect(itself.getsockname())
+        monkeypatch.setattr(socket, "create_connection", lambda *_: itself)
+        with pytest.raises(ConnectionRefusedError, match="Connection refused"):
+            open_link(parse_address(f"{kind}://127.0.0.1:2"))
+        assert itself.fileno() == -1  # the port is free again
 
 
 def test_a_silent_receiver_is_told_and_a_dead_link_opened_again() -> None:

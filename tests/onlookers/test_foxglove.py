@@ -38,7 +38,10 @@ from tests.onlookers.making import (
 )
 
 BIG = (1500, 1500)
-"""A grid of more bytes than sockets hold."""
+"""A grid of which sockets hold a few at most."""
+
+MANY = 30
+"""So many of them no sockets hold."""
 
 
 class Client:
@@ -250,15 +253,17 @@ def test_a_client_that_does_not_read_misses_grids_and_holds_up_nobody() -> None:
             for client in (reads, sleeps):
                 client.subscribe("/costmap")
                 client.settle()
-            for number in range(6):
+            number = 0
+            while not served.missed:  # what sockets hold is up to the system and its load
+                number += 1
+                assert number < MANY
                 object.__setattr__(big, "time_ns", FIRST_NS + number)
                 served.take(big)
                 assert reads.next()[1] == FIRST_NS + number
-            assert served.missed >= 1
             got = [sleeps.next()[1]]
-            while got[-1] < FIRST_NS + 5:
+            while got[-1] < FIRST_NS + number:
                 got.append(sleeps.next()[1])
-            assert len(got) + served.missed == 6
+            assert len(got) + served.missed == number
         assert is_told.wait(TIMEOUT_S)
     (text,) = told
     assert text.startswith("A client of Foxglove missed ")

@@ -6,6 +6,7 @@ they came is known to nobody behind it, so no time of arrival can be taken for G
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import select
@@ -181,8 +182,22 @@ class _Serial(Closing):
         self._port.close()
 
 
-def _open_tcp(address: Address) -> _Socket:
+def _connected(address: Address) -> socket.socket:
+    """A stream to an address; ConnectionRefusedError where nobody listens.
+
+    A port of this machine that nobody listens at is now and then the one that a new socket is given
+    for its own end. Such a socket is connected with itself, and would keep the port from the
+    program that is waited for.
+    """
     connected = socket.create_connection((address.host, address.port), CONNECT_S)
+    if connected.getsockname() == connected.getpeername():
+        connected.close()
+        raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+    return connected
+
+
+def _open_tcp(address: Address) -> _Socket:
+    connected = _connected(address)
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     return _Socket(connected, stream=True)
 
@@ -203,7 +218,7 @@ def _open_udp(address: Address) -> _Socket:
 
 def _open_gpsd(address: Address) -> _Socket:
     """gpsd greets with a line of JSON, and sends what it is asked to watch."""
-    connected = socket.create_connection((address.host, address.port), CONNECT_S)
+    connected = _connected(address)
     try:
         greeting = b""
         while b"\n" not in greeting:
