@@ -30,6 +30,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = ROOT / ".." / "shared" / "data"
 TWO_LANES = ROOT / "examples" / "two_lanes"
 MAP = "vineyard.gpkg"
+HANGS_S = 900.0
+"""A process that takes so long hangs. Compiling all kernels takes half a minute of a processor that
+is free, and minutes of one that is not."""
 
 # Beside other programs the threads of BLAS wait for each other longer than they work on bands as
 # narrow as the smoother's. It is read when NumPy is imported, which comes after this.

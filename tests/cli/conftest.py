@@ -10,6 +10,7 @@ from typing import NamedTuple
 import pytest
 
 from fieldgrid.cli import main
+from tests.conftest import HANGS_S
 
 
 class Result(NamedTuple):
@@ -91,7 +92,7 @@ def fieldgrid_process() -> Run:
             [*prefix, *in_a_process(*arguments, before=before)],
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=HANGS_S,
             check=False,
         )
         return checked(Result(done.returncode, done.stdout, done.stderr))

@@ -13,8 +13,8 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -533,6 +533,7 @@ def test_what_is_no_recording(
 # --- the same in a process of its own, and what only that can show
 
 
+@pytest.mark.long  # the sentence: `test_a_recording_with_a_fault`; a process: the folder below
 def test_an_error_in_a_process_of_its_own(
     fieldgrid_process: Run, make_drive: MakeDrive, out: Path
 ) -> None:
@@ -543,7 +544,16 @@ def test_an_error_in_a_process_of_its_own(
     assert tree(out.parent) == {}
 
 
-LIMIT = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
+@contextmanager
+def no_file_beyond(size: int) -> Iterator[None]:
+    """What this process writes, only."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize(
@@ -560,7 +570,6 @@ def test_a_disk_with_too_little_room(
     mode: str,
     room: int,
     fieldgrid: Run,
-    fieldgrid_process: Run,
     make_drive: MakeDrive,
     out: Path,
     two_lanes_map: Path,
@@ -573,9 +582,8 @@ def test_a_disk_with_too_little_room(
         room *= out.stat().st_size + 20_000
     before = tree(out.parent)
     drive = make_drive(frames=range(19, 30, 2))
-    result = fieldgrid_process(
-        "build", drive, "-o", out, *flags, "--jobs", 1, before=LIMIT.format(room)
-    )
+    with no_file_beyond(room):
+        result = fieldgrid("build", drive, "-o", out, *flags, "--jobs", 1)
     assert str(out) in result.sentence()
     left = tree(out.parent)
     kept = {name for name in left if name.startswith("m.gpkg.parts/")}

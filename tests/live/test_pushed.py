@@ -11,7 +11,7 @@ from fieldgrid.live.pushed import warm_up
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
-from tests.conftest import TWO_LANES
+from tests.conftest import HANGS_S, TWO_LANES
 from tests.scenes import depth_rig, lidar_rig, paper_rig
 
 KERNELS_LEFT = """
@@ -70,6 +70,6 @@ def test_the_first_frames_wait_for_no_kernel() -> None:
     """In a process of its own: in this one others have compiled them."""
     done = subprocess.run(
         [sys.executable, "-c", KERNELS_LEFT, str(TWO_LANES)],
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True, text=True, timeout=HANGS_S, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, ""), done.stderr

@@ -104,7 +104,7 @@ def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
     assert search.misfit(3600.0) == np.inf
 
 
-@pytest.mark.parametrize("late_s", [2.0, -18.0])
+@pytest.mark.parametrize("late_s", [2.0, pytest.param(-18.0, marks=pytest.mark.long)])
 def test_fixes_of_another_clock_than_images_and_gyro_are_told(late_s: float) -> None:
     """A computer of another time stamps images and gyro alike: it is the fixes to move."""
     drive = simulate(UNREPEATED, 20.0, speed_mps=1.5)
