@@ -23,6 +23,7 @@ import shapely.geometry
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
+from scipy import ndimage
 
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
@@ -331,6 +332,45 @@ def test_an_older_gdal_reads_it_without_a_warning(universal: MapFile, tmp_path: 
         )
         assert told.stderr == ""
         assert "Feature Count: 0" not in told.stdout
+
+
+@given(
+    st_numpy.arrays(np.uint8, (9, 12), elements=st.sampled_from([0, 60, 101, 255])),
+    st.integers(1, 9),
+    st.integers(1, 12),
+)
+@settings(max_examples=60, deadline=None)
+def test_obstacles_are_the_cells_that_touch_however_views_are_cut(
+    density: npt.NDArray[np.uint8], row: int, column: int
+) -> None:
+    lattice, window = Lattice(0.5), Window(-5, -3, 12, 9)
+    views = [
+        MapView(lattice, part, cut, np.ones_like(cut, dtype=np.bool_), DATUM, is_base=True)
+        for part in (
+            Window(-5 + i, -3 + j, width, height)
+            for j, height in ((row, 9 - row), (0, row))  # from the north, as blocks are
+            for i, width in ((0, column), (column, 12 - column))
+            if width and height
+        )
+        for cut in (density[window.slices_of(part)],)
+    ]
+    labels, count = ndimage.label(density > 100, structure=np.ones((3, 3)))
+    expected = sorted(
+        (
+            int((labels == k).sum()),
+            float(density[labels == k].mean()),
+            int(density[labels == k].max()),
+        )
+        for k in range(1, count + 1)
+    )
+    found = list(trace_obstacles(views, ShapeOptions(simplify_m=0.0)))
+    said = sorted((round(one.area_m2 / 0.25), one.mean_density, one.max_density) for one in found)
+    assert said == expected
+    starts = [tuple(np.argwhere(labels == k)[0]) for k in range(1, count + 1)]
+    corners = [
+        min((y, x) for x, y in shapely.get_coordinates(one.outline).tolist()) for one in found
+    ]
+    assert [y for y, _ in corners] == [(j - 3) * 0.5 for j, _ in sorted(starts)]
 
 
 @given(

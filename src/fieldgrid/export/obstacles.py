@@ -1,7 +1,7 @@
 """Obstacles as polygons: the cells above a threshold that touch each other, traced and simplified.
 
-Memory goes with the obstacles and not with the map: cells are collected strip by strip, joined into
-components by their neighbours, and each component is traced in a window of its own.
+Memory goes with the obstacles and not with the map: runs of cells are collected strip by strip,
+joined into components by their neighbours, and each component is traced in a window of its own.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64, Int64, UInt8
+from fieldgrid.array_types import Bool, Float64, Index, Int32, Int64, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.options import ShapeOptions
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapView
 
 MAX_CELLS = 50_000_000
-"""Obstacle cells that are traced at once: 2.5 GB of neighbours."""
-
+"""Obstacle cells that are traced at once."""
 
 _ROUNDS = (0.75, 0.25, 0.0)
 """Which share of the tolerance each round of leaving corners out may use; the last takes those that
@@ -39,12 +38,26 @@ class Obstacle(NamedTuple):
     max_density: int
 
 
-class _Cells(NamedTuple):
-    """Cells of a lattice by column and row, ordered by row and column, and their densities."""
+class _Runs(NamedTuple):
+    """Obstacle cells that lie beside each other in a row of a lattice [n], ordered by row and
+    column: the row, the first column and the one after the last of each, and the densities of its
+    cells: their highest and their sum."""
 
-    i: Int64
-    j: Int64
-    density: UInt8
+    row: Int32
+    first: Int32
+    end: Int32
+    highest: UInt8
+    total: Int64
+
+    @property
+    def cells(self) -> int:
+        """How many cells they are."""
+        return int((self.end - self.first).sum(dtype=np.int64))
+
+    def chosen(self, which: Index) -> _Runs:
+        """Some of them, in this order."""
+        columns: list[Any] = [column[which] for column in self]
+        return _Runs(*columns)
 
 
 def trace_obstacles(
@@ -58,17 +71,19 @@ def trace_obstacles(
     """
     options = options or ShapeOptions()
     _require_libraries()
-    lattice, cells = _collect(views, options.obstacle_above)
-    if lattice is None:
+    found = _collect(views, options.obstacle_above)
+    if found is None:
         return
-    for part in _components(cells):
-        area_m2 = len(part.i) * lattice.cell_m**2
+    lattice, runs = found
+    for part in _components(runs):
+        count = part.cells
+        area_m2 = count * lattice.cell_m**2
         if area_m2 >= options.min_area_m2:
             yield Obstacle(
                 _outline(part, lattice, options.simplify_m),
                 area_m2,
-                float(part.density.mean()),
-                int(part.density.max()),
+                int(part.total.sum()) / count,
+                int(part.highest.max()),
             )
 
 
@@ -83,65 +98,96 @@ def _require_libraries() -> None:
         ) from error
 
 
-def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice | None, _Cells]:
+def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice, _Runs] | None:
+    """The runs of obstacle cells of all views; None where there is no view."""
     lattice: Lattice | None = None
-    rows, columns, densities, total = [], [], [], 0
+    found, total = [], 0
     for view in views:
         lattice = view.lattice
         worst, seen, _ = view.decision()
-        j, i = np.nonzero((worst > above) & (seen > 0.0))
-        total += len(i)
+        runs = _runs_of((worst > above) & (seen > 0.0), view)
+        found.append(runs)
+        total += runs.cells
         if total > MAX_CELLS:
             raise ConfigError(
                 f"Over {MAX_CELLS / 1e6:.0f} million cells have a density above {above}; give "
                 "smaller bounds, a larger cell or a higher threshold."
             )
-        rows.append(j + view.window.j0)
-        columns.append(i + view.window.i0)
-        densities.append(view.density[j, i])
-    if not rows:
-        return None, _Cells(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0, dtype=np.uint8))
-    i, j = np.concatenate(columns), np.concatenate(rows)
-    order = np.lexsort((i, j))
-    return lattice, _Cells(i[order], j[order], np.concatenate(densities)[order])
+    if lattice is None:
+        return None
+    columns: list[Any] = [np.concatenate(column) for column in zip(*found, strict=True)]
+    joined = _Runs(*columns)
+    return lattice, joined.chosen(np.lexsort((joined.first, joined.row)))
 
 
-def _components(cells: _Cells) -> Iterator[_Cells]:
+def _runs_of(obstacle: Bool, view: MapView) -> _Runs:
+    """The runs of a view's cells."""
+    height, width = obstacle.shape
+    apart = np.zeros((height, width + 1), dtype=np.bool_)  # no row runs into the next
+    apart[:, :-1] = obstacle
+    edges = np.flatnonzero(np.diff(apart.reshape(-1), prepend=False))
+    start, end = edges[::2], edges[1::2]
+    row, first = np.divmod(start, width + 1)
+    highest, total = np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.int64)
+    if len(edges):  # what lies between two runs is added up, too, and left out
+        density = np.zeros(apart.shape, dtype=np.uint8)
+        density[:, :-1] = view.density
+        highest = np.maximum.reduceat(density.reshape(-1), edges)[::2]
+        total = np.add.reduceat(density.reshape(-1), edges, dtype=np.int64)[::2]
+    i0, j0 = view.window.i0, view.window.j0
+    return _Runs(
+        (row + j0).astype(np.int32),
+        (first + i0).astype(np.int32),
+        (first + (end - start) + i0).astype(np.int32),
+        highest,
+        total,
+    )
+
+
+def _components(runs: _Runs) -> Iterator[_Runs]:
     """The cells by what touches, in the order of their first cells."""
     from scipy.sparse import coo_array  # 35 MB, for those who have outlines drawn
     from scipy.sparse.csgraph import connected_components
 
-    count = len(cells.i)
+    count = len(runs.row)
     if count == 0:
         return
-    i = cells.i - cells.i.min() + 1  # a free column on either side: no row runs into the next
-    j = cells.j - cells.j.min()
-    width = int(i.max()) + 2
-    keys = j * width + i
+    left = runs.first.astype(np.int64) - runs.first.min() + 1
+    right = left + (runs.end - runs.first)
+    width = int(right.max()) + 2  # a free column on either side: no row runs into the next
+    row = (runs.row - runs.row.min()).astype(np.int64) * width
+    first, end = row + left, row + right
+    number = np.arange(count)
     starts, ends = [], []
-    for step in (1, width - 1, width, width + 1):
-        at = np.searchsorted(keys, keys + step)
-        found = np.flatnonzero(keys[np.minimum(at, count - 1)] == keys + step)
-        starts.append(found)
-        ends.append(at[found])
-    start, end = np.concatenate(starts), np.concatenate(ends)
-    graph = coo_array((np.ones(len(start), dtype=np.bool_), (start, end)), shape=(count, count))
+    # In its own row what begins at the end of a run, since views are cut; in the next those from
+    # corner to corner of it.
+    for low, up in ((number + 1, 0), (np.searchsorted(end, first + width), width)):
+        touching = np.maximum(np.searchsorted(first, end + up, side="right") - low, 0)
+        starts.append(np.repeat(number, touching))
+        before = np.cumsum(touching) - touching
+        ends.append(np.arange(len(starts[-1])) + np.repeat(low - before, touching))
+    start, stop = np.concatenate(starts), np.concatenate(ends)
+    graph = coo_array((np.ones(len(start), dtype=np.bool_), (start, stop)), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     order = np.argsort(label, kind="stable")
-    first = np.flatnonzero(np.diff(label[order], prepend=-1))
-    parts = [order[a:b] for a, b in zip(first, [*first[1:], count], strict=True)]
+    begin = np.flatnonzero(np.diff(label[order], prepend=-1))
+    parts = [order[a:b] for a, b in zip(begin, [*begin[1:], count], strict=True)]
     for part in sorted(parts, key=lambda part: int(part[0])):
-        yield _Cells(cells.i[part], cells.j[part], cells.density[part])
+        yield runs.chosen(part)
 
 
-def _outline(cells: _Cells, lattice: Lattice, simplify_m: float | None) -> Any:
+def _outline(runs: _Runs, lattice: Lattice, simplify_m: float | None) -> Any:
     """The outline of cells that touch, metres east and north, simplified and valid."""
     import shapely
     from rasterio.features import shapes
 
-    i0, j0 = int(cells.i.min()), int(cells.j.min())
-    mask = np.zeros((int(cells.j.max()) - j0 + 1, int(cells.i.max()) - i0 + 1), dtype=np.uint8)
-    mask[cells.j - j0, cells.i - i0] = 1
+    i0, j0 = int(runs.first.min()), int(runs.row[0])
+    steps = np.zeros((int(runs.row[-1]) - j0 + 1, int(runs.end.max()) - i0 + 1), dtype=np.int8)
+    steps[runs.row - j0, runs.first - i0] += 1
+    # Where views are cut, one run begins where another ends.
+    np.subtract.at(steps, (runs.row - j0, runs.end - i0), 1)
+    np.cumsum(steps, axis=1, out=steps)
+    mask = np.ascontiguousarray(steps[:, :-1]).view(np.uint8)
     # By sides alone: where cells touch by a corner only, an outline that went through it twice
     # would not be valid.
     pieces = [
