@@ -2,6 +2,7 @@
 
     python -m benchmarks.hectares build 4.gpkg 200     # 4 ha; 16.gpkg 400 is 16 ha
     python -m benchmarks.memory 1.gpkg 4.gpkg 16.gpkg
+    python -m benchmarks.memory --only rows,show 1.gpkg 4.gpkg 16.gpkg
 
 Each is a process of its own. What takes more than five minutes is ended, and said so.
 """
@@ -27,6 +28,14 @@ import sys, fieldgrid as fg
 with fg.open_map(sys.argv[1]) as m: fg.Costmap.from_map(m)
 """
 
+_OUTLINES = """
+import sys, fieldgrid as fg
+from fieldgrid.export.obstacles import trace_obstacles
+from fieldgrid.export.options import ShapeOptions
+with fg.open_map(sys.argv[1]) as m, m.read_blocks(layers=m.deciding(None)) as blocks:
+    list(trace_obstacles(blocks.views, ShapeOptions(min_area_m2=1e8)))
+"""
+
 _LIMIT_S = 300.0
 
 WHAT: dict[str, Sequence[str]] = {
@@ -50,15 +59,19 @@ WHAT: dict[str, Sequence[str]] = {
         )
     },
     "show": ("show", "MAP", "-o", "out.png"),
-    "diff, all but the last drive and that": ("diff", "MAP", "--from", "FIRST", "--to", "LAST"),
+    "diff": ("diff", "MAP", "--from", "FIRST", "--to", "LAST"),
     "verify": ("verify", "MAP"),
-    "Costmap.from_map": (),
+    "Costmap.from_map": (_COSTMAP, "MAP"),
+    "outlines joined": (_OUTLINES, "MAP"),
     "rows": ("rows", "MAP"),
     **{
         f"export {ending}": ("export", "MAP", f"out.{ending}", "--min-area", "0.5")
         for ending in ("geojson", "gpkg", "fgb", "dxf", "shp.zip")
     },
 }
+
+_PROGRAMS = ("Costmap.from_map", "outlines joined")
+"""Which are Python of their own, and no commands."""
 
 
 class Used(NamedTuple):
@@ -75,7 +88,7 @@ def run(what: str, map_: Path, folder: Path) -> Used:
         names = [info.name for info in universal.sessions()]
     known = {"MAP": str(map_), "FIRST": names[max(0, len(names) - 2)], "LAST": names[-1]}
     words = [known.get(word, word) for word in WHAT[what]]
-    program = [_RUN, *words] if words else [_COSTMAP, str(map_)]
+    program = words if what in _PROGRAMS else [_RUN, *words]
     with (folder / "said").open("w+") as said:
         process = subprocess.Popen(
             [sys.executable, "-c", *program],
@@ -94,9 +107,9 @@ def run(what: str, map_: Path, folder: Path) -> Used:
     return Used(usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime, last)
 
 
-def measure_memory(maps: Sequence[Path]) -> Iterator[Line]:
-    """Megabytes and seconds for each map."""
-    for what in WHAT:
+def measure_memory(maps: Sequence[Path], only: Sequence[str] = ()) -> Iterator[Line]:
+    """Megabytes and seconds for each map, of all or of some."""
+    for what in only or WHAT:
         used = []
         for path in maps:
             with tempfile.TemporaryDirectory() as out:
@@ -108,5 +121,9 @@ def measure_memory(maps: Sequence[Path]) -> Iterator[Line]:
 
 
 if __name__ == "__main__":
-    for line in measure_memory([Path(word) for word in sys.argv[1:]]):
+    words = sys.argv[1:]
+    only: Sequence[str] = ()
+    if words[0] == "--only":
+        only, words = words[1].split(","), words[2:]
+    for line in measure_memory([Path(word) for word in words], only):
         print(f"  {line.what:<40} {line.value:>20}  {line.asked}", flush=True)
