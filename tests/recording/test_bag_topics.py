@@ -27,7 +27,11 @@ TYPES = {
 
 
 def chosen(
-    text: str, given: Mapping[str, str] | None = None, count: int = 9, sensor: str | None = None
+    text: str,
+    given: Mapping[str, str] | None = None,
+    count: int = 9,
+    sensor: str | None = None,
+    partners: Mapping[str, str] | None = None,
 ) -> Choice:
     """The choice among topics written like `image /left/image_raw`, one a line."""
     topics = {}
@@ -35,7 +39,7 @@ def chosen(
         if line.strip():
             kind, name = line.split()
             topics[name] = Topic(name, TYPES[kind], count)
-    return choose(topics, given or {}, BAG, sensor=sensor)
+    return choose(topics, given or {}, BAG, sensor=sensor, partners=partners)
 
 
 def stereo(place: str, image: str = "image_rect", kind: str = "image") -> str:
@@ -241,3 +245,18 @@ def test_topics_without_messages_are_not_taken() -> None:
 def test_a_depth_image_is_no_side_of_a_pair() -> None:
     found = chosen("image /left/depth\nimage /right/depth\ninfo /left/camera_info")
     assert found.kind in ("", "depth")
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"left": "/front/one/compressed", "right": "/front/two/compressed"}]
+)
+def test_a_calibration_below_its_image(given: dict[str, str]) -> None:
+    text = "".join(
+        f"packed /front/{name}/compressed\ninfo /front/{name}/camera_info\n"
+        for name in ("one", "two")
+    )
+    partners = {"/front/one/camera_info": "/front/two/camera_info"}
+    roles = chosen(text, given, partners=partners).roles
+    assert roles["left"] == "/front/one/compressed"
+    assert roles["left_info"] == "/front/one/camera_info"
+    assert roles["right_info"] == "/front/two/camera_info"

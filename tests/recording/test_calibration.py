@@ -172,11 +172,28 @@ def test_ros_files_of_raw_images(folder: Path) -> None:
     assert "taken as rectified" in as_rectified.notes[0]
 
 
+def test_ros_files_as_its_calibrator_calls_them(folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    (folder / "left.yaml").write_text(ros(K1, D1, m.R1, m.P1))
+    with pytest.raises(CalibrationError, match=r'of left\.yaml, name .*: calibration = "\.\.\."'):
+        read_calibration(folder)
+    (folder / "right.yaml").write_text(ros(K2, D2, m.R2, m.P2))
+    check(read_calibration(folder, rectified=False), (D1, D2), m)
+    (folder / "stereo_opencv.yaml").write_text(opencv())
+    other = read_calibration(folder, rectified=False).notes
+    assert other == ("The images are raw, and rectified by stereo_opencv.yaml.",)
+
+
 def test_kalibr(folder: Path) -> None:
+    # Kalibr puts the name of the bag before its own.
     (folder / "camchain-june.yaml").write_text(kalibr())
+    (folder / "june-camchain.yaml").write_text(kalibr())
+    with pytest.raises(CalibrationError, match=r"camchain-june\.yaml, june-camchain\.yaml; name"):
+        read_calibration(folder)
+    (folder / "camchain-june.yaml").unlink()
     found = read_calibration(folder)
     check(found, (D1[:4], D2[:4]), by_opencv(D1[:4], D2[:4]))
-    assert found.notes == ("The images are raw, and rectified by camchain-june.yaml.",)
+    assert found.notes == ("The images are raw, and rectified by june-camchain.yaml.",)
 
 
 def test_kalibr_equidistant(folder: Path) -> None:

@@ -16,14 +16,16 @@ __all__ = ["Calibration", "read_calibration"]
 
 _OPENCV = "stereo_opencv.yaml"
 _ROS_LEFT, _ROS_RIGHT = "stereo_left_camera_info.yaml", "stereo_right_camera_info.yaml"
-_KALIBR = "camchain*.yaml"
+_ROS_OWN = "left.yaml", "right.yaml"
+"""As ROS's calibrator writes them."""
+_KALIBR = "*camchain*.yaml"
 
 
 def read_calibration(
     folder: Path, named: str | None = None, rectified: bool | None = None
 ) -> Calibration:
     """The camera by the files of `calibration/`; when there are OpenCV's and ROS's, they must
-    agree. Kalibr's is read where there is no other.
+    agree. Kalibr's is read where there is no other, and so are left.yaml and right.yaml of ROS.
 
     `named` is the file to take, in the folder or in the recording around it. `rectified` is
     whether the images are rectified, None when that is not said: then the files decide.
@@ -35,6 +37,9 @@ def read_calibration(
         found.append(read_opencv(folder / _OPENCV, rectified))
     if (folder / _ROS_LEFT).exists() or (folder / _ROS_RIGHT).exists():
         found.append(read_ros(folder / _ROS_LEFT, folder / _ROS_RIGHT, rectified))
+    own = [folder / name for name in _ROS_OWN]
+    if not found and all(path.exists() for path in own):
+        return read_ros(own[0], own[1], rectified)
     if not found:
         return read_kalibr(_camchain(folder), rectified)
     products = [calibration.camera.focal_baseline_px_m for calibration in found]
@@ -49,9 +54,15 @@ def read_calibration(
 def _camchain(folder: Path) -> Path:
     present = sorted(folder.glob(_KALIBR))
     if not present:
+        others = sorted(path.name for path in folder.glob("*.y*ml"))
+        named = (
+            f"; of {', '.join(others)[:300]}, name the one with both cameras in recording.toml: "
+            'calibration = "...", or put the calibration of the pair there under such a name.'
+            if others
+            else "; put the calibration of the pair there."
+        )
         raise CalibrationError(
-            f"{folder} has neither {_OPENCV} nor {_ROS_LEFT} with {_ROS_RIGHT} nor {_KALIBR}; "
-            "put the calibration of the pair there."
+            f"{folder} has neither {_OPENCV} nor {_ROS_LEFT} with {_ROS_RIGHT} nor {_KALIBR}{named}"
         )
     if len(present) > 1:
         names = ", ".join(path.name for path in present)

@@ -11,6 +11,7 @@ import stat
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, cast
 
@@ -20,6 +21,8 @@ from fieldgrid.limits import Budget, bounded_lines, check_rows
 MAX_TEXT_BYTES = 256 << 20
 MAX_LOG_BYTES = 2 << 30
 """The most that a log may hold, unpacked: a day of raw measurements, not a bomb."""
+
+DELIMITERS = ",;\t|"
 
 MIN_TIME_NS = 315_964_800_000_000_000
 """1980-01-06, when GPS time began: what is stamped earlier is not UTC in nanoseconds."""
@@ -140,13 +143,22 @@ def read_table(
     _check_size(path, MAX_TEXT_BYTES, error)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _rows(csv.reader(bounded_lines(file, path)), path, required, error)
+            lines = bounded_lines(file, path)
+            header = next(lines, "")
+            rows = csv.reader(chain([header], lines), delimiter=delimiter_of(header))
+            yield from _rows(rows, path, required, error)
     except csv.Error as problem:
         raise error(f"{path} is not a CSV file: {problem}; correct or export it again.") from None
     except UnicodeDecodeError as problem:
         raise _no_text(path, problem, error) from problem
     except OSError as problem:
         raise _unreadable(path, problem, error) from problem
+
+
+def delimiter_of(header: str) -> str:
+    """What parts the columns of a table: comma, or the semicolon, tab or bar that spreadsheets of
+    countries with a decimal comma write."""
+    return max(DELIMITERS, key=header.count)
 
 
 def _rows(
@@ -156,7 +168,8 @@ def _rows(
     for name in required:
         if name not in header:
             raise error(
-                f"{path} has no column {name}; its header must have at least {', '.join(required)}."
+                f"{path} has no column {name}; its header must have at least "
+                f"{', '.join(required)}. It has: {', '.join(header)[:500]}."
             )
     for row in rows:
         cells = [cell.strip() for cell in row] + [""] * len(header)
@@ -165,13 +178,17 @@ def _rows(
 
 
 def parse_time_ns(row: dict[str, str]) -> int:
-    """UTC nanoseconds of the column time_ns, or of timestamp_utc_s exactly.
+    """UTC nanoseconds of the column time_ns, or of timestamp_utc_s exactly, with a decimal point
+    or comma.
 
     Seconds are never a float on the way, which would be off by 100 ns. ValueError says what
     is wrong, without the file.
     """
     column = "time_ns" if row.get("time_ns") else "timestamp_utc_s"
-    text = row.get(column, "")
+    if not {"time_ns", "timestamp_utc_s"} & row.keys():
+        names = ", ".join(row)[:200]
+        raise ValueError(f"no column is time_ns or timestamp_utc_s, but {names}")
+    text = row.get(column, "").replace(",", ".")
     match = _SECONDS.fullmatch(text)
     if column == "time_ns":
         time_ns = int(text) if text.isdecimal() and len(text) <= 20 else -1

@@ -102,7 +102,8 @@ def shot_of_row(row: dict[str, str], where: str, layout: Layout) -> Shot:
     for column in needed_columns(layout):
         if not row[column]:
             raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
-    files = tuple(row[column] for column in layout.columns)
+    # Windows parts paths by backslashes.
+    files = tuple(row[column].replace("\\", "/") for column in layout.columns)
     for name in files:
         if not is_inside(name):
             raise RecordingError(

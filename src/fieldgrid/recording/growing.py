@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
+from fieldgrid.recording.files import delimiter_of
 from fieldgrid.recording.folder import SESSION, mounting_path
 from fieldgrid.recording.frame_table import (
     TABLE,
@@ -65,6 +66,7 @@ class GrowingFolder:
     """Of each folder, the files by their stems that have no partner in another yet."""
     _read_bytes: int = 0
     _header: list[str] = field(default_factory=list)
+    _delimiter: str = ","
     _lines: int = 0
 
     def new_shots(self) -> tuple[list[Shot], list[RecordingError]]:
@@ -179,7 +181,10 @@ class GrowingFolder:
                 yield RecordingError(f"{where}: {problem}; correct it.")
 
     def _of_row(self, raw: bytes, where: str) -> Shot | None:
-        cells = [cell.strip() for cell in next(csv.reader([raw.decode("utf-8-sig")]), [])]
+        text = raw.decode("utf-8-sig")
+        if not self._header:
+            self._delimiter = delimiter_of(text)
+        cells = [cell.strip() for cell in next(csv.reader([text], delimiter=self._delimiter), [])]
         if self._header:
             if not any(cells):
                 return None

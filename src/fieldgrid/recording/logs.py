@@ -10,7 +10,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive
-from fieldgrid.recording.files import open_log_bytes
+from fieldgrid.recording.files import DELIMITERS, open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.fix_table import read_fix_table
 from fieldgrid.recording.format import Format
@@ -18,7 +18,7 @@ from fieldgrid.recording.isoxml import is_time_log, read_time_log
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.settings_file import Settings
 from fieldgrid.recording.stream_log import looks_like_stream, read_stream
-from fieldgrid.recording.tables import COMMENTS, DELIMITERS, split_header
+from fieldgrid.recording.tables import COMMENTS, split_header
 
 SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"})
 """File name endings of GNSS logs, in lower case; ``.gz`` may follow."""

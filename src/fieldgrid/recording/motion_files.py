@@ -136,7 +136,8 @@ def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
         notes.append(
             "The accelerometer is not used: it should see gravity upward, 9.8 m/s² or 1 g, and "
             f"sees {usual[0]:.2f} to the right, {usual[1]:.2f} forward, {up:.2f} up; correct "
-            "imu_axes in mounting.json."
+            "imu_axes in mounting.json"
+            + (' (an IMU with x forward, y right, z down is "frd").' if up < 0.0 else ".")
         )
         return without
     if unit_mps2 == 1.0:

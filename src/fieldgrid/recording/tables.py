@@ -20,10 +20,9 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.limits import bounded_lines, check_rows
-from fieldgrid.recording.files import open_log_bytes
+from fieldgrid.recording.files import delimiter_of, open_log_bytes
 
 COMMENTS = ("#", "%")
-DELIMITERS = ",;\t|"
 Parse = Callable[[str], float | None]
 """Reads a cell that is no plain number; None for what it cannot read either."""
 
@@ -64,7 +63,7 @@ class Table:
         first, taken = split_header(self._counted())
         if not first:
             raise RecordingError(f"{self.path} is empty; give a table with a header.")
-        self._delimiter = max(DELIMITERS, key=first.count)
+        self._delimiter = delimiter_of(first)
         self.header = self._header(first)
         self._line -= len(taken)
         self._rows = csv.reader(chain(taken, self._lines), delimiter=self._delimiter)

@@ -253,8 +253,8 @@ class _Finder:
             (name, partner)
             for name in images
             for partner in images
-            if (other := self._partners.get(_beside(name)))
-            and other == _beside(partner)
+            if (other := self._partners.get(_beside(name, self._topics)))
+            and other == _beside(partner, self._topics)
             and name.rpartition("/")[2] == partner.rpartition("/")[2]
             and not _NO_PICTURE.search(name.lower())
         ]
@@ -307,7 +307,7 @@ class _Finder:
         infos = _of_types(self._topics, (INFO,))
         parts = _base(image).split("/")[:-1]
         near = ["/".join(parts[:k]) for k in range(len(parts), 0, -1)]
-        beside = [f"{place}/camera_info" for place in near[: 2 if lone else 1]]
+        beside = [f"{place}/camera_info" for place in (_base(image), *near[: 2 if lone else 1])]
         beside += [f"{place}/{side}/camera_info" for place in near if side]
         sided = [name for name in infos if _side(name) == side]
         candidates = [
@@ -381,9 +381,10 @@ def _namespace(name: str) -> str:
     return _base(name).rpartition("/")[0]
 
 
-def _beside(image: str) -> str:
-    """The calibration beside an image."""
-    return f"{_namespace(image)}/camera_info"
+def _beside(image: str, topics: Mapping[str, Topic]) -> str:
+    """The calibration below an image, else beside it."""
+    below = f"{_base(image)}/camera_info"
+    return below if below in topics else f"{_namespace(image)}/camera_info"
 
 
 def _partners(left: str) -> list[str]:
