@@ -117,7 +117,9 @@ def test_a_time_that_is_none_names_its_line(tmp_path: Path) -> None:
     fails(tmp_path, f"time,lat,lon\n{START_S},41,-4\nnoon,4,4\n", r"line 3: time 'noon' is no UTC")
     text = "time,lat,lon\n2024-06-01T12:00:00,41,-4\n2024-06-31T12:00:00,41,-4\n"
     fails(tmp_path, text, r"line 3: time '2024-06-31T12:00:00' is no UTC time")
-    fails(tmp_path, "elapsed_time,lat,lon\n1,2,3\n", "has no column with UTC times; name it with")
+    fails(
+        tmp_path, "elapsed_time,lat,lon\n1,2,3\n", "has no column with UTC times; name it: time ="
+    )
 
 
 # --- names, units, values
@@ -383,7 +385,10 @@ def test_degrees_and_minutes_in_one_number(tmp_path: Path) -> None:
     [
         ("easting,northing", "if northing and easting are metres .* --columns crs=EPSG:32630"),
         ("lon,lat", r"lat 4612300 and lon 357000\.5 are no degrees; .* --columns crs=EPSG:32630"),
-        ("east,height", r"has no column lat_deg.* name it with --columns lat=COLUMN"),
+        (
+            "east,height",
+            r"has no column lat_deg.* name it: lat = .COLUMN. in .* or --columns lat=COLUMN",
+        ),
     ],
 )
 def test_coordinates_of_a_projection(tmp_path: Path, names: str, match: str) -> None:

@@ -570,7 +570,11 @@ def test_an_nmea_log_without_a_date_is_named(drive: Path) -> None:
     ("old", "new", "message"),
     [
         ("lat_deg", "y", "has no column lat_deg, and none whose name is known"),
-        ("time_ns", "when", r"has no column with UTC times; name it with --columns time=COLUMN"),
+        (
+            "time_ns",
+            "when",
+            r"has no column with UTC times; name it: time = .COLUMN. in \[gnss.columns\]",
+        ),
         ("41.65", "north", r"line 2: lat_deg 'north' is not a number"),
         ("787.4", "high", r"line 2: height_m 'high' is not a number"),
         (

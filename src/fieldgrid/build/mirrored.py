@@ -19,6 +19,7 @@ from fieldgrid.choices import Doubt
 from fieldgrid.errors import GnssError
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.recording import Recording
+from fieldgrid.recording.columns import how_to_say
 from fieldgrid.trajectory import Trajectory
 
 MOST_STEPS = 200
@@ -59,8 +60,8 @@ def doubted_mirror(
     if off.exchanged_m < off.mirrored_m:
         why = (
             f", and {off.exchanged_m:.2f} m with latitude and longitude exchanged; the drive is at "
-            f"{first}: if that is not the field, exchange the two, of a table with "
-            "--columns lat=COLUMN,lon=COLUMN"
+            f"{first}: if that is not the field, exchange the two, of a table by naming "
+            f"its columns: {how_to_say(lat='COLUMN', lon='COLUMN')}"
         )
     elif gyro is not None and _turns_against(steps, gyro):
         why = (

@@ -200,6 +200,17 @@ def columns_from_text(text: str) -> Columns:
     return columns_from_mapping(mapping)
 
 
+def how_to_say(**said: str) -> str:
+    """How a user says something of the columns, for the remedy of an error: in every command by
+    the recording, and to `track` also by its option."""
+    entries = ", ".join(f'{key} = "{value}"' for key, value in said.items())
+    option = ",".join(f"{key}={value}" for key, value in said.items())
+    return (
+        f"{entries} in [gnss.columns] of recording.toml, or --columns {option} for "
+        "`fieldgrid track`"
+    )
+
+
 def take_apart(name: str) -> Named:
     """The words of a column name: ``Speed [km/h]`` is speed in km_h."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", "_", name)

@@ -17,6 +17,7 @@ from fieldgrid.quality import Quality
 from fieldgrid.recording.columns import (
     Columns,
     guess,
+    how_to_say,
     is_radians,
     length_factor,
     speed_factor,
@@ -121,9 +122,10 @@ class _Plan:
         if None not in metres and not self.columns.crs:
             return (
                 f"{told}; if {metres[0]} and {metres[1]} are metres north and east in a "
-                f"projection, name that with --columns crs=EPSG:32630 (UTM zone 30 north). {has}"
+                "projection, as of UTM zone 30 north, name it: "
+                f"{how_to_say(crs='EPSG:32630')}. {has}"
             )
-        return f"{told}; name it with --columns {role}=COLUMN. {has}"
+        return f"{told}; name it: {how_to_say(**{role: 'COLUMN'})}. {has}"
 
     def fixes(self, block: Block) -> FixColumns:
         """The fixes of some rows; rows without a position or without a time are counted."""

@@ -11,6 +11,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import unprojected
+from fieldgrid.recording.columns import how_to_say
 from fieldgrid.recording.tables import Block, Table
 
 _E7 = 1e8
@@ -80,12 +81,11 @@ def _advice(lat: Float64, lon: Float64) -> str:
     if np.all(_is_minutes(lat, 90)) and np.all(_is_minutes(lon, 180)):
         return (
             "if they are degrees and minutes in one number, as 4139.0228 is 41° 39.0228', give "
-            "--columns lat_lon_units=ddmm"
+            + how_to_say(lat_lon_units="ddmm")
         )
     return (
-        "if they are northing and easting of a projection, name it with --columns "
-        "crs=EPSG:32630 (UTM zone 30 north; your zone is in the metadata of the log); if they are "
-        "1e-7 degrees, give --columns lat_lon_units=e7"
+        "if they are northing and easting of a projection, as of UTM zone 30 north, name it: "
+        f'{how_to_say(crs="EPSG:32630")}; if they are 1e-7 degrees, lat_lon_units = "e7" there'
     )
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.columns import Columns, epoch_s, guess, time_candidates
+from fieldgrid.recording.columns import Columns, epoch_s, guess, how_to_say, time_candidates
 from fieldgrid.recording.tables import Block, Table
 from fieldgrid.recording.times import (
     UNITS,
@@ -70,10 +70,10 @@ def find_time(table: Table, columns: Columns) -> TimeColumn:
     if not found:
         tried = f" ({', '.join(_shown(table, n) for n in names)[:200]} can not be read as one)"
         raise RecordingError(
-            f"{table.path} has no column with UTC times{tried if names else ''}; name it with "
-            "--columns time=COLUMN and, if need be, time_units=s, ms, us, ns, gps_s or gps_ms; of "
-            "a time that counts from the start of a drive or a week, or from midnight, say when "
-            "that was with time_epoch=2026-05-14T07:30:00Z; write a date with time like "
+            f"{table.path} has no column with UTC times{tried if names else ''}; name it: "
+            f"{how_to_say(time='COLUMN')}, and, if need be, time_units=s, ms, us, ns, gps_s or "
+            "gps_ms; of a time that counts from the start of a drive or a week, or from midnight, "
+            "say when that was with time_epoch=2026-05-14T07:30:00Z; write a date with time like "
             "2026-05-14T07:30:00.25Z, or with its day first like 14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
         )
