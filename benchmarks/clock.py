@@ -133,7 +133,7 @@ def tell(
     steps = motion.steps
     assert steps is not None
     return tuple(
-        check_clock(drive, fixes, motion._replace(steps=late(steps, late_s)), Axle(rig))[0]
+        check_clock(drive, fixes, motion._replace(steps=late(steps, late_s)), Axle(rig)).offset
         for late_s in LATE_S
     )
 

@@ -1,4 +1,4 @@
-"""The example drive, damaged as drives of users are: `python -m benchmarks.damages [LOG]`.
+"""A rendered drive, damaged as drives of users are: `python -m benchmarks.damages [LOG [DRIVE]]`.
 
 Each damage is made in a copy, of which a map is built and compared with the truth. What matters is
 not that the map is good, but that the drive is refused, or that its poses know and something is
@@ -26,26 +26,29 @@ from fieldgrid.build import build_map
 from fieldgrid.errors import FieldgridError, TruthError
 from fieldgrid.evaluation import Truth, evaluate, read_truth
 from fieldgrid.evaluation.truth import TruthPose
+from fieldgrid.gnss.fields import checksum
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status
 
 LOG = sys.argv[1] if len(sys.argv) > 1 else "gnss_rtk.nmea"
+DRIVE = Path(sys.argv[2]) if len(sys.argv) > 2 else EXAMPLE
+IMU, FRAMES, HALF = "imu/imu_100hz.csv", "frames.csv", slice(25, None)
 Damage = Callable[[Path], None]
 
 
 def _copy(folder: Path) -> Path:
-    """The example; images are links."""
+    """The drive; images are links."""
     (folder / "gnss").mkdir(parents=True)
-    shutil.copy(EXAMPLE / "gnss" / LOG, folder / "gnss")
+    shutil.copy(DRIVE / "gnss" / LOG, folder / "gnss")
     for name in ("calibration", "imu"):
-        shutil.copytree(EXAMPLE / name, folder / name)
+        shutil.copytree(DRIVE / name, folder / name)
     for name in ("frames.csv", "session.json"):
-        shutil.copy(EXAMPLE / name, folder)
+        shutil.copy(DRIVE / name, folder)
     for side in ("left", "right"):
         (folder / side).mkdir()
-        for image in (EXAMPLE / side).iterdir():
+        for image in (DRIVE / side).iterdir():
             (folder / side / image.name).symlink_to(image.resolve())
     return folder
 
@@ -56,16 +59,24 @@ def _rows(path: Path, change: Callable[[list[list[str]]], list[list[str]]]) -> N
     path.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
 
 
-def later(what: str, by_s: float, of: slice = slice(None)) -> Damage:
-    """Rows of a table stamped later."""
-    column = 1 if what == "frames.csv" else 0
+def later(what: str, by_s: float, from_middle: bool = False) -> Damage:
+    """Rows of a table stamped later, all or those of the second half of the images."""
+    column = 1 if what == FRAMES else 0
 
-    def change(rows: list[list[str]]) -> list[list[str]]:
-        for row in rows[of]:
-            row[column] = f"{float(row[column]) + by_s:.3f}"
-        return rows
+    def damage(folder: Path) -> None:
+        with (DRIVE / FRAMES).open(newline="") as table:
+            stamps = [float(row["timestamp_utc_s"]) for row in csv.DictReader(table)]
+        since_s = stamps[len(stamps) // 2] - 0.005 if from_middle else -math.inf
 
-    return lambda folder: _rows(folder / what, change)
+        def change(rows: list[list[str]]) -> list[list[str]]:
+            for row in rows:
+                if float(row[column]) >= since_s:
+                    row[column] = f"{float(row[column]) + by_s:.3f}"
+            return rows
+
+        _rows(folder / what, change)
+
+    return damage
 
 
 def images_of(order: Callable[[int], list[int]]) -> Damage:
@@ -77,14 +88,83 @@ def images_of(order: Callable[[int], list[int]]) -> Damage:
     return lambda folder: _rows(folder / "frames.csv", change)
 
 
-def mounted(**values: object) -> Damage:
-    """Keys of mounting.json that are said wrong."""
+def mounted(key: str, by: float | tuple[float, float, float]) -> Damage:
+    """A key of mounting.json that is said wrong by as much."""
 
     def damage(folder: Path) -> None:
         path = folder / "calibration" / "mounting.json"
-        path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+        mounting = json.loads(path.read_text())
+        mounting[key] = np.add(mounting[key], by).tolist()
+        path.write_text(json.dumps(mounting))
 
     return damage
+
+
+def sensed(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    """Rates and accelerations [n, 6] of the IMU, other than they were."""
+
+    def damage(folder: Path) -> None:
+        path = folder / IMU
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        table[:, 1:] = change(table[:, 1:])
+        head = path.read_text().partition("\n")[0]
+        np.savetxt(
+            path, table, fmt=["%.3f"] + ["%.6f"] * 6, delimiter=",", header=head, comments=""
+        )
+
+    return damage
+
+
+def received(change: Callable[[float, int, list[str]], list[str] | None]) -> Damage:
+    """Sentences of the receiver, their checksums right again: of each its share of the log, the
+    number of its epoch and its fields; None leaves it out."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "gnss" / LOG
+        lines = path.read_text().splitlines()
+        out, epoch = [], -1
+        for k, line in enumerate(lines):
+            if not line.startswith("$") or "*" not in line:
+                out.append(line)
+                continue
+            fields = line[1 : line.index("*")].split(",")
+            epoch += fields[0][2:] == "GGA"
+            if (changed := change(k / len(lines), epoch, fields)) is not None:
+                body = ",".join(changed)
+                out.append(f"${body}*{checksum(body.encode()):02X}")
+        path.write_text("\n".join(out) + "\n")
+
+    return damage
+
+
+def _clock_set(by_s: float) -> Damage:
+    """A receiver whose clock is set in mid-drive."""
+
+    def change(share: float, _: int, fields: list[str]) -> list[str]:
+        if share > 0.5 and fields[0][2:] in ("GGA", "RMC", "GST"):
+            at = fields[1]
+            s = int(at[:2]) * 3600 + int(at[2:4]) * 60 + float(at[4:]) + by_s
+            fields[1] = f"{int(s // 3600):02d}{int(s % 3600 // 60):02d}{s % 60:05.2f}"
+        return fields
+
+    return received(change)
+
+
+def _multipath(share: float, epoch: int, fields: list[str]) -> list[str]:
+    """For 8 s of every 30 s up to 1.5 m north of where it is."""
+    where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
+    if where is not None and epoch % 150 >= 110:
+        away_m = 1.5 * math.sin(epoch // 150 * 2.4 + 1.0)
+        fields[where] = f"{float(fields[where]) + away_m / 1852.0:012.7f}"
+    return fields
+
+
+def _coarse(share: float, epoch: int, fields: list[str]) -> list[str]:
+    """Four digits of a minute: 19 cm."""
+    where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
+    if where is not None:
+        fields[where], fields[where + 2] = fields[where][:9], fields[where + 2][:10]
+    return fields
 
 
 def seen(change: Callable[[np.ndarray], np.ndarray], sides: str, of: slice = slice(None)) -> Damage:
@@ -116,17 +196,28 @@ def _all(*damages: Damage) -> Damage:
     return damage
 
 
+def _pitched(by_deg: float) -> np.ndarray:
+    """Turns rates and accelerations [6] about the vehicle's left."""
+    sin, cos = math.sin(math.radians(by_deg)), math.cos(math.radians(by_deg))
+    turn = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+    return np.kron(np.eye(2), turn)
+
+
+def _noisy(sensed: np.ndarray) -> np.ndarray:
+    noise = np.random.default_rng(3).normal(0.0, 1.0, sensed.shape)
+    return sensed + noise * ([0.02] * 3 + [0.5] * 3)
+
+
 def _exchanged(folder: Path) -> None:
     for old, new in (("left", "other"), ("right", "left"), ("other", "right")):
         os.rename(folder / old, folder / new)
 
 
-IMU, FRAMES, HALF = "imu/imu_100hz.csv", "frames.csv", slice(25, None)
 DAMAGES: dict[str, Damage] = {
     "none": lambda folder: None,
     "computer 2 s late": _all(later(IMU, 2.0), later(FRAMES, 2.0)),
     "computer 18 s early": _all(later(IMU, -18.0), later(FRAMES, -18.0)),
-    "computer set ahead 0.7 s": _all(later(IMU, 0.7, slice(4842, None)), later(FRAMES, 0.7, HALF)),
+    "computer set ahead 0.7 s": _all(later(IMU, 0.7, True), later(FRAMES, 0.7, True)),
     "images 0.3 s late": later(FRAMES, 0.3),
     "gyro 0.5 s late": later(IMU, 0.5),
     "frames sorted as text": images_of(lambda n: sorted(range(n), key=str)),
@@ -137,11 +228,22 @@ DAMAGES: dict[str, Damage] = {
         folder / FRAMES,
         lambda rows: [row[:4] + rows[max(k - 1, 0)][4:] for k, row in enumerate(rows)],
     ),
-    "camera turned 3 deg": mounted(camera_yaw_deg=3.0),
-    "camera tilted 3 deg less": mounted(camera_tilt_down_deg=13.0),
-    "camera 0.3 m lower": mounted(camera_height_above_ground_m=2.35),
-    "antenna 0.9 m aside": mounted(gnss_antenna_from_camera_mid_flu_m=[-0.45, -0.8, 0.35]),
-    "antenna 0.9 m ahead": mounted(gnss_antenna_from_camera_mid_flu_m=[0.45, 0.12, 0.35]),
+    "camera turned 3 deg": mounted("camera_yaw_deg", 3.0),
+    "camera tilted 3 deg less": mounted("camera_tilt_down_deg", -3.0),
+    "camera 0.3 m lower": mounted("camera_height_above_ground_m", -0.3),
+    "antenna 0.9 m aside": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, -0.92, 0.0)),
+    "antenna 0.9 m ahead": mounted("gnss_antenna_from_camera_mid_flu_m", (0.9, 0.0, 0.0)),
+    "antenna 1 m higher": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, 0.0, 1.0)),
+    "receiver's clock set ahead 1 s": _clock_set(1.0),
+    "receiver's clock set back 1 s": _clock_set(-1.0),
+    "receiver 1.5 m off at times": received(_multipath),
+    "receiver of four digits": received(_coarse),
+    "IMU turned by 90 deg": sensed(lambda s: s[:, [1, 0, 2, 4, 3, 5]] * [1, -1, 1, 1, -1, 1]),
+    "IMU upside down": sensed(lambda s: s * [1, -1, -1, 1, -1, -1]),
+    "IMU in degrees a second": sensed(lambda s: s * ([math.degrees(1)] * 3 + [1] * 3)),
+    "IMU in g": sensed(lambda s: s / ([1.0] * 3 + [9.81] * 3)),
+    "IMU tilted 5 deg": sensed(lambda s: s @ _pitched(5.0)),
+    "IMU of twice the noise of a phone": sensed(_noisy),
     "camera pushed 2.5 deg aside": seen(_shifted(40.0, 0.0), "left right", HALF),
     "camera pushed 1.9 deg down": seen(_shifted(0.0, 30.0), "left right", HALF),
     "right camera pushed 2 px down": seen(_shifted(0.0, 2.0), "right", HALF),
@@ -169,7 +271,7 @@ def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -
     with open_map(path) as built:
         frames = list(built.frames(session))
         try:
-            precision = evaluate(built, truth).groups[-1].obstacles.precision["0.10"]
+            precision = evaluate(built, truth).groups[-1].obstacles.precision["0.10"] or math.nan
         except TruthError:
             precision = math.nan
     used = [frame for frame in frames if frame.status is Status.OK]
@@ -192,8 +294,8 @@ def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -
 
 def report() -> Iterator[str]:
     """A line a damage."""
-    truth = read_truth(EXAMPLE / "truth")
-    with (EXAMPLE / "frames.csv").open(newline="") as table:
+    truth = read_truth(DRIVE / "truth")
+    with (DRIVE / "frames.csv").open(newline="") as table:
         ids = [row["frame_id"] for row in csv.DictReader(table)]
     true = dict(zip(ids, truth.poses, strict=True))
     yield f"{'':36}{'used':>7}{'3 sigma':>9}{'off most':>10}{'sigma':>9}{'prec 10cm':>11}  said"

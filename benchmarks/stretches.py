@@ -60,7 +60,7 @@ def report() -> Iterator[str]:
                 what = ("gyro", "camera", "both")[k % 3]
                 told = found.report
                 doubts = (
-                    told.jump is not None,
+                    told.jump is not None or told.clock_change is not None,
                     told.contradiction is not None and told.contradiction.is_certain,
                     told.camera_yaw is not None and told.camera_yaw.is_off,
                     told.camera_yaw is not None and told.camera_yaw.moved is not None,

@@ -11,7 +11,7 @@ import pytest
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
 from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.clock import Contradiction
+from fieldgrid.pose.clock_search import Contradiction
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings

@@ -9,6 +9,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.pose.axle import Axle
+from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import denied_by
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.pose.estimate import conditioned
@@ -119,7 +120,7 @@ def test_an_axle_that_nobody_names_is_no_contradiction() -> None:
         left=(10.0, 3.0, 2.0, 10.0),
     )
     found = found._replace(smoothed=found.smoothed._replace(declared=declared))
-    assert not denied_by(found, None, None).off_m.any()
-    named = denied_by(found, Carrier(0.0), None).off_m
+    assert not denied_by(found, None, ClockFindings()).off_m.any()
+    named = denied_by(found, Carrier(0.0), ClockFindings()).off_m
     np.testing.assert_allclose(named, 0.1 * np.abs(found.speed_mps))
-    assert denied_by(found, rig(), None).off_m.min() == pytest.approx(0.5)
+    assert denied_by(found, rig(), ClockFindings()).off_m.min() == pytest.approx(0.5)

@@ -23,7 +23,8 @@ from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses
 from fieldgrid.pose.camera_yaw import off_sentence
-from fieldgrid.pose.clock import WIDEST_S
+from fieldgrid.pose.clock_change import ClockChange
+from fieldgrid.pose.clock_search import WIDEST_S
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import Carrier, Lidar, Rig
@@ -190,7 +191,9 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
 
 def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
     """That images and gyro are of one clock before some instant and of another after it."""
-    jump = estimate.report.jump
+    jump, change = estimate.report.jump, estimate.report.clock_change
+    if jump is None and change is not None:
+        return Doubted(Doubt.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
     if jump is None:
         return None
     error = RecordingError(
@@ -200,6 +203,21 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
         "drive there, of which each gets the offset that `fieldgrid inspect` finds."
     )
     return Doubted(Doubt.CLOCK_JUMP, error)
+
+
+def _change_sentence(recording: Recording, change: ClockChange) -> str:
+    whose, beside, sign, option = (
+        ("fixes", "images and gyro", 1.0, "--gnss-offset")
+        if change.gyro_too
+        else ("images", "fixes", -1.0, "--time-offset")
+    )
+    return (
+        f"The {whose} of {recording.name} are stamped {sign * change.before_s:+.2f} s against the "
+        f"{beside} up to {utc_text(change.time_ns)} and {sign * change.after_s:+.2f} s from there "
+        f"on, as {change.steps} steps of the camera show: a clock was set within the drive, two "
+        "drift apart, or images were lost and the stamps of others given to the next; make two "
+        f"recordings of the drive there, and give the one that is off its {option}."
+    )
 
 
 def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:

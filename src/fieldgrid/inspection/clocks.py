@@ -9,7 +9,7 @@ from fieldgrid.build.shifts import explanation
 from fieldgrid.choices import Doubt
 from fieldgrid.inspection.findings import Finding, error, info, warning
 from fieldgrid.pose import ClockOffset
-from fieldgrid.pose.clock import WIDEST_S
+from fieldgrid.pose.clock_search import WIDEST_S
 from fieldgrid.recording import Recording
 from fieldgrid.trajectory import Trajectory
 

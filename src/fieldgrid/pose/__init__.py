@@ -1,7 +1,7 @@
 """Poses: where the grid origin was, where the nose pointed, how sure that is, and in which gear."""
 
 from fieldgrid.pose.accepted import datum_of, no_fix_sentence
-from fieldgrid.pose.clock import ClockOffset, ClockSearch
+from fieldgrid.pose.clock_search import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.estimate import Estimate, carry_lever, conditioned, estimate_poses
 from fieldgrid.pose.georeference import Georeference

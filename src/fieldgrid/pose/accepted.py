@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +26,11 @@ UNSTATED_HEADING_SIGMA_DEG = 1.0
 class AcceptedFixes(NamedTuple):
     """Accepted fixes in order of time, length n. Positions are the antenna's, LTP metres.
 
-    `sigma_m` is the stated error of one axis, mostly slow, or what seams show of it where that is
-    more; `lasting_s` is for how long the latter stays the same, and `noise` what changes from fix
-    to fix. `disputed` are those after fixes that were refused for how they lie: one of the two
-    sides may be the wrong one. NaN stands for what a fix does not say; a recorded heading is as
-    the source means it.
+    `sigma_m` is the error of one axis, mostly slow: the stated one, what seams show beyond it, and
+    that of the digits that a log holds; `lasting_s` is for how long that of seams stays the same,
+    and `noise` what changes from fix to fix. `disputed` are those after fixes that were refused for
+    how they lie: one of the two sides may be the wrong one. NaN stands for what a fix does not say;
+    a recorded heading is as the source means it.
     """
 
     time_ns: Int64
@@ -66,13 +67,15 @@ def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Accep
     quantum = quantum_m(used.lat_deg, used.lon_deg)
     noise = fix_noise(east, north, used.time_ns, stated_m, used.quality, quantum)
     doubt = _seam_doubt(fixes, verdicts, datum, noise)
+    # Digits that a log cuts off instead of rounding leave all fixes half a step south and west.
+    cut_m = quantum / math.sqrt(12.0)
     heading_sigma = used.heading_sigma_deg
     return AcceptedFixes(
         used.time_ns,
         east,
         north,
         up,
-        np.hypot(stated_m, doubt.sigma_m),
+        np.sqrt(stated_m**2 + doubt.sigma_m**2 + cut_m**2),
         doubt.lasting_s,
         noise,
         used.quality,

@@ -8,37 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.camera_turns import FEWEST_STEPS, goes_with, turns_with
+from fieldgrid.pose.clock_change import ClockChange, found_change, may_change
+from fieldgrid.pose.clock_search import (
+    LEAST_SIGMA_S,
+    MOST_SIGMA_S,
+    ClockOffset,
+    ClockSearch,
+    Contradiction,
+)
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import NO_HINTS, GearHints
-from fieldgrid.smoother import model, refine
-
-WIDEST_S, COARSE_S = 2.5, 0.05
-"""Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
-
-FINE_S, FINE_REACH_S = 0.01, 0.3
-"""About the best of them offsets are tried so far apart, up to so far away."""
-
-DISTANCE_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
-"""How far the drive and a camera's step differ with the best of clocks, before that is known."""
-
-LEAST_TURN_DEG = 0.05
-"""With a gyro the turns agree much better than without one, but not better than this."""
-
-PARTS = 8
-"""Neighbouring steps share the errors of the drive, so the scatter of the offset is taken from
-what it would be without each of so many stretches."""
-
-OUTLIER_FREEDOM = 4.0
-"""Of Student's distribution, which a step is taken to differ by."""
-
-FARTHEST_S, SCAN_S = 60.0, 0.25
-"""Where nothing near fits, offsets are tried up to the farthest: GPS time is 18 s off UTC."""
 
 POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
 """A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
@@ -48,195 +32,22 @@ somewhat at the offset of one repetition, too."""
 MOST_ROUNDS = 6
 """In which the offset of camera and gyro beside the fixes settles."""
 
-MOST_SIGMA_S = 0.1
-"""A drive that does not tell the offset better than this does not tell it."""
 
-CLEAR_LEAD = 16.0
-"""By so much the sum of squares must be larger at every other offset: four sigmas. On an even
-drive, noise alone makes a lowest place."""
+class ClockFindings(NamedTuple):
+    """What the camera's motion tells of its clock beside that of the fixes: the `offset` at which
+    it fits the drive, how much of it is a `contradiction` even so, and the `change` of the offset
+    within the drive. None where it does not tell."""
 
-CONTRADICTION_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 5.0, 0.1, 4
-"""Images are not of their stamps when so many of the camera's steps, and such a share, are farther
-from the drive than so many sigmas. In honest drives, KITTI and the rendered ones, it is none."""
+    offset: ClockOffset | None = None
+    contradiction: Contradiction | None = None
+    change: ClockChange | None = None
 
-SURE_HEADING_DEG = 3.0
-"""Where the drive does not know its heading better than this, it contradicts no camera."""
-
-PLACING_SHARE = 0.1
-"""By what share of its length a step may be off when the calibration is: other checks tell that."""
-
-LEAST_SIGMA_S = 0.003
-"""What no drive tells: exposure, and the time between two lines of a sensor."""
-
-LEAST_OFFSET_S = 0.02
-"""At walking pace, a smaller offset is 4 cm."""
-
-
-class ClockOffset(NamedTuple):
-    """`offset_s` ± `sigma_s` is to be added to image time stamps, beyond what the rig declares
-    already, to give the receiver's time; from `steps` motions of the camera. `misfit` is the
-    mean squared distance of a step from the drive, in sigmas that are usual. With `gyro_too` the
-    gyro goes with the images, as the turns of both tell: then it is the fixes that are off."""
-
-    offset_s: float
-    sigma_s: float
-    steps: int
-    misfit: float
-    gyro_too: bool = False
-
-    @property
-    def is_certain(self) -> bool:
-        """Whether there is an offset, and large enough to matter."""
-        return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
-
-
-class Contradiction(NamedTuple):
-    """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
-    the drive, at any offset of the clock that was found. With `gyro_too` the gyro turns as the
-    images do, so it is the fixes that are of other moments."""
-
-    off: int
-    steps: int
-    gyro_too: bool = False
-
-    @property
-    def is_certain(self) -> bool:
-        """Whether images and fixes are of other moments, and not by one offset."""
-        return self.off >= max(CONTRADICTED_LEAST, CONTRADICTED_SHARE * self.steps)
-
-
-class ClockSearch:
-    """A drive without its camera, beside which the camera's motion can be laid."""
-
-    def __init__(self, drive: Drive, steps: Steps, axle: Axle) -> None:
-        """The path of `drive` as it is without its camera. `steps` holds at least one."""
-        found, (lever_m, ahead_m) = drive.smoothed, axle.frame()
-        if len(drive.measured.step):
-            found = refine(found, drive.measured.without_steps(), lever_m, ahead_m)
-        self._steps, self._ahead_m = steps, ahead_m
-        self._time_ns = drive.time_ns
-        self._east_m, self._north_m, self._phi_rad = found.state[:, : model.PHI + 1].T
-        self._place_sigma_m = found.relative_sigma_m
-        self._heading_sigma_deg = np.degrees(found.heading_sigma_rad)
-
-    def misfit(self, offset_s: float) -> float:
-        """The mean squared distance of the steps from the drive with this offset; infinite
-        when most of them would lie outside of it."""
-        steps = self._inside(offset_s, 0.0)
-        if len(steps.start_ns) < max(FEWEST_STEPS, len(self._steps.start_ns) // 2):
-            return float("inf")
-        return float(self._squared(steps, offset_s).mean())
-
-    def contradiction(self, offset_s: float) -> Contradiction:
-        """How many steps are not of the drive with this offset, whatever its own errors."""
-        steps = self._inside(offset_s, 0.0)
-        ahead, right, turn = self._differences(steps, offset_s)
-        ends_ns = np.stack([steps.start_ns, steps.stop_ns]) + round(offset_s * 1e9)
-        place_m = np.interp(ends_ns, self._time_ns, self._place_sigma_m)
-        heading_deg = np.interp(ends_ns, self._time_ns, self._heading_sigma_deg)
-        length_m = np.hypot(steps.forward_m, steps.right_m)
-        distance_2 = (place_m**2).sum(axis=0) + (PLACING_SHARE * length_m) ** 2
-        distance_2 += steps.sigma_m**2 + DISTANCE_SIGMA_M**2
-        turn_2 = (heading_deg**2).sum(axis=0) + steps.sigma_deg**2 + TURN_SIGMA_DEG**2
-        squared = (ahead**2 + right**2) / distance_2 + turn**2 / turn_2
-        sure = (heading_deg < SURE_HEADING_DEG).all(axis=0)
-        off = sure & (squared > CONTRADICTION_SIGMAS**2)
-        return Contradiction(int(off.sum()), int(sure.sum()))
-
-    def best(self, near_s: float = 0.0, reach_s: float = WIDEST_S) -> ClockOffset | None:
-        """The offset within `reach_s` of `near_s` at which the camera's motion fits the drive;
-        None when the drive is too even to tell."""
-        steps = self._inside(near_s, reach_s)
-        count = len(steps.start_ns)
-        if count < FEWEST_STEPS:
-            return None
-        offsets_s = near_s + np.arange(-reach_s, reach_s + COARSE_S / 2.0, COARSE_S)
-        coarse = np.array([self._squared(steps, offset).sum() for offset in offsets_s])
-        at = int(np.argmin(coarse))
-        if at in (0, len(coarse) - 1):
-            return None
-        sigmas = self._sigmas(steps, float(offsets_s[at]))
-        fine_s = offsets_s[at] + np.arange(-FINE_REACH_S, FINE_REACH_S + FINE_S / 2.0, FINE_S)
-        fine = np.array([self._squared(steps, offset, *sigmas) for offset in fine_s])
-        lowest = _lowest(fine_s, fine.sum(axis=1))
-        if lowest is None:
-            return None
-        offset_s, bend, least = lowest
-        # A misfit of one a step is as it should be; a larger one tells of larger errors.
-        told_s = math.sqrt(2.0 / bend * max(1.0, least / count))
-        sigma_s = math.hypot(told_s, _by_parts(fine_s, fine), LEAST_SIGMA_S)
-        elsewhere = np.abs(offsets_s - offset_s) > max(2.0 * COARSE_S, 5.0 * sigma_s)
-        lead = coarse[elsewhere].min(initial=np.inf) - coarse[at]
-        if sigma_s > MOST_SIGMA_S or lead < CLEAR_LEAD:
-            return None
-        return ClockOffset(offset_s, sigma_s, count, float(coarse[at]) / count)
-
-    def rough(self) -> float | None:
-        """Where the steps fit best within a minute, near or far; None where there are too few."""
-        scan_s = np.arange(-FARTHEST_S, FARTHEST_S + SCAN_S / 2.0, SCAN_S)
-        misfits = [self.misfit(offset) for offset in scan_s]
-        at = int(np.argmin(misfits))
-        return float(scan_s[at]) if np.isfinite(misfits[at]) else None
-
-    def tells(self, offset_s: float) -> bool:
-        """Whether the steps fit clearly worse a second and more beside this offset: along an even
-        way they fit at any."""
-        beside_s = np.arange(1.0, WIDEST_S + SCAN_S, SCAN_S)
-        beside = [self.misfit(offset_s + by_s) for by_s in (*-beside_s, *beside_s)]
-        lead = min(beside) - self.misfit(offset_s)
-        return lead * len(self._inside(offset_s, 0.0).start_ns) > CLEAR_LEAD
-
-    def far(self, rough_s: float | None) -> ClockOffset | None:
-        """The best offset near where the steps fit best; None when there is no clear one."""
-        return None if rough_s is None else self.best(rough_s)
-
-    def _inside(self, near_s: float, margin_s: float) -> Steps:
-        times_ns, steps = self._time_ns, self._steps
-        shift_ns, margin_ns = round(near_s * 1e9), int(margin_s * 1e9)
-        first, last = times_ns[0] + margin_ns, times_ns[-1] - margin_ns
-        keep = (steps.start_ns + shift_ns >= first) & (steps.stop_ns + shift_ns <= last)
-        return Steps(*(column[keep] for column in steps))
-
-    def _sigmas(self, steps: Steps, offset_s: float) -> tuple[float, float]:
-        """How far these steps and the drive differ along an axis and in the turn, by medians."""
-        ahead, right, turn = self._differences(steps, offset_s)
-        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
-        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
-        # Larger ones than usual are no reason to believe the drive more in other respects.
-        return max(distance_m, DISTANCE_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
-
-    def _squared(
-        self,
-        steps: Steps,
-        offset_s: float,
-        distance_sigma_m: float = DISTANCE_SIGMA_M,
-        turn_sigma_deg: float = TURN_SIGMA_DEG,
-    ) -> Float64:
-        """The squared distance of each step from the drive, in sigmas; outliers count the less
-        the farther they lie (a bound would kink the sum, and shift its lowest place)."""
-        ahead, right, turn = self._differences(steps, offset_s)
-        squared = (np.hypot(ahead, right) / np.hypot(steps.sigma_m, distance_sigma_m)) ** 2
-        squared += (turn / np.hypot(steps.sigma_deg, turn_sigma_deg)) ** 2
-        robust: Float64 = OUTLIER_FREEDOM * np.log1p(squared / OUTLIER_FREEDOM)
-        return robust
-
-    def _differences(self, steps: Steps, offset_s: float) -> tuple[Float64, Float64, Float64]:
-        """What the drive has more than each step: metres forward and right, degrees of turn."""
-        shift = round(offset_s * 1e9)
-        e0, n0, phi0 = self._pose_at(steps.start_ns + shift)
-        e1, n1, phi1 = self._pose_at(steps.stop_ns + shift)
-        sin, cos = np.sin(np.radians(phi0)), np.cos(np.radians(phi0))
-        forward = (e1 - e0) * sin + (n1 - n0) * cos
-        right = (e1 - e0) * cos - (n1 - n0) * sin
-        turn = np.asarray(wrap_deg(phi1 - phi0 - steps.turn_deg))
-        return forward - steps.forward_m, right - steps.right_m, turn
-
-    def _pose_at(self, time_ns: Int64) -> tuple[Float64, Float64, Float64]:
-        """East, north and heading (unwrapped, degrees) of the grid origin."""
-        phi = np.interp(time_ns, self._time_ns, self._phi_rad)
-        east = np.interp(time_ns, self._time_ns, self._east_m) + self._ahead_m * np.sin(phi)
-        north = np.interp(time_ns, self._time_ns, self._north_m) + self._ahead_m * np.cos(phi)
-        return east, north, np.degrees(phi)
+    def offset_s(self, time_ns: Int64) -> Float64:
+        """What is certain of the offset at some instants [n], else 0."""
+        if self.change is not None:
+            return self.change.offset_s(time_ns)
+        certain = self.offset is not None and self.offset.is_certain
+        return np.full(len(time_ns), self.offset.offset_s if certain and self.offset else 0.0)
 
 
 def check_clock(
@@ -247,34 +58,48 @@ def check_clock(
     hints: GearHints = NO_HINTS,
     *,
     recorded: Gyro | None = None,
-) -> tuple[ClockOffset | None, Contradiction | None]:
-    """The offset at which the camera's motion fits the drive without it, and how many of its
-    steps do not fit even so.
+) -> ClockFindings:
+    """Lays the camera's motion beside the drive without it.
 
     The offset is None when the drive is too even to tell; it is looked for farther away only
-    where the camera fits badly near by. Both are None without enough steps. `recorded` is the gyro
+    where the camera fits badly near by. All are None without enough steps. `recorded` is the gyro
     whether it is used or not: it tells of what moments the images are.
     """
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
-        return None, None
+        return ClockFindings()
     search = ClockSearch(drive, steps, axle)
-    near = search.best()
+    change = None
+    if drive.smoothed.declared.contradicts or may_change(search):
+        change = _change(fixes, steps, axle, hints, recorded)
+    near = search.best() if change is None else None
     usual = near.misfit if near is not None else search.misfit(0.0)
-    if usual >= POOR_MISFIT:
+    if change is None and usual >= POOR_MISFIT:
         far = min(
             _far_offsets(fixes, steps, motion.gyro, axle, hints),
             key=lambda one: one.misfit,
             default=None,
         )
         if far is not None and far.misfit < BETTER_SHARE * usual:
-            return _with_gyro(far, steps, recorded), None
+            return ClockFindings(_with_gyro(far, steps, recorded))
     unfit = search.contradiction(near.offset_s if near is not None else 0.0)
     if recorded is not None and turns_with(steps, recorded):
         unfit = unfit._replace(gyro_too=True)
     if near is not None and usual >= max(POOR_MISFIT, NEAR_SHARE * search.misfit(0.0)):
         near = None
-    return _with_gyro(near, steps, recorded), unfit
+    return ClockFindings(_with_gyro(near, steps, recorded), unfit, change)
+
+
+def _change(
+    fixes: AcceptedFixes, steps: Steps, axle: Axle, hints: GearHints, recorded: Gyro | None
+) -> ClockChange | None:
+    """A clock that is set within the drive. A gyro that goes with the images bends the drive
+    towards them, so it is the fixes alone that tell."""
+    alone = smooth_drive(fixes, fixes.time_ns, Motion(), axle, hints=hints)
+    found = found_change(ClockSearch(alone, steps, axle))
+    if found is None or recorded is None:
+        return found
+    return found._replace(gyro_too=turns_with(steps, recorded))
 
 
 def _with_gyro(found: ClockOffset | None, steps: Steps, gyro: Gyro | None) -> ClockOffset | None:
@@ -331,29 +156,3 @@ def _together(
             return ClockOffset(offset_s, sigma_s, len(steps.start_ns), misfit)
         offset_s += late.value
     return None
-
-
-def _lowest(offsets_s: Float64, sums: Float64) -> tuple[float, float, float] | None:
-    """Where a sum is lowest, by a parabola over its surroundings: the offset, the second
-    derivative, the least value; None where it has no lowest place inside."""
-    at = int(np.argmin(sums))
-    around = slice(max(at - 5, 0), at + 6)
-    if at in (0, len(sums) - 1):
-        return None
-    middle_s = float(offsets_s[at])
-    bend, slope, _ = np.polyfit(offsets_s[around] - middle_s, sums[around], 2)
-    if bend <= 0.0:
-        return None
-    return middle_s - float(slope / (2.0 * bend)), float(2.0 * bend), float(sums[at])
-
-
-def _by_parts(offsets_s: Float64, squared: Float64) -> float:
-    """The 1-sigma error of the lowest place of a sum over steps, by leaving out stretches of
-    them (the jackknife). `squared` is [offsets, steps]."""
-    total, found = squared.sum(axis=1), []
-    for part in np.array_split(np.arange(squared.shape[1]), PARTS):
-        lowest = _lowest(offsets_s, total - squared[:, part].sum(axis=1))
-        if lowest is None:
-            return float("inf")
-        found.append(lowest[0])
-    return float(np.sqrt((PARTS - 1) / PARTS * np.sum((np.array(found) - np.mean(found)) ** 2)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import names_axle
-from fieldgrid.pose.clock import ClockOffset
+from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, Vehicle
@@ -55,10 +55,10 @@ class Denied(NamedTuple):
         return any(one is not None for one in (self.right_m, self.ahead_m, self.late_s))
 
 
-def denied_by(drive: Drive, vehicle: Vehicle | None, clock: ClockOffset | None) -> Denied:
+def denied_by(drive: Drive, vehicle: Vehicle | None, clocks: ClockFindings) -> Denied:
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     speed_mps = np.abs(drive.speed_mps)
-    by_clock_m = speed_mps * abs(clock.offset_s if clock is not None and clock.is_certain else 0.0)
+    by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
     if not _sees_turns(drive):
         return Denied(None, None, None, by_clock_m)
     found = drive.smoothed.declared

@@ -134,11 +134,11 @@ def estimate_poses(
         slope = slope_seen(log.accepted)
         table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
     # A gyro of another clock than the fixes is not used, and yet tells that of the images.
-    clock, contradiction = check_clock(drive, log.accepted, motion, axle, hints, recorded=gyro)
+    clocks = check_clock(drive, log.accepted, motion, axle, hints, recorded=gyro)
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
     follows_path = source.kind == "smooth" and not np.isfinite(recorded_deg).any()
     yaw = camera_yaw(motion.steps, axle) if follows_path else None
-    denied = denied_by(drive, declared, clock)
+    denied = denied_by(drive, declared, clocks)
     table = unsure_declared(_carried(table, rig, source), drive, denied)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
@@ -147,8 +147,9 @@ def estimate_poses(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
         recorded=comparison,
-        clock=clock,
-        contradiction=contradiction,
+        clock=clocks.offset,
+        contradiction=clocks.contradiction,
+        clock_change=clocks.change,
         jump=clock_jump(log.accepted, motion.steps, gyro),
         camera_yaw=yaw,
         gyro_bias_dps=drive.gyro_bias_dps,
@@ -161,7 +162,7 @@ def estimate_poses(
             *slope_notes(slope, rig),
             *drive_notes(
                 *(drive, log.accepted, declared, axle, denied),
-                *(source, settings, clock, yaw, trajectory),
+                *(source, settings, clocks.offset, yaw, trajectory),
             ),
         ),
     )

@@ -15,8 +15,9 @@ from fieldgrid.gnss import ConditioningSummary
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
-from fieldgrid.pose.clock import ClockOffset, Contradiction
+from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_jump import ClockJump
+from fieldgrid.pose.clock_search import ClockOffset, Contradiction
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import Drive
@@ -52,8 +53,9 @@ class PoseReport:
     heading beside the estimate; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
     their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
-    and fixes, `jump` where the clock of images and gyro jumps, `contradiction` how much of that
-    motion no offset explains, and `camera_yaw` where the camera looks.
+    and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
+    changes otherwise, `contradiction` how much of the motion no offset explains, and `camera_yaw`
+    where the camera looks.
     """
 
     conditioning: ConditioningSummary
@@ -68,6 +70,7 @@ class PoseReport:
     georeference: Georeference | None = None
     contradiction: Contradiction | None = None
     jump: ClockJump | None = None
+    clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,6 +81,7 @@ class PoseReport:
             "clock_offset": self.clock,
             "camera_contradiction": self.contradiction,
             "clock_jump": self.jump,
+            "clock_change": self.clock_change,
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
             "wheel_scale": self.wheel_scale,
