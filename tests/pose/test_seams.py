@@ -159,3 +159,12 @@ def test_a_drive_that_does_not_leap_is_as_sure_as_ever() -> None:
     assert found.trajectory.accepted.mean() > 0.98
     assert np.median(found.trajectory.position_sigma_m) < 0.05
     assert not any("leap" in note for note in found.report.notes)
+
+
+def test_fixes_that_are_stamped_alike_are_no_leaps() -> None:
+    """A log of whole seconds: the later ones of each are denied, since no vehicle jumps."""
+    points_m, time_s = straight(np.zeros(150))
+    same = np.arange(150) % 5 > 0
+    found = seam_doubt(points_m, np.floor(time_s + 1e-9), np.full(150, STATED_M), 0.01, same)
+    assert np.isfinite(found.sigma_m).all()
+    assert found.sigma_m[~same].max() < 1.0

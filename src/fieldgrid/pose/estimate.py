@@ -41,6 +41,7 @@ from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned, PoseTable, pose_table
 from fieldgrid.pose.verdict import Budget, judged
+from fieldgrid.pose.wheel_sense import with_right_wheels
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Trajectory
@@ -88,6 +89,7 @@ def estimate_poses(
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
     motion, faulty_gyro = without_faulty_samples(motion)
+    motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     declared, axle = rig, axle_of(rig, motion.steps)
@@ -157,7 +159,11 @@ def estimate_poses(
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
-            *(note for note in (faulty_gyro, wrong_gyro, trusted.note) if note is not None),
+            *(
+                note
+                for note in (faulty_gyro, turned_wheels, wrong_gyro, trusted.note)
+                if note is not None
+            ),
             *notes,
             *slope_notes(slope, rig),
             *drive_notes(

@@ -165,7 +165,7 @@ def _across(points_m: Float64, time_s: Float64, begin: int, end: int, start: int
     pace = [
         (points_m[b] - points_m[a]) / (time_s[b] - time_s[a])
         for a, b in ((early, end), (start, late))
-        if b > a
+        if time_s[b] > time_s[a]  # a log may stamp several fixes alike
     ]
     way_m = np.mean(pace, axis=0) * (time_s[start] - time_s[end]) if pace else np.zeros(2)
     return np.asarray(points_m[start] - points_m[end] - way_m)
