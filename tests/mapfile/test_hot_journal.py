@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from fieldgrid.errors import MapError
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import hot_journal, open_map
+from fieldgrid.mapfile.hot_journal import check_journal
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, write_map, write_session
 
@@ -66,3 +70,46 @@ def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
     os.mkfifo(path.with_name("map.gpkg-journal"))
     with pytest.raises(MapError, match="is no file"):
         open_map(path)
+
+
+def test_maps_beside_journals_do_not_use_up_descriptors(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    for k in range(80):  # as a server does that looks at maps while they are written
+        check_journal(being_written(path, tmp_path / f"{k}.gpkg"))
+    assert 0 < len(kept_open(tmp_path)) < 40
+
+
+def test_a_map_in_use_is_not_let_go_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hot_journal, "_MOST_OPEN", 2)
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    mine = Path(shutil.copy(path, tmp_path / "mine.gpkg"))
+    with open_map(mine, writable=True) as universal:
+        database = universal._connection
+        database.execute("PRAGMA cache_size = 4")
+        database.execute("BEGIN IMMEDIATE")
+        database.execute("CREATE TABLE filling (x)")
+        database.execute("INSERT INTO filling VALUES (zeroblob(2000000))")
+        check_journal(mine)  # opens a second descriptor of it, which takes the locks when closed
+        for k in range(6):
+            check_journal(being_written(path, tmp_path / f"{k}.gpkg"))
+        assert mine.name in kept_open(tmp_path)
+        child = "import sqlite3, sys; sqlite3.connect(sys.argv[1], 0).execute('BEGIN IMMEDIATE')"
+        other = subprocess.run([sys.executable, "-c", child, mine], capture_output=True, text=True)
+        assert "database is locked" in other.stderr
+        database.execute("ROLLBACK")
+
+
+def being_written(path: Path, copy: Path) -> Path:
+    """Copy a map, beside a journal with the first page of it."""
+    page = path.read_bytes()[:4096]
+    head = struct.pack(">8sIIIII", bytes.fromhex("d9d505f920a163d7"), 1, 0, 1, 512, len(page))
+    copy.write_bytes(path.read_bytes())
+    journal = copy.with_name(f"{copy.name}-journal")
+    journal.write_bytes(head.ljust(512, b"\0") + b"\0\0\0\x01" + page + bytes(4))
+    return copy
+
+
+def kept_open(folder: Path) -> set[str]:
+    """The maps in a folder that the journals' check has open."""
+    found = ((one.stat(), one.name) for one in folder.glob("*.gpkg"))
+    return {name for one, name in found if (one.st_dev, one.st_ino) in hot_journal._OPEN}

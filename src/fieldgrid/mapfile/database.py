@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sqlite3
+import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
@@ -24,12 +25,23 @@ MAX_VALUE_BYTES = 64 << 20
 
 
 class _Connection(sqlite3.Connection):
-    """A connection that knows the process that opened it."""
+    """A connection that knows the process that opened it, and the device and number of its file."""
 
     owner = 0
+    file = (0, 0)
 
 
 _OPEN: weakref.WeakSet[_Connection] = weakref.WeakSet()
+_REGISTER = threading.RLock()
+
+
+@contextmanager
+def open_files() -> Iterator[frozenset[tuple[int, int]]]:
+    """Device and number of each map that is open in this process. In the block no other one
+    becomes open: what closes a descriptor of one lets go of all locks that the process has on it.
+    """
+    with _REGISTER:
+        yield frozenset(connection.file for connection in _OPEN)
 
 
 def _keep_open() -> None:
@@ -73,8 +85,11 @@ def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
             factory=_Connection,
         )
     connection.owner = os.getpid()
-    _OPEN.add(connection)
     try:
+        with _REGISTER:  # before it can have any lock
+            found = os.stat(file)
+            connection.file = found.st_dev, found.st_ino
+            _OPEN.add(connection)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         with explained(name, writing=writable):
             # What a hostile file can do is limited: no functions with side effects from its

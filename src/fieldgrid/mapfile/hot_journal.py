@@ -13,6 +13,7 @@ import struct
 from pathlib import Path
 
 from fieldgrid.errors import MapError
+from fieldgrid.mapfile.database import open_files
 
 _MAGIC = bytes.fromhex("d9d505f920a163d7")
 _HEADER = struct.Struct(">8sIIIII")
@@ -22,8 +23,9 @@ _ANY = 0xFFFFFFFF
 _MOST_RECORDS = 1_000_000
 
 _OPEN: dict[tuple[int, int], int] = {}
-"""Maps that were seen beside a journal. They stay open: a process that closes a file lets go of all
-locks that it has on it, also those of a writer in another thread."""
+"""Maps that were seen beside a journal. They stay open while this process uses them: closing a file
+lets go of all locks that the process has on it, also those of a writer in another thread."""
+_MOST_OPEN = 32
 
 
 def check_journal(path: Path) -> None:
@@ -51,11 +53,15 @@ def check_journal(path: Path) -> None:
 def _counter_now(path: Path) -> int | None:
     """The count of changes in a map's first page."""
     try:
-        found = path.stat()
-        key = found.st_dev, found.st_ino
-        if key not in _OPEN:
-            _OPEN[key] = os.open(path, os.O_RDONLY)
-        return int.from_bytes(os.pread(_OPEN[key], 100, 0)[_COUNTER], "big")
+        with open_files() as used:
+            found = path.stat()
+            key = found.st_dev, found.st_ino
+            if key not in _OPEN:
+                if len(_OPEN) >= _MOST_OPEN:
+                    for unused in _OPEN.keys() - used:
+                        os.close(_OPEN.pop(unused))
+                _OPEN[key] = os.open(path, os.O_RDONLY)
+            return int.from_bytes(os.pread(_OPEN[key], 100, 0)[_COUNTER], "big")
     except OSError:
         return None
 
