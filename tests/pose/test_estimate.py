@@ -335,6 +335,34 @@ VERDICTS = Verdicts(
 )
 
 
+@pytest.mark.parametrize(
+    ("change", "reason", "remedy"),
+    [
+        ({"lat_deg": 950.0}, "not on Earth", "name columns and units in [gnss.columns] of rec"),
+        (
+            {"height_m": 4e6},
+            "height 4000000.0 m",
+            "name columns and units in [gnss.columns] of rec",
+        ),
+        ({"quality": 0}, "not allowed", "declare its quality with --quality"),
+        ({"satellites": 3}, "3 satellites < 5", "min_satellites of the table pose.gnss"),
+        ({"hdop": 9.0}, "HDOP 9 > 4", "max_hdop of the table pose.gnss"),
+        ({"age_s": 900.0}, "differential age 900", "max_age_s of the table pose.gnss"),
+    ],
+)
+def test_the_remedy_is_one_of_the_reason(
+    change: dict[str, float], reason: str, remedy: str
+) -> None:
+    log = FixColumns.of_rows(
+        [PLAIN._replace(time_ns=START + k * SECOND, **change) for k in range(6)]  # type: ignore[arg-type]
+    )
+    with pytest.raises(GnssError) as caught:
+        estimate_poses(log, paper_rig())
+    assert reason in str(caught.value)
+    assert remedy in str(caught.value)
+    assert ("--quality" in str(caught.value)) == ("quality" in change)
+
+
 def test_no_fix_at_all_is_told() -> None:
     with pytest.raises(GnssError, match="no position at all"):
         estimate_poses(FixColumns.of([]), paper_rig())

@@ -139,18 +139,37 @@ def datum_of(fixes: FixColumns, verdicts: Verdicts) -> Datum:
     return Datum(round(first.lat_deg, 7), round(first.lon_deg, 7), round(first.height_m, 3))
 
 
+def _with_limit(name: str) -> str:
+    return f"allow it with {name} of the table pose.gnss in --config"
+
+
+_COLUMNS = (
+    "if a column of a table is taken for what it is not, name columns and units in [gnss.columns] "
+    "of recording.toml"
+)
+_REMEDIES = {
+    Gate.PLACE: _COLUMNS,
+    Gate.TIME: _COLUMNS,
+    Gate.QUALITY: "declare its quality with --quality",
+    Gate.SATELLITES: _with_limit("min_satellites"),
+    Gate.HDOP: _with_limit("max_hdop"),
+    Gate.AGE: f"{_with_limit('max_age_s')} (max_code_age_s without carrier phase)",
+    Gate.CLIMB: (
+        "if its heights alone are wrong, allow them with max_climb_mps of the table pose.gnss in "
+        "--config"
+    ),
+}
+"""What helps against what refuses all fixes."""
+
+
 def no_fix_sentence(fixes: FixColumns, verdicts: Verdicts) -> str:
     """Why there is nothing to place images with: how many fixes, and the commonest reason."""
     if not len(fixes):
         return "The GNSS log holds no position at all; record one, or choose another with --gnss."
     commonest = commonest_reason(verdicts.reason)
-    remedy = "declare its quality with --quality"
-    if 2 * verdicts.gate.count(Gate.CLIMB) > len(fixes):
-        remedy = (
-            "if its heights alone are wrong, allow them with max_climb_mps of the table pose.gnss "
-            "in --config"
-        )
+    remedy = _REMEDIES.get(verdicts.gate[verdicts.reason.index(commonest)])
+    other = "choose another log with --gnss"
     return (
         f"None of the {len(fixes)} fixes can be used, mostly because: {commonest}; "
-        f"choose another log with --gnss, or {remedy}."
+        f"{other if remedy is None else f'{other}, or {remedy}'}."
     )
