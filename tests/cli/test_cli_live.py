@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -87,6 +90,21 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
     with open_map(out) as universal:
         assert universal.verify(deep=True).sound
     assert not (tmp_path / "m.gpkg.live").exists()
+
+
+def test_another_writer_is_waited_for_as_long_as_is_said(
+    drive: Path, tmp_path: Path, two_lanes_map: Path, fieldgrid: Run
+) -> None:
+    out = Path(shutil.copy(two_lanes_map, tmp_path / "m.gpkg"))
+    with closing(sqlite3.connect(out, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        replay = "live", "-o", out, "--replay", drive, "--rate", "max", "--append", "--name", "new"
+        for attempt in (replay, ("live", "-o", out, "--finish")):
+            result = fieldgrid(*attempt, "--wait", 0.1)
+            assert result.status == 1
+            assert "waiting for another program that writes m.gpkg, up to 0.1 s" in result.err
+            assert "is in use by another program" in result.err
+    fieldgrid("live", "-o", out, "--finish", "--wait", 0.1).output()
 
 
 def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(

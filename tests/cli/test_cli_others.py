@@ -7,8 +7,10 @@ import json
 import re
 import shlex
 import shutil
+import sqlite3
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -427,3 +429,21 @@ def test_wrong_use_of_evaluate(fieldgrid: Run, two_lanes_map: Path) -> None:
     assert (
         "--min-pixels" in fieldgrid("evaluate", two_lanes_map, TRUTH, "--min-pixels", "0").usage()
     )
+
+
+@pytest.mark.parametrize(
+    "change", [("sessions", "--remove", "two_lanes"), ("mark", "--point", "1,1", "--kind", "free")]
+)
+def test_another_writer_is_waited_for_as_long_as_is_said(
+    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path, change: tuple[str, ...]
+) -> None:
+    path = Path(shutil.copy(two_lanes_map, tmp_path / "m.gpkg"))
+    command, *flags = change
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        result = fieldgrid(command, path, *flags, "--wait", 0.1)
+    assert result.status == 1
+    told, refused = result.err.splitlines()
+    assert told == "fieldgrid: waiting for another program that writes m.gpkg, up to 0.1 s"
+    assert "is in use by another program, and was not changed" in refused
+    fieldgrid(command, path, *flags, "--wait", 0.1).output()

@@ -20,7 +20,7 @@ from fieldgrid.settings import Overrides
 if TYPE_CHECKING:
     from fieldgrid.build import PartlyBuiltError, SessionReport
 
-_SESSION = "Session and map file"
+_SESSION = options.MAP_FILE
 _BAD_SHOWN = 10
 
 
@@ -115,17 +115,7 @@ def command(
             rich_help_panel=_SESSION,
         ),
     ] = False,
-    wait_s: Annotated[
-        float,
-        typer.Option(
-            "--wait",
-            min=0.0,
-            max=86_400.0,
-            metavar="S",
-            help="Seconds to wait for another writer of the map.",
-            rich_help_panel=_SESSION,
-        ),
-    ] = 30.0,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     config: options.Config = None,
     jobs: Annotated[
         int | None,

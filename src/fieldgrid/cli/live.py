@@ -18,7 +18,7 @@ from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
-from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources
+from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources, speed
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import printable
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
     from fieldgrid.onlookers import FoxgloveServer, LivePage
 
-_SESSION = "Session and map file"
-_AT_THE_END = {"out", "finish", "finish_from", "as_json", "quiet", "verbose"}
+_SESSION = options.MAP_FILE
+_AT_THE_END = {"out", "finish", "finish_from", "wait_s", "as_json", "quiet", "verbose"}
 _DROPS_S = 5.0
 
 
@@ -104,6 +104,7 @@ def command(
             rich_help_panel=_SESSION,
         ),
     ] = None,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     datum: options.DatumText = None,
     drive: Annotated[DriveFlags, FieldsOf(DriveFlags, gnss=GNSS)],
     poses: Poses,
@@ -149,7 +150,9 @@ def command(
         options.refuse_given(
             ctx, {"out", "discard", "quiet", "verbose"}, "--discard only removes; leave it out"
         )
-        _discard(out)
+        from fieldgrid.live import discard_session
+
+        output.report_line("removed the session {} with {} frames".format(*discard_session(out)))
         return
     if not any(driving):
         flags = set(SettingsFlags("pose", "checks").names())
@@ -157,7 +160,8 @@ def command(
             flags |= {*DriveFlags._fields, *PoseFlags._fields}
         why = "the drive is over, and this cannot be changed any more; leave it out"
         options.refuse_given(ctx, _AT_THE_END | flags, why)
-        _report(_finished(out, finish_from, drive, poses, settings), None, out, as_json=as_json)
+        report = _finished(out, finish_from, drive, poses, settings, wait_s)
+        _report(report, None, out, as_json=as_json)
         return
     _refuse_idle(ctx, sources, replay)
     with ExitStack() as stack:
@@ -168,9 +172,9 @@ def command(
 
             opening = replace(drive.options(), poses=poses.source())
             opened = stack.enter_context(open_drive(replay, opening))
-            driven = of_recording(opened.recording(), _rate(rate))
+            driven = of_recording(opened.recording(), speed(rate))
         report, counts = _drive(
-            *(driven, out, append, name, datum, sources, settings, config), as_json=as_json
+            *(driven, out, append, name, datum, sources, settings, config, wait_s), as_json=as_json
         )
     _report(report, counts, out, as_json=as_json)
 
@@ -187,19 +191,6 @@ def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) 
     options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
 
 
-def _rate(text: str) -> float | None:
-    """How fast, None for as fast as can be."""
-    if text == "max":
-        return None
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = math.nan
-    if not 0.01 <= rate <= 1000.0:
-        raise typer.BadParameter(f"{text!r} is neither 0.01 to 1000 nor max", param_hint="--rate")
-    return rate
-
-
 def _drive(
     driven: Driven,
     out: Path,
@@ -209,10 +200,12 @@ def _drive(
     sources: SourceFlags,
     settings: Overrides,
     config: Path | None,
+    wait_s: float,
     *,
     as_json: bool,
 ) -> tuple[SessionReport, Counts]:
     from fieldgrid.live import Live
+    from fieldgrid.mapfile import Patience
     from fieldgrid.settings import resolve
 
     resolved = resolve(config, settings)
@@ -254,7 +247,7 @@ def _drive(
         if line is not None:
             line("making the map")
         try:
-            report = live.finish()
+            report = live.finish(patience=Patience(wait_s, progress.waits_for(out, wait_s)))
             return report, live.counts  # with the frames that still waited
         except KeyboardInterrupt:
             said = (
@@ -364,22 +357,22 @@ def _status(window: LiveWindow | None, counts: Counts) -> str:
 
 
 def _finished(
-    out: Path, recording: Path | None, drive: DriveFlags, poses: PoseFlags, settings: Overrides
+    out: Path,
+    recording: Path | None,
+    drive: DriveFlags,
+    poses: PoseFlags,
+    settings: Overrides,
+    wait_s: float,
 ) -> SessionReport:
     from fieldgrid.live import finish_from, finish_session
+    from fieldgrid.mapfile import Patience
 
-    if recording is None:
-        return finish_session(out, settings)
-    with progress.building(out, 0.0) as tell:
+    with progress.building(out, wait_s) as tell:
+        patience = Patience(wait_s, tell.waiting)
+        if recording is None:
+            return finish_session(out, settings, patience=patience)
         opening = replace(drive.options(), poses=poses.source())
-        return finish_from(out, recording, opening, settings, progress=tell.show)
-
-
-def _discard(out: Path) -> None:
-    from fieldgrid.live import discard_session
-
-    name, frames = discard_session(out)
-    output.report_line(f"removed the session {name} with {frames} frames")
+        return finish_from(out, recording, opening, settings, progress=tell.show, patience=patience)
 
 
 def _report(report: SessionReport, counts: Counts | None, out: Path, *, as_json: bool) -> None:

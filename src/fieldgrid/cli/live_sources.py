@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -246,3 +247,16 @@ def _rig(flags: SourceFlags, drive: DriveFlags) -> GrowingFolder:
 
 _LOOK_S = 0.2
 """How often it is looked whether the session is to end."""
+
+
+def speed(text: str) -> float | None:
+    """How fast, None for as fast as can be."""
+    if text == "max":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not 0.01 <= rate <= 1000.0:
+        raise typer.BadParameter(f"{text!r} is neither 0.01 to 1000 nor max", param_hint="--rate")
+    return rate

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
     from fieldgrid.mapfile import Mark
@@ -63,6 +63,7 @@ def command(
         Path | None, options.out_file(".geojson, .gpkg, .csv, .kml or .dxf with the marks in force")
     ] = None,
     overwrite: options.Overwrite = False,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
     """List the marks of a map; add, remove or restore some.
@@ -93,7 +94,7 @@ def command(
     for flag, value in (("--kind", kind), ("--name", name), ("--note", note), ("--author", author)):
         if value and not is_new:
             raise typer.BadParameter("it is for a new mark only", param_hint=flag)
-    from fieldgrid.mapfile import MarkKind, open_map
+    from fieldgrid.mapfile import MarkKind, Patience, open_map
     from fieldgrid.mapfile.marks import Mark, features, marks_of_geojson
     from fieldgrid.publish import refuse_input
     from fieldgrid.vectors import write_features
@@ -105,7 +106,8 @@ def command(
     places = _corners("--polygon", polygon) if polygon else _corners("--point", point or "")
     if out is not None:
         refuse_input(out, [map_, *([add] if add else [])])
-    with open_map(map_, writable=bool(changes)) as universal:
+    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    with open_map(map_, writable=bool(changes), patience=patience) as universal:
         if add is not None:
             document = _read(add)
             usual = {"kind": kind or "", "name": name, "note": note, "author": author}

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from fieldgrid.lattice import Bounds
 
 OUTPUT, PART = "Output", "Part of the map"
+MAP_FILE = "Session and map file"
+USUAL_WAIT_S = 30.0
 
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP.gpkg", show_default=False)]
 AsJson = Annotated[
@@ -25,6 +27,17 @@ Overwrite = Annotated[
         "--overwrite",
         help="Replace an older file of the same kind; never an input.",
         rich_help_panel=OUTPUT,
+    ),
+]
+Wait = Annotated[
+    float,
+    typer.Option(
+        "--wait",
+        min=0.0,
+        max=86_400.0,
+        metavar="S",
+        help="Seconds to wait for another writer of the map.",
+        rich_help_panel=MAP_FILE,
     ),
 ]
 Figure = Annotated[

@@ -57,6 +57,22 @@ def stages() -> Iterator[Callable[[str, int, int], None] | None]:
         yield show
 
 
+def waits_for(path: Path, wait_s: float) -> Callable[[float], None]:
+    """What to tell how many seconds another writer of a map has been waited for: says it once."""
+    told: list[float] = []
+
+    def say(waited_s: float) -> None:
+        if not told:
+            output.message(_waits(path, wait_s))
+        told.append(waited_s)
+
+    return say
+
+
+def _waits(path: Path, wait_s: float) -> str:
+    return f"waiting for another program that writes {path.name}, up to {wait_s:g} s"
+
+
 class Building(NamedTuple):
     """Whom a build tells: how far its drives are, None where no terminal watches; and how many
     seconds it has waited for another writer."""
@@ -68,17 +84,10 @@ class Building(NamedTuple):
 @contextmanager
 def building(out: Path, wait_s: float) -> Iterator[Building]:
     """The same for a build: one line of frames, rate and distance, over all drives."""
-    waits = f"waiting for another program that writes {out.name}, up to {wait_s:g} s"
     if not output.shows_progress():
-        told: list[float] = []
-
-        def say(waited_s: float) -> None:
-            if not told:
-                output.message(waits)
-            told.append(waited_s)
-
-        yield Building(None, say)
+        yield Building(None, waits_for(out, wait_s))
         return
+    waits = _waits(out, wait_s)
     with _bar("{task.fields[rate]}  {task.fields[distance]}") as bar:
         task = bar.add_task("", total=None, rate="", distance="")
         drives: dict[str, Progress] = {}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
     from fieldgrid.mapfile import MapFile, SessionInfo, Transform
@@ -34,6 +34,7 @@ def command(
         tuple[str, str] | None,
         typer.Option(metavar="NAME NEW", help="Give a session another name."),
     ] = None,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
     """List the drives that a map was made from; remove, restore, shift or rename one.
@@ -53,10 +54,11 @@ def command(
     if len(changes) > 1:
         raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
     move = None if shift is None else (shift[0], _parsed(shift[1]))
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import Patience, open_map
 
     change = bool(changes)
-    with open_map(map_, writable=change) as universal:
+    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    with open_map(map_, writable=change, patience=patience) as universal:
         if remove is not None:
             universal.remove_session(remove)
         if restore is not None:

@@ -64,8 +64,9 @@ def finish_session(
 ) -> SessionReport:
     """Put what a live session has kept for the map `out` into it, and remove what was kept.
 
-    `overrides` are settings of poses and checks that replace those of the session. On an error the
-    drive stays where it is kept, and the error says so.
+    `overrides` are settings of poses and checks that replace those of the session, `patience` is
+    how long another writer of the map is waited for. On an error the drive stays where it is kept,
+    and the error says how to finish it.
     """
     with Kept(Path(out), None) as kept:
         return finish(kept, overrides or {}, patience)
@@ -79,6 +80,7 @@ def finish_from(
     *,
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
+    patience: Patience | None = None,
 ) -> SessionReport:
     """Build the drive of a live session from a recording of it, under the session's name and by its
     settings, and remove what the session has kept: the map has the frames that were dropped, too,
@@ -110,6 +112,7 @@ def finish_from(
             name=about.name,
             jobs=jobs,
             progress=progress,
+            patience=patience,
         )
         kept.remove()
     return report

@@ -29,6 +29,7 @@ from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Out
 from fieldgrid.live.sensed import Rows, rows_of
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.localgrid import LocalGridder
+from fieldgrid.mapfile import Patience
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
@@ -286,27 +287,26 @@ class Live(Closing):
             yield result
 
     def tell(self, what: What, text: str) -> None:
-        """Let whoever takes the results know of something beside the session, such as a source that
-        is lost."""
+        """Let whoever takes the results know of something beside the session: a lost source."""
         self._outbox.put(LiveEvent(what, text, self._heard_ns))
 
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame that was pushed is perceived; False when that takes longer."""
         return self._perceiver.drain(timeout_s)
 
-    def finish(self, overrides: Overrides | None = None) -> SessionReport:
-        """End the session and put it into the map; `overrides` are other settings of poses and
-        checks. On an error the drive stays kept, and the error says how to finish it."""
+    def finish(
+        self, overrides: Overrides | None = None, *, patience: Patience | None = None
+    ) -> SessionReport:
+        """End the session and put it into the map; options and errors as of `finish_session`."""
         self._check_open()
         self._end()
         try:
-            return finish(self._kept, overrides or {})
+            return finish(self._kept, overrides or {}, patience)
         finally:
             self._kept.close()
 
     def stop(self) -> None:
-        """End the session without a map: what is kept is there for the next start or for
-        `finish_session`."""
+        """End the session without a map; what is kept waits for its next start or its finish."""
         if self._is_open:
             self._end()
             self._kept.close()
