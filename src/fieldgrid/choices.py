@@ -29,6 +29,7 @@ class Doubt(StrEnum):
     FRAMES_MISPLACED = "frames-misplaced"
     MIRRORED = "mirrored"
     CAMERA_YAW = "camera-yaw"
+    IMU_TURNED = "imu-turned"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"
     CAMERAS_UNFIT = "cameras-unfit"

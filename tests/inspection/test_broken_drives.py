@@ -492,6 +492,19 @@ def test_a_camera_that_looks_aside_stops_a_build(drive: Make) -> None:
     assert "--accept camera-yaw" in remedy
 
 
+def test_an_imu_that_is_mounted_sideways_stops_a_build(drive: Make) -> None:
+    """Its turns are right, and it takes rolling for pitching; the axes that are told mend it."""
+    folder = drive()
+    change_mounting(folder, imu_axes="lbu")
+    found = inspect_recording(folder)
+    assert not found.builds
+    assert serious(found) == {"imu-turned"}
+    message, remedy = finding(found, "imu-turned")
+    assert "farther right about the vertical than declared" in message
+    assert "from flu to rfu" in remedy
+    assert "--accept imu-turned" in remedy
+
+
 def test_images_in_another_order_than_their_stamps_stop_a_build(drive: Make) -> None:
     """As a program leaves them that sorts 10 before 2."""
     folder = drive()

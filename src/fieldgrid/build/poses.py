@@ -25,6 +25,7 @@ from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses
 from fieldgrid.pose.camera_yaw import off_sentence
 from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_search import WIDEST_S
+from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import Carrier, Lidar, Rig
@@ -35,6 +36,9 @@ from fieldgrid.utc import utc_text
 ASKEW_DEG = 2.0
 """A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
 than that a vehicle may slip on a slope, which looks the same."""
+
+TURNED_DEG = 20.0
+"""An IMU turned by as much makes a third of a roll out of a pitch."""
 
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
@@ -256,6 +260,35 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
             f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
             "camera_yaw_deg in mounting.json."
         ),
+    )
+
+
+def doubted_imu(estimate: Estimate) -> Doubted | None:
+    """That the IMU is turned against what is declared, by so much that the vehicle would lean the
+    wrong way."""
+    turn = estimate.report.imu_turn
+    if turn is None or not turn.is_off or abs(turn.off_deg) < TURNED_DEG:
+        return None
+    quarter = round(turn.off_deg / 90.0) % 4
+    axes = f", from flu to {('flu', 'lbu', 'bru', 'rfu')[quarter]}" if quarter else ""
+    return Doubted(Doubt.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
+
+
+def imu_notes(estimate: Estimate) -> tuple[str, ...]:
+    """That the IMU is turned by less than what stops a build."""
+    turn = estimate.report.imu_turn
+    if turn is None or not turn.is_off or doubted_imu(estimate) is not None:
+        return ()
+    return (f"{_turned_sentence(turn)}, or mount the IMU square.",)
+
+
+def _turned_sentence(turn: ImuTurn) -> str:
+    """That the IMU is turned, and where that is said, without an end."""
+    side = "left" if turn.off_deg > 0.0 else "right"
+    return (
+        f"Beside the camera the IMU is turned {abs(turn.off_deg):.0f}° ± {turn.sigma_deg:.0f}° "
+        f"farther {side} about the vertical than declared ({turn.steps} steps), and takes rolling "
+        "for pitching; correct imu_axes in mounting.json"
     )
 
 

@@ -33,9 +33,11 @@ from fieldgrid.build.poses import (
     check_poses,
     doubted_clock,
     doubted_frames,
+    doubted_imu,
     doubted_jump,
     doubted_yaw,
     estimate_drive,
+    imu_notes,
     no_ground,
     none_usable,
     settle,
@@ -244,6 +246,7 @@ class NewSession:
         report.notes += settle(mirrored, self.settings)
         for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
             report.notes += settle(doubted(recording, estimate), self.settings)
+        report.notes += settle(doubted_imu(estimate), self.settings) + imu_notes(estimate)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory
 

@@ -17,9 +17,11 @@ from fieldgrid.build.poses import (
     check_images,
     check_poses,
     doubted_frames,
+    doubted_imu,
     doubted_jump,
     doubted_yaw,
     estimate_drive,
+    imu_notes,
 )
 from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import Doubt
@@ -256,11 +258,13 @@ def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Fin
     stopping = (
         doubted_jump(recording, estimate),
         doubted_frames(recording, estimate),
+        doubted_imu(estimate),
         doubted_yaw(recording, estimate),
     )
     for doubted in stopping:
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
+    findings += [warning(Doubt.IMU_TURNED.value, note) for note in imu_notes(estimate)]
     yaw = estimate.report.camera_yaw
     if yaw is not None and stopping[-1] is None:
         code = Doubt.CAMERA_YAW.value if yaw.moved is None else "camera-moved"

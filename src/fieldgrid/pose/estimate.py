@@ -26,6 +26,7 @@ from fieldgrid.pose.gears import gear_hints
 from fieldgrid.pose.given import place_poses
 from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.gyro_faults import without_faulty_samples
+from fieldgrid.pose.imu_turn import imu_turn
 from fieldgrid.pose.levelled import (
     find_lean,
     leaning,
@@ -109,6 +110,7 @@ def estimate_poses(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     rig = axle.vehicle
     # The same of a vehicle that stands level, once its headings have told how it leans.
+    turned_imu = imu_turn(motion.steps, motion.inertial)
     lean = find_lean(log.accepted, drive, motion, rig, frame_ns)
     level_grids = level_grids and tells_attitude(motion)
     if lean is not None:
@@ -154,6 +156,7 @@ def estimate_poses(
         clock_change=clocks.change,
         jump=clock_jump(log.accepted, motion.steps, gyro),
         camera_yaw=yaw,
+        imu_turn=turned_imu,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,

@@ -22,6 +22,7 @@ from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import Drive
 from fieldgrid.pose.georeference import Georeference
+from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.seams import LEAP_S
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
@@ -54,8 +55,8 @@ class PoseReport:
     their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
     and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
-    changes otherwise, `contradiction` how much of the motion no offset explains, and `camera_yaw`
-    where the camera looks.
+    changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
+    where the camera looks, and `imu_turn` how the IMU is turned.
     """
 
     conditioning: ConditioningSummary
@@ -72,6 +73,7 @@ class PoseReport:
     jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
+    imu_turn: ImuTurn | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -95,6 +97,7 @@ class PoseReport:
                 for name, part in parts.items()
             },
             "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
+            "imu_turn": None if self.imu_turn is None else self.imu_turn.as_dict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "notes": list(self.notes),
         }
