@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import matplotlib.colors
@@ -24,6 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
+from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from fieldgrid import figures, palette
@@ -777,6 +779,22 @@ def test_a_figure_is_saved_in_the_format_of_its_name(tmp_path: Path) -> None:
         figures.save(figure, tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(start)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(starts)
+
+
+@pytest.mark.parametrize(
+    "name", ["price $5 to $\\frac{$9", "n" * 255, "漢字", "under_row\x1b[31m\n]]>&b"]
+)
+@pytest.mark.filterwarnings("error")
+def test_names_are_drawn_as_they_are(tmp_path: Path, name: str) -> None:
+    shown = drive(name, frames=[record(pose(0)), record(pose(1))], trajectory=track([0.0, 5.0]))
+    for kind, figure in enumerate((figures.trajectory([shown]), figures.heading([shown]))):
+        figure.axes[0].set_title(name)
+        path = tmp_path / f"{kind}.svg"
+        figures.save(figure, path)
+        ElementTree.parse(path)
+        written = [text.get_text() for text in figure.findobj(Text)]
+        assert all(line.isprintable() for text in written for line in text.split("\n"))
+        assert any((name[:60] + "..." if len(name) > 60 else name[:9]) in text for text in written)
 
 
 def test_an_earlier_figure_is_replaced_but_not_by_a_wrong_one(tmp_path: Path) -> None:

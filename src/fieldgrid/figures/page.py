@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -10,14 +11,17 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, printable
 from fieldgrid.lattice import Bounds
 from fieldgrid.publish import mentions, replacing
 
 _LONG_SIDE_IN, _SHORT_SIDE_IN = 9.0, 1.5
 """Of the ground drawn on a page of its own."""
+_LONGEST_LINE = 60
+"""Characters of a text, such as the name of a drive."""
 
 
 def new_figure(size_in: tuple[float, float]) -> Figure:
@@ -74,13 +78,32 @@ def save(figure: Figure, path: str | Path) -> None:
     written.
     """
     path = Path(path)
-    written = BytesIO()
-    try:
-        figure.savefig(written, format=path.suffix.lstrip(".").lower() or "png")
-    except ValueError as error:
+    suffix = path.suffix.lstrip(".").lower() or "png"
+    if suffix not in figure.canvas.get_supported_filetypes():
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
-        ) from error
+        )
+    _take_literally(figure)
+    written = BytesIO()
+    with warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box, which says as much.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
+        figure.savefig(written, format=suffix)
     # Every kind of figure names the library in its metadata; a photograph does not.
     with replacing(path, ours=partial(mentions, mark=b"atplotlib"), what="a figure") as draft:
         draft.write_bytes(written.getvalue())
+
+
+def _take_literally(figure: Figure) -> None:
+    """Draw the names in a figure as they are: no formula between dollars, nothing unprintable, and
+    no more of them than leaves room for the ground."""
+    for text in figure.findobj(Text):
+        written = text.get_text()
+        if written:
+            text.set_text("\n".join(map(_on_a_line, written.split("\n"))))
+        if "$" in written:
+            text.set_parse_math(False)
+
+
+def _on_a_line(text: str) -> str:
+    return printable(text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]}...")
