@@ -124,6 +124,17 @@ def test_a_shapefile_has_polygons_and_points_apart(universal: MapFile, tmp_path:
     export_map(universal, tmp_path / "shapes", format="shapefile", overwrite=True)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_shapefile_cuts_long_texts_between_letters(universal: MapFile, tmp_path: Path) -> None:
+    copy = shutil.copy(universal.path, tmp_path / "copy.gpkg")
+    with open_map(copy, writable=True) as own:
+        own.add_marks([Mark(MarkKind.PLACE, ((1.0, 1.0),), "well", "x" + "ü" * 200)])
+        export_map(own, tmp_path / "shapes", format="shapefile")
+    with shapefile.Reader(f"{tmp_path}/shapes/mark_point.shp") as reader:
+        notes = {record["name"]: record["note"] for record in reader.records()}
+    assert notes["well"] == "x" + "ü" * 126
+
+
 def test_a_kmz_has_a_placemark_of_each(universal: MapFile, tmp_path: Path) -> None:
     export_map(universal, tmp_path / "field.kmz")
     with zipfile.ZipFile(tmp_path / "field.kmz") as archive:

@@ -38,6 +38,8 @@ _SHAPEFILE_NAMES = {
     "position_sigma_m": "pos_sig_m",
 }
 """Names of columns in a shapefile, which has ten letters for one."""
+_SHAPEFILE_BYTES = 254
+"""Of a text in UTF-8."""
 
 
 class FeatureOptions(ShapeOptions):
@@ -198,7 +200,7 @@ def _write_shapefiles(
     folder: Path, target: Path, layers: Sequence[FeatureLayer], datum: Datum
 ) -> None:
     for layer in (part for whole in layers for part in _by_type(whole)):
-        short = {_SHAPEFILE_NAMES.get(key, key): v for key, v in layer.columns.items()}
+        short = {_SHAPEFILE_NAMES.get(key, key): _cut(v) for key, v in layer.columns.items()}
         write_layer(
             folder / f"{layer.name}.shp",
             target,
@@ -206,6 +208,17 @@ def _write_shapefiles(
             "ESRI Shapefile",
             datum.crs_wkt("WKT1_GDAL"),
         )
+
+
+def _cut(column: AnyArray) -> AnyArray:
+    """Texts as long as a shapefile can hold them, which GDAL would cut with a warning for each."""
+    if column.dtype != object:
+        return column
+    cut = column.copy()
+    for k, text in enumerate(np.ma.getdata(column)):
+        if isinstance(text, str):
+            cut[k] = text.encode()[:_SHAPEFILE_BYTES].decode(errors="ignore")
+    return cut
 
 
 def _by_type(layer: FeatureLayer) -> Iterator[FeatureLayer]:
