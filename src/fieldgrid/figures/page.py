@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from functools import partial
 from io import BytesIO
@@ -101,9 +102,8 @@ def _take_literally(figure: Figure) -> None:
         written = text.get_text()
         if written:
             text.set_text("\n".join(map(_on_a_line, written.split("\n"))))
-        if "$" in written:
-            text.set_parse_math(False)
 
 
 def _on_a_line(text: str) -> str:
-    return printable(text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]}...")
+    text = text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]}..."
+    return re.sub(r"(?<!\\)\$", r"\\$", printable(text))  # a bare dollar begins a formula
