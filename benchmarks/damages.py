@@ -153,7 +153,7 @@ def _clock_set(by_s: float) -> Damage:
 def _multipath(share: float, epoch: int, fields: list[str]) -> list[str]:
     """For 8 s of every 30 s up to 1.5 m north of where it is."""
     where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
-    if where is not None and epoch % 150 >= 110:
+    if where is not None and fields[where] and epoch % 150 >= 110:
         away_m = 1.5 * math.sin(epoch // 150 * 2.4 + 1.0)
         fields[where] = f"{float(fields[where]) + away_m / 1852.0:012.7f}"
     return fields

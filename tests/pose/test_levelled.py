@@ -130,6 +130,22 @@ def test_the_camera_levels_the_lever_arm_of_grids_square_to_the_ground() -> None
     assert np.mean(np.hypot(*off.T) < within) > 0.95
 
 
+def test_grids_that_were_levelled_stay_so_when_the_imu_is_thrown_out() -> None:
+    """The grids are made before the camera denies the gyro."""
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    sensed = inertial(way)
+    wrong = sensed._replace(time_ns=sensed.time_ns + 1_500_000_000)
+    motion = Motion(
+        gyro=Gyro(wrong.time_ns, wrong.rate_rad_s[:, 2]), inertial=wrong, steps=camera_steps(way)
+    )
+    found = estimate(way, motion)
+    assert any("gyro" in note for note in found.report.notes)
+    assert found.report.attitude is not None
+    assert farthest_m(off_m(way, found)[0]) < 0.1
+    square = estimate(way, motion, level_grids=False)
+    assert farthest_m(off_m(way, square, -SENSOR_M[2])[0]) < 0.1
+
+
 def test_a_recorded_tilt_levels_the_lever_arm() -> None:
     way = hike(GROUNDS["hills"], rows(2, 28.0))
     found = estimate(way, Motion(tilt=recorded_tilt(way)))

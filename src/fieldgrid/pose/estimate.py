@@ -89,6 +89,8 @@ def estimate_poses(
     log = conditioned(fixes, settings, datum)
     # Forward or reverse, and one batch estimate of everything that was measured.
     hints = gear_hints(settings)
+    # By what the drive carries, used here or not: so its grids were made.
+    level_grids = level_grids and tells_attitude(motion)
     motion, faulty_gyro = without_faulty_samples(motion)
     motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
@@ -112,7 +114,6 @@ def estimate_poses(
     # The same of a vehicle that stands level, once its headings have told how it leans.
     turned_imu = imu_turn(motion.steps, motion.inertial)
     lean = find_lean(log.accepted, drive, motion, rig, frame_ns)
-    level_grids = level_grids and tells_attitude(motion)
     if lean is not None:
         log = log._replace(accepted=levelled_fixes(log.accepted, lean))
         motion = levelled_motion(motion, lean)
