@@ -124,10 +124,11 @@ def received(change: Callable[[float, int, list[str]], list[str] | None]) -> Dam
         lines = path.read_text().splitlines()
         out, epoch = [], -1
         for k, line in enumerate(lines):
-            if not line.startswith("$") or "*" not in line:
-                out.append(line)
+            body, _, told = line[1:].partition("*")
+            if told != f"{checksum(body.encode()):02X}":
+                out.append(line)  # damaged already
                 continue
-            fields = line[1 : line.index("*")].split(",")
+            fields = body.split(",")
             epoch += fields[0][2:] == "GGA"
             if (changed := change(k / len(lines), epoch, fields)) is not None:
                 body = ",".join(changed)
