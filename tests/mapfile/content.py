@@ -1,6 +1,6 @@
 """All that a map says, for comparison: tiles, pictures, layers, extents, but no row numbers.
 
-Tiles are compared before compression: ISA-L does not make the same bytes of the same cells each
+Cells are compared before compression: ISA-L does not make the same bytes of the same cells each
 time.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sqlite3
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +51,13 @@ def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
 
 
 def unpacked(value: Any) -> Any:
-    """The header of a tile and its values, which follow as a zlib stream; the pixels of a picture;
-    others as they are."""
+    """The header of a tile and its values, which follow as a zlib stream; the values of a stream, as
+    of a frame's channel; the pixels of a picture; others as they are."""
     if not isinstance(value, bytes) or not value:
         return value
     if value.startswith(b"\x89PNG"):
         return cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_UNCHANGED).tobytes()
-    head = 5 + 2 * value[0]
-    try:
-        return value[:head], zlib.decompress(value[head:])
-    except zlib.error:
-        return value
+    for head in (0, 5 + 2 * value[0]):
+        with suppress(zlib.error):
+            return value[:head], zlib.decompress(value[head:])
+    return value
