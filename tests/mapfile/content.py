@@ -51,8 +51,8 @@ def content(path: Path, *kinds: str) -> dict[str, list[tuple[Any, ...]]]:
 
 
 def unpacked(value: Any) -> Any:
-    """The header of a tile and its values, which follow as a zlib stream; the values of a stream, as
-    of a frame's channel; the pixels of a picture; others as they are."""
+    """The header of a tile and its values, which follow as a zlib stream; of a stream alone,
+    as of a frame's channel, the values; the pixels of a picture; others as they are."""
     if not isinstance(value, bytes) or not value:
         return value
     if value.startswith(b"\x89PNG"):

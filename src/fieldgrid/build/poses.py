@@ -194,12 +194,12 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
 
 
 def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
-    """That images and gyro are of one clock before some instant and of another after it."""
+    """That images, gyro or fixes are of one clock before some instant and of another after it."""
     jump, change = estimate.report.jump, estimate.report.clock_change
-    if jump is None and change is not None:
-        return Doubted(Doubt.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
     if jump is None:
-        return None
+        if change is None:
+            return None
+        return Doubted(Doubt.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
     error = RecordingError(
         f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
         f"{utc_text(jump.time_ns)}: over that hole in their stamps the camera went "

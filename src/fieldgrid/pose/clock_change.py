@@ -28,8 +28,8 @@ not, something else is wrong."""
 
 SUSPECT_GAIN, CLEAR_GAIN = 1.0, 7.0
 """By so much the sum of squares of two offsets is less than that of the best single one, in mean
-squares of a step: to look closer, and to be told. Of 240 stretches of drives with one clock the
-latter is 2.3 at most (`benchmarks.stretches`)."""
+squares of a step: to look closer, and to be told. Of 240 stretches of drives with one clock
+none reaches the latter (`benchmarks.stretches`)."""
 
 
 class ClockChange(NamedTuple):

@@ -4,7 +4,7 @@ A computer that is set while it records stamps what follows by another clock. In
 gyro that is a hole, like any other; but the vehicle did too little in it for its length. The
 camera's step over the hole tells, where the vehicle moved: it is as long as the way of the fixes
 when the recorder paused, and as that without the hole when the clock jumped. A clock that is set
-back leaves no hole, and is not found here.
+back leaves no hole, nor does that of a receiver: see :mod:`fieldgrid.pose.clock_change`.
 """
 
 from __future__ import annotations
