@@ -1,9 +1,9 @@
 """Coverage of random fields: what is covered, how short the way is, and whether all holds.
 
-`python -m benchmarks.coverage [[FIRST:]LAST [EXACT]]` makes so many fields (default 200): one or
-two blocks of rows, straight or bent, with stepped ends, gaps, things in lanes and on headlands, and
-parts that were not seen; vehicles of all kinds, with reverse or without. It plans a coverage of
-each and prints
+`python -m benchmarks.coverage [[FIRST:]LAST [[FEWEST:]EXACT]]` makes so many fields (default 200):
+one or two blocks of rows, straight or bent, with stepped ends, gaps, things in lanes and on
+headlands, and parts that were not seen; vehicles of all kinds, with reverse or without. It plans a
+coverage of each and prints
 
 * faults: by the check that every route passes, and by looking up points of the footprint in the
   view, pose by pose;
@@ -14,7 +14,9 @@ each and prints
 * on the same ways, what the local search for more than ten lanes makes of them;
 * processor time.
 
-A field is made of its number, so 10,000 of them may be planned in parts: `0:500 0`, `500:1000 0`...
+With `FEWEST:EXACT`, as in `0:200 5:10`, only fields with so many lanes are planned, all of them
+beside the best order. A field is made of its number, so 10,000 of them may be planned in parts:
+`0:500 0`, `500:1000 0`...
 
 `python -m benchmarks.coverage layouts [NUMBER...]` covers layouts of real vineyards (all 40 without
 numbers), whose rows are found in made evidence without noise, with a vehicle 0.7 m wide that cannot
@@ -28,6 +30,7 @@ import itertools
 import math
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
@@ -317,7 +320,7 @@ def report(found: list[Outcome]) -> None:
     print(f"{len(found)} fields, {asked} lanes: {covered} covered, {none} fields without a route")
     print(f"  routes with a fault                              {len(faults)} {faults or ''}")
     wide = [one for one in found if one.is_open]
-    share = sum(one.covered for one in wide) / sum(one.lanes for one in wide)
+    share = sum(one.covered for one in wide) / max(sum(one.lanes for one in wide), 1)
     count = sum(one.lanes for one in wide)
     print(f"  covered of {count} lanes that can be by construction  {share:.2%}")
     for reason in (reason for one in wide for reason in one.left_out):
@@ -338,8 +341,11 @@ def report(found: list[Outcome]) -> None:
     )
 
 
-def main(seeds: range, exact: int) -> None:
-    """Print what came of some fields, each time twenty more are done."""
+def main(seeds: Sequence[int], exact: int, fewest: int | None) -> None:
+    """Print what came of some fields, each time twenty more are done; where `fewest` is given, of
+    those alone that have so many lanes, and no more than `exact`."""
+    if fewest is not None:
+        seeds = [s for s in seeds if fewest <= len(random_field(s).planting.lanes) <= exact]
     found = []
     for seed in seeds:
         found.append(outcome(seed, exact))
@@ -383,4 +389,6 @@ if __name__ == "__main__":
         over_layouts([int(number) for number in sys.argv[2:]] or list(range(1, 41)))
     else:
         first, _, last = (sys.argv[1:] or ["200"])[0].rpartition(":")
-        main(range(int(first or 0), int(last)), int((sys.argv[2:] or ["4"])[0]))
+        fewest, _, exact = (sys.argv[2:] or ["4"])[0].rpartition(":")
+        wanted = range(int(first or 0), int(last))
+        main(wanted, int(exact), int(fewest) if fewest else None)

@@ -52,6 +52,30 @@ def test_json_and_the_file_say_the_same(fieldgrid: Run, field: Path, tmp_path: P
     assert out.read_text().count("NaN") == 0
 
 
+def test_everything_says_what_it_rests_on(fieldgrid: Run, field: Path) -> None:
+    found = json.loads(fieldgrid("rows", field, "--json").out)
+    for kind in ("row", "lane", "gap", "headland", "block", "obstacle"):
+        for one in found[f"{kind}s"]:
+            assert one["sessions"] == ["june-03"], (kind, one)
+            assert one["cells"] > 0, (kind, one)
+            # The poses of the map are of 2 cm.
+            assert 0.02 <= one["sigma_m"] < 0.3, (kind, one)
+    rows = {row["id"]: row for row in found["rows"]}
+    (block,) = found["blocks"]
+    assert block["cells"] == sum(row["cells"] for row in rows.values())
+    for lane in found["lanes"]:
+        sigma = sum(rows[name]["sigma_m"] for name in lane["rows"]) / 2.0
+        assert lane["sigma_m"] == pytest.approx(sigma, abs=1e-4)
+        # Seen ground between the canopies, which are 1.8 m apart.
+        assert lane["cells"] * 0.01 == pytest.approx(
+            lane["known"] * lane["length_m"] * 1.8, rel=0.1
+        )
+    (obstacle,) = found["obstacles"]
+    assert obstacle["cells"] * 0.01 == pytest.approx(obstacle["area_m2"])
+    (gap,) = found["gaps"]
+    assert gap["sigma_m"] == rows[gap["row"]]["sigma_m"]
+
+
 def test_a_field_of_agopengps(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
     folder = tmp_path / "north"
     assert str(folder) in fieldgrid("rows", field, "--agopengps", folder).output()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -20,11 +18,13 @@ from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
+from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
 from fieldgrid.rows.ground import (
     Thing,
     find_headlands,
     find_things,
     measure_lane,
+    seen_cells,
     without_specks,
 )
 from fieldgrid.rows.measure import Measured, measure_rows
@@ -32,7 +32,6 @@ from fieldgrid.rows.neighbours import oriented
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
 from fieldgrid.rows.roads import split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
-from fieldgrid.trajectory import Status
 
 MAX_CELLS = 100_000_000
 """Cells that are looked at at once; a larger map is read in cells twice as large."""
@@ -40,16 +39,6 @@ MAX_CELLS = 100_000_000
 DEFAULT_HOLE_M = 0.25
 DEFAULT_HEADLAND_M = 15.0
 _DRIVEN_SHARE = 0.5
-
-
-class Drives(NamedTuple):
-    """What the drives of a map say beside their evidence: where the vehicle was, what each frame
-    covers, the session it is of, and the sigma of its place."""
-
-    track_m: Float64
-    footprints: Sequence[shapely.Polygon]
-    sessions: Sequence[str]
-    sigma_m: Float64
 
 
 def find_rows(
@@ -80,7 +69,7 @@ def find_rows(
         raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
     with universal.read_blocks(bounds, _cell_m(universal, bounds), at=at) as blocks:
         evidence = Evidence.of_blocks(blocks, obstacle_above)
-        drives = _drives(universal, at)
+        drives = drives_of(universal, at)
     return _planting(
         evidence, universal.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m
     )
@@ -112,21 +101,23 @@ def _planting(
     crop = crop if isinstance(crop, Crop) else crop_named(crop)
     measured = _measured(evidence, crop)
     ordered = order_rows(measured, crop)
+    reach = Reach(drives)
+    rows = _rows(ordered, reach)
     lanes = lane_lines(ordered)
-    found_lanes = _lanes(evidence, fill_pinholes(evidence, hole_m), ordered, lanes, drives)
+    filled = fill_pinholes(evidence, hole_m)
+    found_lanes = _lanes(evidence, filled, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
     clean = without_specks(evidence)
-    obstacles = _obstacles(find_things(clean, ordered.rows), ordered, found_lanes)
     return Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
         evidence.cell_m,
-        _rows(evidence, ordered, drives),
+        rows,
         found_lanes,
-        _gaps(ordered),
-        _headlands(fill_pinholes(clean, hole_m), ordered, areas, headland_m),
-        _blocks(ordered, areas, found_lanes),
-        obstacles,
+        _gaps(evidence, ordered, rows, reach),
+        _headlands(fill_pinholes(clean, hole_m), ordered, areas, headland_m, reach),
+        _blocks(ordered, areas, rows, found_lanes),
+        _obstacles(evidence, find_things(clean, ordered.rows), ordered, found_lanes, reach),
     )
 
 
@@ -137,28 +128,6 @@ def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
     while size / cell_m**2 > MAX_CELLS:
         cell_m *= 2.0
     return cell_m
-
-
-def _drives(universal: MapFile, at: str | int | None) -> Drives:
-    active = [info.name for info in universal.sessions() if info.active]
-    names = active if at is None else universal.sessions_at(at)
-    tracks, footprints, sessions, sigmas = [np.zeros((0, 2))], [], [], []
-    for name in names:
-        frames = [
-            frame for frame in universal.frames(name) if frame.pose.status is not Status.REJECTED
-        ]
-        for frame in frames:
-            pose, spec = frame.pose, frame.spec
-            phi = np.radians(pose.heading_deg)
-            x = np.array([-0.5, 0.5, 0.5, -0.5]) * spec.width_m
-            y = np.array([0.0, 0.0, 1.0, 1.0]) * spec.length_m
-            east = pose.east_m + x * np.cos(phi) + y * np.sin(phi)
-            north = pose.north_m - x * np.sin(phi) + y * np.cos(phi)
-            footprints.append(shapely.Polygon(np.column_stack([east, north])))
-            sessions.append(name)
-            sigmas.append(pose.position_sigma_m)
-        tracks.append(np.array([(f.pose.east_m, f.pose.north_m) for f in frames]).reshape(-1, 2))
-    return Drives(np.concatenate(tracks), footprints, sessions, np.array(sigmas))
 
 
 def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
@@ -172,23 +141,16 @@ def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
     return split_at_roads(measure_rows(evidence, lines, crop), crop)
 
 
-def _rows(evidence: Evidence, ordered: Ordered, drives: Drives | None) -> tuple[Row, ...]:
+def _rows(ordered: Ordered, reach: Reach) -> tuple[Row, ...]:
     spacing: dict[int, list[float]] = {}
     for pair in ordered.pairs:
         if pair.is_lane:
             spacing.setdefault(pair.left, []).append(pair.distance_m)
             spacing.setdefault(pair.right, []).append(pair.distance_m)
-    tree = shapely.STRtree(drives.footprints) if drives and len(drives.footprints) else None
     found = []
     for k, row in enumerate(ordered.rows):
         line = shapely.LineString(row.line)
-        sessions: tuple[str, ...] = ()
-        position_m = 0.0
-        if tree is not None and drives is not None:
-            seeing = tree.query(line, predicate="intersects")
-            sessions = tuple(dict.fromkeys(drives.sessions[i] for i in np.sort(seeing)))
-            known = drives.sigma_m[seeing][np.isfinite(drives.sigma_m[seeing])]
-            position_m = float(np.median(known)) if len(known) else 0.0
+        reached = reach.of(line)
         length = row.extent.stop_m
         unseen = sum(b - a for a, b in row.extent.unseen_m)
         found.append(
@@ -197,13 +159,13 @@ def _rows(evidence: Evidence, ordered: Ordered, drives: Drives | None) -> tuple[
                 ordered.block_of[k],
                 line,
                 length,
-                float(np.hypot(np.sqrt((row.sigma_m**2).mean()), position_m)),
+                float(np.hypot(np.sqrt((row.sigma_m**2).mean()), reached.sigma_m)),
                 float(np.mean(spacing[k])) if k in spacing else float("nan"),
                 row.half_width_m,
                 row.sides,
                 1.0 - unseen / length,
                 row.cells,
-                sessions,
+                reached.sessions,
                 row.scatter_m,
             )
         )
@@ -215,7 +177,9 @@ def _lanes(
     filled: Evidence,
     ordered: Ordered,
     lanes: list[LaneLine],
+    rows: tuple[Row, ...],
     drives: Drives | None,
+    reach: Reach,
 ) -> tuple[Lane, ...]:
     counts: dict[str, int] = {}
     found = []
@@ -244,6 +208,9 @@ def _lanes(
                 ground.widths_m,
                 ground.known,
                 driven,
+                0.5 * (rows[lane.left].sigma_m + rows[lane.right].sigma_m),
+                ground.cells,
+                reach.of(lane.area).sessions,
             )
         )
     return tuple(found)
@@ -254,12 +221,18 @@ def _least(widths_m: Float64) -> float:
     return float(known.min()) if len(known) else float("nan")
 
 
-def _gaps(ordered: Ordered) -> tuple[Gap, ...]:
+def _gaps(
+    evidence: Evidence, ordered: Ordered, rows: tuple[Row, ...], reach: Reach
+) -> tuple[Gap, ...]:
     found = []
-    for row, name in zip(ordered.rows, ordered.ids, strict=True):
+    for row, told in zip(ordered.rows, rows, strict=True):
         for number, (start, stop) in enumerate(row.extent.gaps_m, 1):
             line = shapely.LineString(part(row.line, max(start, 0.0), min(stop, row.extent.stop_m)))
-            found.append(Gap(f"{name}-G{number}", name, line, stop - start))
+            cells = seen_cells(evidence, line, row.half_width_m)
+            found.append(
+                Gap(f"{told.id}-G{number}", told.id, line, stop - start, told.sigma_m, cells,
+                    reach.of(line).sessions)
+            )  # fmt: skip
     return tuple(found)
 
 
@@ -276,12 +249,16 @@ def _block_areas(ordered: Ordered, lanes: list[LaneLine]) -> dict[str, shapely.P
 
 
 def _blocks(
-    ordered: Ordered, areas: dict[str, shapely.Polygon], lanes: tuple[Lane, ...]
+    ordered: Ordered,
+    areas: dict[str, shapely.Polygon],
+    rows: tuple[Row, ...],
+    lanes: tuple[Lane, ...],
 ) -> tuple[Block, ...]:
     found = []
     for name, area in areas.items():
         lines = [r.line for r, b in zip(ordered.rows, ordered.block_of, strict=True) if b == name]
         along = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        members = [row for row in rows if row.block == name]
         apart = [
             p.distance_m for p in ordered.pairs if p.is_lane and ordered.block_of[p.left] == name
         ]
@@ -293,13 +270,20 @@ def _blocks(
                 sum(lane.block == name for lane in lanes),
                 float(np.degrees(np.arctan2(along[0], along[1]))),
                 float(np.median(apart)) if apart else float("nan"),
+                float(np.sqrt(np.mean([row.sigma_m**2 for row in members]))),
+                sum(row.cells for row in members),
+                tuple(dict.fromkeys(one for row in members for one in row.sessions)),
             )
         )
     return tuple(found)
 
 
 def _headlands(
-    evidence: Evidence, ordered: Ordered, areas: dict[str, shapely.Polygon], reach_m: float
+    evidence: Evidence,
+    ordered: Ordered,
+    areas: dict[str, shapely.Polygon],
+    reach_m: float,
+    reach: Reach,
 ) -> tuple[Headland, ...]:
     if not areas:
         return ()
@@ -313,14 +297,23 @@ def _headlands(
         if min(start, stop) > 3.0:
             continue
         counts += 1
-        reached = [k for k, at in enumerate(("start", "stop")) if min(p[k] for p in near) <= 3.0]
-        end = "both" if len(reached) == 2 else ("start", "stop")[reached[0]]
-        found.append(Headland(f"H{counts}", ordered.block_of[closest], end, area, float(area.area)))
+        near_to = [k for k, at in enumerate(("start", "stop")) if min(p[k] for p in near) <= 3.0]
+        end = "both" if len(near_to) == 2 else ("start", "stop")[near_to[0]]
+        reaching = reach.of(area)
+        found.append(
+            Headland(f"H{counts}", ordered.block_of[closest], end, area, float(area.area),
+                     _of_cells(evidence, reaching), round(area.area / evidence.cell_m**2),
+                     reaching.sessions)
+        )  # fmt: skip
     return tuple(found)
 
 
 def _obstacles(
-    things: list[Thing], ordered: Ordered, lanes: tuple[Lane, ...]
+    evidence: Evidence,
+    things: list[Thing],
+    ordered: Ordered,
+    lanes: tuple[Lane, ...],
+    reach: Reach,
 ) -> tuple[Obstacle, ...]:
     rows = [shapely.LineString(row.line) for row in ordered.rows]
     found = []
@@ -329,6 +322,7 @@ def _obstacles(
         best = int(np.argmax(shared)) if shared and max(shared) > 0.0 else -1
         distance = [line.distance(thing.outline.centroid) for line in rows]
         on = int(np.argmin(distance)) if distance else -1
+        reached = reach.of(thing.outline)
         is_on_row = on >= 0 and distance[on] < ordered.rows[on].half_width_m
         found.append(
             Obstacle(
@@ -337,6 +331,14 @@ def _obstacles(
                 ordered.ids[on] if is_on_row else "",
                 thing.outline,
                 thing.area_m2,
+                _of_cells(evidence, reached),
+                round(thing.area_m2 / evidence.cell_m**2),
+                reached.sessions,
             )
         )
     return tuple(found)
+
+
+def _of_cells(evidence: Evidence, reached: Reached) -> float:
+    """The standard deviation of an outline that runs along cells: theirs, and that of the poses."""
+    return float(np.hypot(reached.sigma_m, evidence.cell_m / np.sqrt(12.0)))

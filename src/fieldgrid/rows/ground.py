@@ -42,10 +42,11 @@ its cross-sections have."""
 
 class LaneGround(NamedTuple):
     """Of a lane: the least free width in every metre along its line, NaN in one that was not seen,
-    and the share of its ground that was."""
+    the share of its ground that was, and how many cells these are."""
 
     widths_m: Float64
     known: float
+    cells: int
 
 
 def without_specks(evidence: Evidence) -> Evidence:
@@ -83,12 +84,21 @@ def measure_lane(
     metre = strip.along_m.astype(np.int64)
     widths = np.full(int(metre[-1]) + 1, np.inf)
     if not inner.any():
-        return LaneGround(np.full(len(widths), np.nan), 0.0)
-    seen = (strip.cells[:, inner] != UNSEEN).mean(axis=1)
+        return LaneGround(np.full(len(widths), np.nan), 0.0, 0)
+    is_known = strip.cells[:, inner] != UNSEEN
+    cells = round(np.count_nonzero(is_known) / _PER_CELL**2)
+    seen = is_known.mean(axis=1)
     is_seen = seen >= _SECTION_SEEN
     np.minimum.at(widths, metre[is_seen], widest[is_seen] * step_m)
     enough = np.bincount(metre, is_seen) >= _SECTION_SEEN * np.bincount(metre)
-    return LaneGround(np.where(enough, widths, np.nan), float(seen.mean()))
+    return LaneGround(np.where(enough, widths, np.nan), float(seen.mean()), cells)
+
+
+def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> int:
+    """How many cells were seen within `reach_m` of a line, to a sample of them."""
+    step_m = evidence.cell_m / _PER_CELL
+    strip = evidence.strip(np.asarray(line.coords), reach_m, reach_m, step_m, step_m)
+    return round(np.count_nonzero(strip.cells != UNSEEN) / _PER_CELL**2)
 
 
 class Thing(NamedTuple):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.rows.lanelet2 import write_lanelet2
-from fieldgrid.rows.result import Planting
+from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting
 from fieldgrid.vectors import Feature, write_features
 
 OSM = ".osm"
@@ -21,7 +22,7 @@ def planting_features(planting: Planting) -> list[Feature]:
                 b.area,
                 {
                     "id": b.id, "rows": b.rows, "lanes": b.lanes, "heading_deg": b.heading_deg,
-                    "spacing_m": b.spacing_m, "area_m2": float(b.area.area),
+                    "spacing_m": b.spacing_m, "area_m2": float(b.area.area), **_rests_on(b),
                 },
             )
             for b in planting.blocks
@@ -30,7 +31,7 @@ def planting_features(planting: Planting) -> list[Feature]:
             Feature(
                 "headland",
                 h.area,
-                {"id": h.id, "block": h.block, "end": h.end, "area_m2": h.area_m2},
+                {"id": h.id, "block": h.block, "end": h.end, "area_m2": h.area_m2, **_rests_on(h)},
             )
             for h in planting.headlands
         ),
@@ -41,7 +42,7 @@ def planting_features(planting: Planting) -> list[Feature]:
                 {
                     "id": lane.id, "block": lane.block, "rows": lane.rows,
                     "length_m": lane.length_m, "free_width_m": lane.free_width_m,
-                    "known": lane.known, "driven": lane.driven,
+                    "known": lane.known, "driven": lane.driven, **_rests_on(lane),
                 },
             )
             for lane in planting.lanes
@@ -59,18 +60,30 @@ def planting_features(planting: Planting) -> list[Feature]:
             for r in planting.rows
         ),
         *(
-            Feature("gap", g.line, {"id": g.id, "row": g.row, "length_m": g.length_m})
+            Feature(
+                "gap",
+                g.line,
+                {"id": g.id, "row": g.row, "length_m": g.length_m, **_rests_on(g)},
+            )
             for g in planting.gaps
         ),
         *(
             Feature(
                 "obstacle",
                 o.area,
-                {"id": o.id, "lane": o.lane or None, "row": o.row or None, "area_m2": o.area_m2},
+                {
+                    "id": o.id, "lane": o.lane or None, "row": o.row or None,
+                    "area_m2": o.area_m2, **_rests_on(o),
+                },
             )
             for o in planting.obstacles
         ),
     ]  # fmt: skip
+
+
+def _rests_on(found: Block | Gap | Headland | Lane | Obstacle) -> dict[str, Any]:
+    """How sure its place is, and what it was found from."""
+    return {"sigma_m": found.sigma_m, "cells": found.cells, "sessions": found.sessions}
 
 
 def write_planting(

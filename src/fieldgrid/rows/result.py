@@ -2,10 +2,17 @@
 
 All geometries are in metres east and north of the datum. Rows and lanes of a block run the same
 way, and left and right are meant in that direction.
+
+`sigma_m` is a standard deviation: of a row and a block that of rows across, of a gap that of its
+row, of a lane half the sum of those of its rows (its middle is no worse), of an outline that of the
+poses and of cells; NaN where nothing was measured. `cells` are what it rests on: obstacle cells of
+a row, a block and an obstacle, seen ones of a lane and a gap, those of its area of a headland.
+`sessions` are those of which a frame reaches it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -61,6 +68,9 @@ class Lane(NamedTuple):
     widths_m: Float64
     known: float
     driven: bool
+    sigma_m: float = math.nan
+    cells: int = 0
+    sessions: tuple[str, ...] = ()
 
 
 class Gap(NamedTuple):
@@ -70,6 +80,9 @@ class Gap(NamedTuple):
     row: str
     line: LineString
     length_m: float
+    sigma_m: float = math.nan
+    cells: int = 0
+    sessions: tuple[str, ...] = ()
 
 
 class Headland(NamedTuple):
@@ -80,6 +93,9 @@ class Headland(NamedTuple):
     end: str
     area: Polygon
     area_m2: float
+    sigma_m: float = math.nan
+    cells: int = 0
+    sessions: tuple[str, ...] = ()
 
 
 class Block(NamedTuple):
@@ -92,6 +108,9 @@ class Block(NamedTuple):
     lanes: int
     heading_deg: float
     spacing_m: float
+    sigma_m: float = math.nan
+    cells: int = 0
+    sessions: tuple[str, ...] = ()
 
 
 class Obstacle(NamedTuple):
@@ -102,6 +121,9 @@ class Obstacle(NamedTuple):
     row: str
     area: Polygon
     area_m2: float
+    sigma_m: float = math.nan
+    cells: int = 0
+    sessions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
