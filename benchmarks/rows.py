@@ -34,6 +34,7 @@ from fieldgrid.polyline import lengths, project, resampled
 from fieldgrid.recording import DriveOptions
 from fieldgrid.rows import Planting as Found
 from fieldgrid.rows import find_rows, rows_of_view
+from fieldgrid.rows.segments import thinned
 from fieldgrid.settings import BuildSettings
 
 DRIVES = ("vineyard_two_lanes", "vineyard_two_lanes_later", "vineyard_slope")
@@ -121,7 +122,7 @@ def judge_drive(path: Path, name: str) -> str:
     with open_map(path) as universal:
         planting = find_rows(universal)
         evidence = Evidence.of(universal.read())
-    points = evidence.obstacle_points()
+    points = thinned(evidence, evidence.cell_m)
     seen = [_seen_part(points, row) for row in truth.rows]
     lines = [np.asarray(row.line.coords) for row in planting.rows]
     matched = match(lines, truth.rows, [share >= 0.4 for share, _ in seen])

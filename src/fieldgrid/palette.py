@@ -112,6 +112,15 @@ FEATURES = {
 }
 """By kinds of features, on pictures from above."""
 
+FOUND = {
+    "row": "#006b2f",
+    "lane": "#1f5fbf",
+    "gap": "#00a0c8",
+    "headland": "#e8a33d",
+    "obstacle": "#a01fa0",
+}
+"""What was found in a map, on its cells, which are pale to red."""
+
 TERRAIN = ("#1b5e3b", "#a3b18a", "#f2e8cf", "#8d5a34", "#ffffff")
 """Heights of ground, from low to high."""
 

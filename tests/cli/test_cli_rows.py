@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import fieldgrid as fg
 from benchmarks.planting import DATUM
 from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import MapView
+from fieldgrid.mapfile import MapView, open_map
 from tests.cli.conftest import Run
 from tests.rows.fields import straight, view_of, write_map
 
@@ -99,6 +101,36 @@ def test_a_map_is_never_replaced_by_its_rows(fieldgrid: Run, field: Path) -> Non
     before = field.read_bytes()
     assert fieldgrid("rows", field, "-o", field, "--overwrite").status == 1
     assert field.read_bytes() == before
+
+
+def test_rows_are_kept_in_the_map_and_shown(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    path, bare, out = tmp_path / "field.gpkg", tmp_path / "bare.png", tmp_path / "rows.png"
+    shutil.copy(field, path)
+    show = ("show", path, "--figure", "grid", "--cell", "0.2", "-o")
+    refused = fieldgrid(*show, out, "--rows")
+    assert refused.status == 1
+    assert "fieldgrid rows field.gpkg --keep" in refused.err
+    assert not out.exists()
+
+    told = json.loads(fieldgrid("rows", path, "--keep", "--json").output())
+    with open_map(path) as universal:
+        kept = universal.kept_features()
+        assert kept is not None
+        kinds = [one.kind for one in kept.features]
+        assert all(kinds.count(kind) == len(told[f"{kind}s"]) for kind in set(kinds))
+    assert fieldgrid(*show, bare).status == 0
+    assert fieldgrid(*show, out, "--rows").err == ""
+    differs = (cv2.imread(str(bare)) != cv2.imread(str(out))).any(axis=2)
+    assert 0.005 < differs.mean() < 0.5
+
+    fieldgrid("sessions", path, "--rename", "june-03", "june-04")
+    assert "has changed since its rows were found" in fieldgrid(*show, out, "--rows").err
+
+
+def test_rows_of_an_older_state_are_not_kept(fieldgrid: Run, field: Path) -> None:
+    result = fieldgrid("rows", field, "--keep", "--at", "june-03")
+    assert result.status == 2
+    assert "leave --at out" in result.err
 
 
 def test_a_survey_is_compared(fieldgrid: Run, field: Path, tmp_path: Path) -> None:

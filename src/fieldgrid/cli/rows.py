@@ -56,6 +56,14 @@ def command(
         ),
     ] = None,
     speed_limit: options.SpeedLimit = None,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep",
+            help="Put them into the map as layers, for `show --rows`, `view` and a GIS.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -71,15 +79,21 @@ def command(
         fieldgrid rows orchard.gpkg --crop orchard --truth trees.csv
 
         fieldgrid rows vineyard.gpkg -o lanes.osm --speed-limit 5
+
+        fieldgrid rows vineyard.gpkg --keep
     """
     from fieldgrid.evaluation import read_survey
     from fieldgrid.mapfile import open_map
     from fieldgrid.publish import refuse_input
     from fieldgrid.rows import crop_named, find_rows
     from fieldgrid.rows.agopengps import write_agopengps
-    from fieldgrid.rows.output import write_planting
+    from fieldgrid.rows.output import planting_features, write_planting
     from fieldgrid.rows.report import against_survey
 
+    if keep and at is not None:
+        raise typer.BadParameter(
+            "it is for the map as it is now; leave --at out", param_hint="--keep"
+        )
     if out is not None:
         refuse_input(out, [map_, *([truth] if truth else [])])
     low, high = options.spacing(spacing)
@@ -91,7 +105,8 @@ def command(
         min_row_m=min_row,
         half_width_m=half_width,
     )
-    with open_map(map_) as universal:
+    with open_map(map_, writable=keep) as universal:
+        root = universal.root_sha256
         survey = read_survey(truth, universal.datum).points_m if truth else None
         planting = find_rows(
             universal,
@@ -102,6 +117,8 @@ def command(
             headland_m=headland,
             at=at,
         )
+        if keep:
+            universal.keep_features(planting_features(planting), root)
     compared = against_survey(planting, survey) if survey is not None else None
     if agopengps is not None:
         write_agopengps(planting, agopengps, overwrite=overwrite)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fieldgrid.farm import Farm
     from fieldgrid.lattice import Bounds
     from fieldgrid.mapfile import MapFile, MapView
+    from fieldgrid.vectors import Feature
 
 MAX_PIXELS = 4000
 """A picture of more cells than this a side is drawn with larger cells."""
@@ -54,6 +55,10 @@ def command(
         Path | None,
         typer.Option(metavar="FILE", help="A route that is drawn over the map: .geojson or .csv."),
     ] = None,
+    rows: Annotated[
+        bool,
+        typer.Option("--rows", help="Draw what `fieldgrid rows --keep` has left in the map, too."),
+    ] = False,
     averaging: Annotated[
         str,
         typer.Option(
@@ -75,6 +80,8 @@ def command(
 
         fieldgrid show vineyard.gpkg -o all.pdf --figure grid --layer count
 
+        fieldgrid show vineyard.gpkg -o rows.png --rows
+
         fieldgrid show maps -o farm.png --figure grid --cell 0.8
     """
     if figure in (Kind.TRAJECTORY, Kind.HEADING):
@@ -86,7 +93,9 @@ def command(
         chosen = _sessions(universal, at, session)
         some = None if at is None and session is None else chosen
         name = map_.stem or map_.resolve().name
-        asked = _Asked(cell, options.bounds(bounds), chosen, some, averaging, layer, route, name)
+        asked = _Asked(
+            cell, options.bounds(bounds), chosen, some, averaging, layer, route, rows, name
+        )
         drawn = _draw(universal, figure, asked)
     save(drawn, out)
     if as_json:
@@ -122,6 +131,7 @@ class _Asked(NamedTuple):
     averaging: str
     layer: str
     route: Path | None
+    rows: bool
     stem: str
 
 
@@ -138,7 +148,29 @@ def _draw(universal: MapFile | Farm, kind: Kind, asked: _Asked) -> Figure:
     what = "universal grid" if asked.layer == "density" else asked.layer
     title = f"{asked.stem}: {what}, cells of {view.lattice.cell_m * 100:g} cm"
     draw = figures.universal_grid if kind is Kind.GRID else figures.sheet
-    return draw(view, drives, layer=asked.layer, route=route, title=title)
+    found = _kept(universal) if asked.rows else ()
+    return draw(view, drives, layer=asked.layer, route=route, found=found, title=title)
+
+
+def _kept(universal: MapFile | Farm) -> tuple[Feature, ...]:
+    """What `fieldgrid rows --keep` has left in a map; a note where the map has changed since."""
+    from fieldgrid.errors import ConfigError
+    from fieldgrid.farm import Farm
+
+    if isinstance(universal, Farm):
+        raise typer.BadParameter("it is of one map; give one of the farm", param_hint="--rows")
+    kept = universal.kept_features()
+    if kept is None:
+        raise ConfigError(
+            f"{universal.path} keeps no rows; `fieldgrid rows {universal.path.name} --keep` finds "
+            "them, and puts them there."
+        )
+    if kept.root_sha256 != universal.root_sha256:
+        output.message(
+            f"{universal.path} has changed since its rows were found; `fieldgrid rows "
+            f"{universal.path.name} --keep` finds them again"
+        )
+    return kept.features
 
 
 def _in_sight(universal: MapFile | Farm, asked: _Asked) -> list[str]:

@@ -16,6 +16,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.changes import ChangedObject
 from fieldgrid.figures.drives import Drive
+from fieldgrid.figures.found import draw_found
 from fieldgrid.figures.marks import draw_marks
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
 from fieldgrid.figures.relief import draw_relief
@@ -23,6 +24,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
 from fieldgrid.palette import ROUTE, UNSEEN
+from fieldgrid.vectors import Feature
 
 _MOST_NAMES = 8
 
@@ -33,6 +35,7 @@ def universal_grid(
     *,
     layer: str = "density",
     route: Float64 | None = None,
+    found: Sequence[Feature] = (),
     title: str = "",
 ) -> Figure:
     """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14);
@@ -46,7 +49,7 @@ def universal_grid(
     beside_in, below_in = (1.0, 2.4) if is_wide(view.bounds) else (2.2, 1.4)
     figure = new_figure((width_in + beside_in, height_in + below_in))
     axes = figure.add_subplot()
-    draw_grid(axes, view, drives, title, layer=layer, route=route)
+    draw_grid(axes, view, drives, title, layer=layer, route=route, found=found)
     handles, names = axes.get_legend_handles_labels()
     if len(handles) > 1:
         figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
@@ -61,6 +64,7 @@ def draw_grid(
     *,
     layer: str = "density",
     route: Float64 | None = None,
+    found: Sequence[Feature] = (),
 ) -> None:
     """Draw the universal grid into axes."""
     bounds = view.bounds
@@ -84,6 +88,8 @@ def draw_grid(
     if LAYERS[layer].above_datum:
         draw_relief(axes, view, values, seen)
     _mark_frames(axes, drives, view)
+    if found:
+        draw_found(axes, found, bounds)
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
         axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")

@@ -11,6 +11,7 @@ from fieldgrid.figures.drives import Drive, draw_heading, draw_trajectory
 from fieldgrid.figures.grid import draw_grid
 from fieldgrid.figures.page import new_figure
 from fieldgrid.mapfile import MapView
+from fieldgrid.vectors import Feature
 
 _HEADINGS = 3
 """Sessions whose headings find room beside a map: the latest ones."""
@@ -25,6 +26,7 @@ def sheet(
     *,
     layer: str = "density",
     route: Float64 | None = None,
+    found: Sequence[Feature] = (),
     title: str = "",
 ) -> Figure:
     """The map beside or above the paths driven and the headings of the latest drives."""
@@ -39,7 +41,8 @@ def sheet(
         figure = new_figure((16.0, 9.0))
         columns = figure.add_gridspec(1, 2, width_ratios=(1.35, 1.0))
         place, rest = columns[0], columns[1].subgridspec(2, 1, height_ratios=(1.35, 1.0))
-    draw_grid(figure.add_subplot(place), view, drives, title, layer=layer, route=route)
+    axes = figure.add_subplot(place)
+    draw_grid(axes, view, drives, title, layer=layer, route=route, found=found)
     draw_trajectory(figure.add_subplot(rest[0]), drives)
     headings = rest[1].subgridspec(len(shown), 1)
     for number, drive in enumerate(shown):

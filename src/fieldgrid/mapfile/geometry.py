@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 from fieldgrid.mapfile.schema import SRS_ID
 
@@ -50,6 +51,26 @@ def encode_polygon(
             ),
         )
     )
+
+
+def encode_shape(shape: Any) -> bytes:
+    """The blob of a shapely geometry."""
+    import shapely
+
+    wkb: bytes = shapely.to_wkb(shapely.force_2d(shape), byte_order=1)
+    return _HEADER.pack(b"GP", 0, _NO_ENVELOPE, SRS_ID) + wkb
+
+
+def shape_of(blob: bytes) -> Any:
+    """The shapely geometry of a blob that `encode_shape` made; ValueError for any other."""
+    import shapely
+
+    if blob[: _HEADER.size] != _HEADER.pack(b"GP", 0, _NO_ENVELOPE, SRS_ID):
+        raise ValueError("a geometry has another header")
+    try:
+        return shapely.from_wkb(blob[_HEADER.size :])
+    except shapely.errors.ShapelyError as error:
+        raise ValueError(str(error)) from error
 
 
 def decode_rings(blob: bytes) -> tuple[Ring, ...]:

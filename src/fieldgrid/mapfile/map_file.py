@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 import weakref
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +26,7 @@ from fieldgrid.mapfile.database import (
 )
 from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.kept import keep_features
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
@@ -39,6 +40,7 @@ from fieldgrid.mapfile.upgrade import upgrade, upgraded
 from fieldgrid.mapfile.verification import repair
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
+from fieldgrid.vectors import Feature
 
 _LOG = logging.getLogger(__name__)
 
@@ -191,6 +193,18 @@ class MapFile(MapReader):
         """Put back marks that were removed: the map is as if they had never been."""
         with self._changing():
             set_removed(self._connection, self.path, numbers, removed=False)
+
+    def keep_features(self, features: Sequence[Feature], root_sha256: str) -> None:
+        """Keep what was found in the map as layers of it, in place of what it keeps already.
+
+        `root_sha256` is what the map had when they were found; ConfigError when it has another now.
+        """
+        if self.root_sha256 != root_sha256:
+            raise ConfigError(
+                f"{self.path} has changed since these features were found; find them again."
+            )
+        with self._changing():
+            keep_features(self._connection, features, root_sha256)
 
     def rename_session(self, name: str, to: str) -> None:
         """Give a session another name; nothing else changes, its digest included.

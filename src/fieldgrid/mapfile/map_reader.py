@@ -23,6 +23,7 @@ from fieldgrid.mapfile.content import MapContent, extent_of, read_change, sessio
 from fieldgrid.mapfile.database import reading
 from fieldgrid.mapfile.evidence import Evidence, loader, reaches
 from fieldgrid.mapfile.header import Header, check_plane
+from fieldgrid.mapfile.kept import Kept, read_kept
 from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
@@ -103,6 +104,11 @@ class MapReader:
         with reading(self._connection, self.path):
             marks = read_marks(self._connection, removed=removed)
         return tuple(mark for mark in marks if within is None or mark.lies_in(within))
+
+    def kept_features(self) -> Kept | None:
+        """What was found in the map and is kept in it as layers; None where that is nothing."""
+        with reading(self._connection, self.path):
+            return read_kept(self._connection)
 
     def metadata(self, name: str) -> SessionMetadata:
         """All that is kept of a session beside its frames, for `add_session_of` of another map."""
