@@ -66,7 +66,7 @@ crash: .venv/installed ## Kill writers, cut the power, damage maps (COUNT=500: s
 	$(PY) -m tests.crash.kills $(shell expr $(or $(COUNT),500) / 10)
 	$(PY) -m tests.crash.failures 40
 	$(PY) -m tests.crash.power $(or $(COUNT),500)
-	$(PY) -m tests.crash.damages $(or $(COUNT),500) 1 $(shell expr 10000 / $(or $(COUNT),500))
+	$(PY) -m tests.crash.damages $(or $(COUNT),500) --cells 0::$(shell expr 10000 / $(or $(COUNT),500))
 	$(PY) -m tests.crash.exports $(shell expr $(or $(COUNT),500) / 50)
 	$(PY) -m tests.crash.writers $(shell expr $(or $(COUNT),500) / 200)
 	$(PY) -m tests.crash.builds 20

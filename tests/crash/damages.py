@@ -1,27 +1,27 @@
 """A map of which bytes, pages or cells of tables were damaged: found, or without consequence.
 
-    python -m tests.crash.damages 10000 [SEED [SHARE]]
+    python -m tests.crash.damages 10000 [--seed 1] [--cells 0:2000:1]
 
-damages so many maps at random, and then each cell of each table in ten ways. Of each it is asked
+damages so many maps at random, and then each cell of each table in ten ways; of these, the range
+that is given, so that they can be tried in parts. Of each it is asked
 that opening or `verify` says so in a sentence, or that every command says what it said before; that
 a repair that reports success gives the bits of the undamaged map; and that one that is refused
-changes nothing. Of cells, each SHAREth is taken where a third number is given. No
-traceback, no more than 20 s, no more than 500 MB.
+changes nothing. No traceback, no more than 20 s, no more than 500 MB.
 """
 
 from __future__ import annotations
 
+import argparse
 import resource
 import signal
 import sqlite3
-import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -289,23 +289,32 @@ def _too_long(*_: object) -> None:
     raise TimeoutError(f"a damaged map took over {LONGEST_S} s of processor time")
 
 
+def _range(text: str) -> slice:
+    """FIRST:END:STEP, each of which may be missing."""
+    return slice(*(int(part) if part else None for part in f"{text}:".split(":")[:3]))
+
+
 def main() -> None:
     """Run as a program."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    share = int(sys.argv[3]) if len(sys.argv) > 3 else 1
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", type=int, nargs="?", default=1000, help="maps damaged at random")
+    parser.add_argument("--seed", type=int, default=1, help="of these; another one, other damages")
+    parser.add_argument("--cells", type=_range, default=slice(None), help="FIRST:END:STEP")
+    given = parser.parse_args()
     signal.signal(signal.SIGPROF, _too_long)
     with tempfile.TemporaryDirectory() as folder:
         trial = Trial(Path(folder))
         start = time.perf_counter()
-        total = run_random(trial, count, seed)
+        total = run_random(trial, given.count, given.seed)
         print(f"{total.total()} maps damaged at random in {time.perf_counter() - start:.0f} s:")
         for what, number in sorted(total.items()):
             print(f"  {what} {number}")
         start, cells = time.perf_counter(), Counter[str]()
-        for k, damaged in enumerate(in_cells(trial.whole)):
-            if k % share == 0:
-                cells[f"{damaged.what}: {trial.try_one(damaged)}"] += 1
+        part = given.cells
+        for damaged in islice(in_cells(trial.whole), part.start, part.stop, part.step):
+            cells[f"{damaged.what}: {trial.try_one(damaged)}"] += 1
+            if cells.total() % 250 == 0:
+                print(f"  {cells.total()}: {damaged.place}", flush=True)
         print(f"{cells.total()} damaged cells and rows in {time.perf_counter() - start:.0f} s:")
         for what, number in sorted(cells.items()):
             print(f"  {what} {number}")

@@ -1,8 +1,8 @@
 """Exports that are killed while they replace an earlier one: old or new, never a mix.
 
-    python -m tests.crash.exports 200 [SEED]
+    python -m tests.crash.exports 200 [SEED [FORMAT...]]
 
-kills each format so often: every second time before one of the calls that change a file, else at a
+kills each format, or those that are named, so often: every second time before one of the calls that change a file, else at a
 random moment. What lies at the target must be the earlier export bit for bit, or the new one. Of
 files that are of use together only, the one that programs open may be missing; it never lies
 beside files of the other export. The next export leaves nothing of a killed one.
@@ -134,7 +134,7 @@ def _sizes(files: Files) -> dict[str, int]:
     return {name: len(data) for name, data in files.items()}
 
 
-def _inside(count: int, seed: int) -> None:
+def _inside(count: int, seed: int, keys: list[str]) -> None:
     random = np.random.default_rng(seed)
     total: Counter[str] = Counter()
     start = time.perf_counter()
@@ -144,7 +144,7 @@ def _inside(count: int, seed: int) -> None:
         make(folder / "new.gpkg")
         with open_map(folder / "new.gpkg", writable=True) as universal:
             universal.set_transform("a", 1.5, -0.75, 20.0)
-        for key in formats():
+        for key in keys:
             found = run_format(key, count, folder, random)
             print(
                 f"  {key}: " + ", ".join(f"{k} {n}" for k, n in sorted(found.items())), flush=True
@@ -152,17 +152,17 @@ def _inside(count: int, seed: int) -> None:
             total.update(found)
     seconds = time.perf_counter() - start
     said = ", ".join(f"{what} {number}" for what, number in total.most_common())
-    print(f"{total.total()} exports of {len(formats())} formats killed in {seconds:.0f} s: {said}")
+    print(f"{total.total()} exports of {len(keys)} formats killed in {seconds:.0f} s: {said}")
 
 
 def main() -> None:
     """Run as a program."""
     arguments = sys.argv[1:]
     if arguments[:1] == ["--inside"]:
-        _inside(int(arguments[1]), int(arguments[2]))
+        _inside(int(arguments[1]), int(arguments[2]), arguments[3:] or list(formats()))
         return
-    count = arguments[0] if arguments else "20"
-    done = run_in_child("tests.crash.exports", count, arguments[1] if len(arguments) > 1 else "1")
+    count, seed = (*arguments[:2], *("20", "1")[len(arguments[:2]) :])
+    done = run_in_child("tests.crash.exports", count, seed, *arguments[2:])
     print(done.stdout, end="")
     print(done.stderr, end="", file=sys.stderr)
     sys.exit(done.returncode)
