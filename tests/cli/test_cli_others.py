@@ -18,7 +18,8 @@ import cv2
 import pytest
 
 from fieldgrid.cli.commands import COMMANDS, load
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import Transform, open_map
+from fieldgrid.mapfile.transform import Aligned
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
 
@@ -432,13 +433,22 @@ def test_wrong_use_of_evaluate(fieldgrid: Run, two_lanes_map: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [("sessions", "--remove", "two_lanes"), ("mark", "--point", "1,1", "--kind", "free")]
+    "change",
+    [
+        ("sessions", "--remove", "two_lanes"),
+        ("mark", "--point", "1,1", "--kind", "free"),
+        ("align", "--undo"),
+        ("repair",),
+    ],
 )
 def test_another_writer_is_waited_for_as_long_as_is_said(
     fieldgrid: Run, two_lanes_map: Path, tmp_path: Path, change: tuple[str, ...]
 ) -> None:
     path = Path(shutil.copy(two_lanes_map, tmp_path / "m.gpkg"))
     command, *flags = change
+    with open_map(path, writable=True) as universal:
+        aligned = Aligned(0.1, 0.1, ("another",))  # to be undone
+        universal.set_transforms({"two_lanes": Transform(0.1, aligned=aligned)})
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         result = fieldgrid(command, path, *flags, "--wait", 0.1)
@@ -446,4 +456,21 @@ def test_another_writer_is_waited_for_as_long_as_is_said(
     told, refused = result.err.splitlines()
     assert told == "fieldgrid: waiting for another program that writes m.gpkg, up to 0.1 s"
     assert "is in use by another program, and was not changed" in refused
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["m.gpkg"]
     fieldgrid(command, path, *flags, "--wait", 0.1).output()
+
+
+def test_a_commit_that_holds_up_readers_is_waited_for_as_long_as_is_said(
+    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(two_lanes_map, tmp_path / "m.gpkg"))
+    merge = ("merge", path, "-o", tmp_path / "new.gpkg", "--wait", 0.1)
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        result = fieldgrid(*merge)
+    assert result.status == 1
+    told, refused = result.err.splitlines()
+    assert told == "fieldgrid: waiting for another program that writes m.gpkg, up to 0.1 s"
+    assert "is being written by another program; try again shortly" in refused
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["m.gpkg"]
+    fieldgrid(*merge).output()

@@ -2,10 +2,11 @@
 
     python -m tests.crash.exports 200 [SEED [FORMAT...]]
 
-kills each format, or those that are named, so often: every second time before one of the calls that change a file, else at a
-random moment. What lies at the target must be the earlier export bit for bit, or the new one. Of
-files that are of use together only, the one that programs open may be missing; it never lies
-beside files of the other export. The next export leaves nothing of a killed one.
+kills each format, or those that are named, so often: every second time before one of the
+calls that change a file, else at a random moment. What lies at the target must be the earlier
+export bit for bit, or the new one. Of files that are of use together only, the one that programs
+open may be missing; it never lies beside files of the other export. The next export leaves nothing
+of a killed one.
 """
 
 from __future__ import annotations

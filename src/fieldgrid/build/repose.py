@@ -17,7 +17,7 @@ from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import ConfigError
-from fieldgrid.mapfile import MapFile, SessionInfo, open_map
+from fieldgrid.mapfile import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.rig import Lidar, Rig
 from fieldgrid.settings import BuildSettings
@@ -53,14 +53,19 @@ class ReposeReport:
 
 
 def repose_map(
-    path: str | Path, pose_settings: Mapping[str, Any] | None = None, name: str | None = None
+    path: str | Path,
+    pose_settings: Mapping[str, Any] | None = None,
+    name: str | None = None,
+    *,
+    patience: Patience | None = None,
 ) -> list[ReposeReport]:
     """Estimate the poses of one or all active sessions of a map again.
 
     Each keeps the settings it was built with, but for those of `pose_settings`. A session is
     changed as a whole or not at all; those before a failing one stay changed.
+    `patience` is how long another writer of the map is waited for.
     """
-    with open_map(path, writable=True) as universal:
+    with open_map(path, writable=True, patience=patience or Patience()) as universal:
         sessions = [s for s in universal.sessions() if s.removed is None]
         if name is not None:
             sessions = [session for session in sessions if session.name == name]

@@ -52,6 +52,7 @@ def command(
         ),
     ] = False,
     figure: options.Figure = None,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -72,15 +73,16 @@ def command(
         fieldgrid align vineyard.gpkg --undo
     """
     if undo:
-        taken = {"map_", "session", "undo", "as_json", "quiet", "verbose"}
+        taken = {"map_", "session", "undo", "wait_s", "as_json", "quiet", "verbose"}
         options.refuse_given(ctx, taken, "--undo cannot use it; leave it out")
     options.check_figure(figure)
     from fieldgrid.align import align_map, undo_alignment
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import Patience, open_map
     from fieldgrid.rows import find_rows
 
     plantings: dict[str, Planting] = {}
-    with open_map(map_, writable=not dry_run) as universal:
+    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    with open_map(map_, writable=not dry_run, patience=patience) as universal:
         if undo:
             names = undo_alignment(universal, session)
             if as_json:

@@ -160,11 +160,11 @@ def command(
         fieldgrid build --repose vineyard.gpkg --name june-10 --heading course
     """
     if repose is not None:
-        taken = {"repose", "name", "config", "as_json", "quiet", "verbose"}
+        taken = {"repose", "name", "config", "wait_s", "as_json", "quiet", "verbose"}
         taken |= set(SettingsFlags("pose").names())
         why = "--repose estimates poses from what the map keeps and cannot use this; leave it out"
         options.refuse_given(ctx, taken, why)
-        _repose(repose, name, config, settings, as_json)
+        _repose(repose, name, config, settings, wait_s, as_json)
         return
     if not recordings or out is None:
         missing = "RECORDING..." if not recordings else "--out"
@@ -219,7 +219,7 @@ def command(
         partly, reports = problem, list(problem.reports)
         if not reports:
             raise
-    lies = _compare(out, [report.session for report in reports], align, jobs)
+    lies = _compare(out, [report.session for report in reports], align, wait_s, jobs)
     if as_json:
         sessions = [report.as_dict() for report in reports]
         failed = [] if partly is None else partly.failed
@@ -271,12 +271,15 @@ def _report_drives(reports: Sequence[SessionReport], partly: PartlyBuiltError | 
     output.report_table(("drive", "", "frames used", "bad frames"), rows)
 
 
-def _compare(out: Path, new: list[str], align: bool, jobs: int | None) -> list[dict[str, Any]]:
+def _compare(
+    out: Path, new: list[str], align: bool, wait_s: float, jobs: int | None
+) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
     from fieldgrid.align import FINE_ROUNDS, align_map
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import Patience, open_map
 
-    with open_map(out, writable=align) as universal:
+    patience = Patience(wait_s, progress.waits_for(out, wait_s))
+    with open_map(out, writable=align, patience=patience) as universal:
         placed = {info.name for info in universal.sessions() if info.active and info.accepted}
         moving = [name for name in new if name in placed]
         if not moving or len(placed) < 2:
@@ -314,14 +317,22 @@ def _said(pair: dict[str, Any], out: Path) -> str:
 
 
 def _repose(
-    path: Path, name: str | None, config: Path | None, settings: Overrides, as_json: bool
+    path: Path,
+    name: str | None,
+    config: Path | None,
+    settings: Overrides,
+    wait_s: float,
+    as_json: bool,
 ) -> None:
     from fieldgrid.build.repose import repose_map
+    from fieldgrid.mapfile import Patience
     from fieldgrid.settings import resolve
 
     chosen = resolve(config, settings).pose
     given = {key: getattr(chosen, key) for key in chosen.model_fields_set}
-    reports = repose_map(path, given, name)
+    reports = repose_map(
+        path, given, name, patience=Patience(wait_s, progress.waits_for(path, wait_s))
+    )
     if as_json:
         output.print_json({"map": str(path), "sessions": [r.as_dict() for r in reports]})
         return

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 
 
 def command(
@@ -37,6 +37,7 @@ def command(
         Path | None,
         typer.Option("--datum-from", metavar="MAP.gpkg", help="The same, as another map has it."),
     ] = None,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -50,7 +51,7 @@ def command(
 
         fieldgrid merge vineyard.gpkg -o there.gpkg --datum-from farm.gpkg
     """
-    from fieldgrid.mapfile import merge_maps
+    from fieldgrid.mapfile import Patience, merge_maps
     from fieldgrid.transfer import Transfer
 
     if transfer is not None and transfer not in {rule.value for rule in Transfer}:
@@ -65,6 +66,7 @@ def command(
         transfer=rule,
         datum=options.datum_or_from(datum, datum_from),
         overwrite=overwrite,
+        patience=lambda path: Patience(wait_s, progress.waits_for(path, wait_s)),
     )
     if as_json:
         sessions = [{**asdict(one), "source": str(one.source)} for one in done]

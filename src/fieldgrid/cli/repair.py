@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 
 
 def command(
@@ -20,6 +20,7 @@ def command(
     in_place: Annotated[
         bool, typer.Option("--in-place", help="Keep no copy of the map as it was.")
     ] = False,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -34,11 +35,12 @@ def command(
 
         fieldgrid repair vineyard.gpkg --upgrade
     """
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import Patience, open_map
 
     done, left = "repaired", tuple[str, ...]()
     keep = None if upgrade or in_place else _unused(map_)
-    with open_map(map_, writable=True) as universal:
+    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    with open_map(map_, writable=True, patience=patience) as universal:
         if not upgrade:
             left = universal.repair(jobs, keep=keep)
         elif universal.upgrade():

@@ -24,6 +24,17 @@ MAX_VALUE_BYTES = 64 << 20
 """The largest text or blob that is accepted from a file; the largest written is 8 MB."""
 
 
+class Patience(NamedTuple):
+    """How long a writer waits for another one, seconds; `tell` hears each second how long it has
+    waited."""
+
+    limit_s: float = BUSY_TIMEOUT_S
+    tell: Callable[[float], None] | None = None
+
+
+USUAL_PATIENCE = Patience()
+
+
 class _Connection(sqlite3.Connection):
     """A connection that knows the process that opened it, and the device and number of its file."""
 
@@ -69,8 +80,11 @@ def _check_owner(connection: sqlite3.Connection, name: Path) -> None:
         )
 
 
-def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
-    """Open an existing database; `name` is what errors call it.
+def connect(
+    file: Path, name: Path, *, writable: bool, patience: Patience = USUAL_PATIENCE
+) -> sqlite3.Connection:
+    """Open an existing database; `name` is what errors call it, `patience` how long a commit of
+    another program is waited for.
 
     Also a reader opens it for writing, because a writer that was killed leaves a journal that
     the next one to open the file must play back; `query_only` then keeps the reader one.
@@ -79,7 +93,7 @@ def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
         connection = sqlite3.connect(
             f"{file.resolve().as_uri()}?mode=rw",
             uri=True,
-            timeout=BUSY_TIMEOUT_S,
+            timeout=patience.limit_s,
             isolation_level=None,  # transactions begin and end where this package says
             check_same_thread=False,  # a forgotten map may be closed by the garbage collector
             factory=_Connection,
@@ -96,7 +110,8 @@ def connect(file: Path, name: Path, *, writable: bool) -> sqlite3.Connection:
             # views and triggers, and no page that lies about its cells.
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
-            connection.execute("PRAGMA cache_size = -16384")
+            # This one reads the schema, for which it waits until a commit has ended.
+            _when_free(connection, "PRAGMA cache_size = -16384", patience)
             connection.execute(f"PRAGMA query_only = {0 if writable else 1}")
     except BaseException:
         connection.close()
@@ -149,17 +164,6 @@ def copy_to(path: Path, copy: Path) -> None:
     with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
         target.execute("PRAGMA synchronous = EXTRA")
         source.backup(target)
-
-
-class Patience(NamedTuple):
-    """How long a writer waits for another one, seconds; `tell` hears each second how long it has
-    waited."""
-
-    limit_s: float = BUSY_TIMEOUT_S
-    tell: Callable[[float], None] | None = None
-
-
-USUAL_PATIENCE = Patience()
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from fieldgrid.errors import ConfigError, DatumError
 from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile.database import USUAL_PATIENCE, Patience
 from fieldgrid.mapfile.geometry import Ring
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.marks import Mark
@@ -52,6 +53,7 @@ def merge_maps(
     transfer: Transfer | None = None,
     datum: Datum | None = None,
     overwrite: bool = False,
+    patience: Callable[[Path], Patience] | None = None,
 ) -> list[Merged]:
     """Make the map `out` of all active sessions and marks of some maps; with one, a copy.
 
@@ -60,15 +62,21 @@ def merge_maps(
     the name of their file behind it. Marks that are alike are taken once, too. What was removed
     stays behind. The new map appears when it is complete; it cannot take the place of one of them.
     With a `datum` all maps are laid into its plane, as `Redatum` says, and may have datums of their
-    own. Raises DatumError when the maps differ in their datum, ConfigError when they have one drive
-    in two places.
+    own. `patience` tells of each map how long a commit of another program is waited for. Raises
+    DatumError when the maps differ in their datum, ConfigError when they have one drive in two
+    places.
     """
     paths = [Path(source) for source in sources]
     if not paths:
         raise ConfigError("There is no map to merge; name at least one.")
     refuse_input(Path(out), paths)
     with ExitStack() as opened:
-        maps = [opened.enter_context(open_map(path)) for path in paths]
+        maps = [
+            opened.enter_context(
+                open_map(path, patience=patience(path) if patience else USUAL_PATIENCE)
+            )
+            for path in paths
+        ]
         if datum is None:
             _check_datum(maps)
         target = opened.enter_context(

@@ -50,7 +50,7 @@ def open_map(
     when not given). A map that exists keeps its own: another datum raises DatumError, another
     cell size or rule ConfigError. A file that is absent, foreign, damaged or of a newer
     format raises MapError. One of an older format is read as it is, and upgraded by the first
-    change. `patience` is how long a change waits for another writer.
+    change. `patience` is how long a change waits for another writer, and a reader for its commit.
     """
     path = Path(path)
     if datum is not None and not path.exists():
@@ -59,7 +59,7 @@ def open_map(
         raise MapError(f"There is no map {path}; check the name, or build it first.")
     writable = writable or datum is not None
     check_journal(path.resolve())
-    connection = connect(path, path, writable=writable)
+    connection = connect(path, path, writable=writable, patience=patience)
     try:
         with reading(connection, path):
             header = read_header(connection, path)
