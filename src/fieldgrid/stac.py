@@ -1,17 +1,23 @@
 """The maps of a farm as a STAC catalogue, as there are of satellite and drone pictures.
 
-An item a map: where it lies in WGS84, when it was driven, and the files that hold it.
+An item a map: where it lies in WGS84, when it was driven, and the files that hold it. Items are
+called as their maps, as far as a name can be a part of an address; what they refer to is a URI.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
+import urllib.parse
+from collections.abc import Iterable
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
 from fieldgrid.export import Selection, export_geotiff
 from fieldgrid.farm import Block, Farm
 from fieldgrid.lattice import Window
@@ -24,6 +30,12 @@ _MOST_CELLS = 64
 _COLLECTION = "maps"
 _GEOPACKAGE = "application/geopackage+sqlite3"
 _MARK = "fieldgrid:root_sha256"
+_ROOT = "/catalogue"
+"""Where the catalogue lies while its links are made, all of which are relative. The true place may
+have a ? in it, behind which pystac would look for no path."""
+_LONGEST_ID = 200
+_UNSAFE = re.compile(r"[^\w.-]+")
+_UNSAFE_IN_PATH = re.compile(r"[^\w.~/-]")
 
 
 class Written(NamedTuple):
@@ -40,7 +52,8 @@ def write_stac(
     """Write a STAC catalogue of a farm's maps to a folder, whole or not at all.
 
     Maps stay where they are, and the items refer to them by relative paths. `with_cog` writes the
-    density of each beside its item, as a cloud-optimised GeoTIFF in the map's own plane. Raises
+    density of each beside its item, as a cloud-optimised GeoTIFF in the map's own plane. A map that
+    cannot be read as far as that is left out, with the reason. Raises
     ConfigError when pystac is not installed or no map has seen anything, MapExistsError when the
     folder exists and may not be overwritten.
     """
@@ -53,26 +66,35 @@ def write_stac(
         ) from error
     folder = Path(folder)
     usable = [block for block in farm.blocks if block.header and block.bounds]
-    left_out = tuple(
+    left_out = [
         (block.path.name, block.problem or "nothing was observed")
         for block in farm.blocks
         if block not in usable
-    )
+    ]
     if not usable:
         raise ConfigError(f"No map of {farm.path} can be in a catalogue: {left_out[0][1]}")
     with replacing_folder(
         folder, overwrite=overwrite, ours=_is_ours, what="a STAC catalogue of a farm"
     ) as draft:
         items = []
-        for block in usable:
-            place = Path(_COLLECTION, block.name)
-            with open_map(block.path) as universal:
-                item = _item(universal, block, folder / place)
-                if with_cog:
-                    (draft / place).mkdir(parents=True)
-                    item.add_asset("density", _cog(universal, draft / place, block))
-            items.append(item)
-        name = farm.path.resolve().name
+        for block, id_ in zip(usable, _ids(block.name for block in usable), strict=True):
+            place = Path(_COLLECTION, id_)
+            try:
+                with open_map(block.path) as universal:
+                    item = _item(universal, block, id_, folder / place)
+                    if with_cog:
+                        (draft / place).mkdir(parents=True)
+                        item.add_asset("density", _cog(universal, draft / place, id_))
+            except MapWriteError:
+                raise
+            except MapError as error:
+                shutil.rmtree(draft / place, ignore_errors=True)
+                left_out.append((block.path.name, str(error)))
+            else:
+                items.append(item)
+        if not items:
+            raise ConfigError(f"No map of {farm.path} can be in a catalogue: {left_out[0][1]}")
+        name = printable(farm.path.resolve().name) or "farm"
         collection = pystac.Collection(
             id=_COLLECTION,
             title=f"Maps of {name}",
@@ -81,14 +103,56 @@ def write_stac(
             license="other",
         )
         collection.add_items(items)
-        catalog = pystac.Catalog(name, f"The farm {name}, as fieldgrid has mapped it.")
+        catalog = pystac.Catalog(_id(name), f"The farm {name}, as fieldgrid has mapped it.")
         catalog.add_child(collection)
-        catalog.normalize_hrefs(str(folder.absolute()))
-        catalog.save(pystac.CatalogType.SELF_CONTAINED, dest_href=str(draft))
-    return Written(folder / "catalog.json", tuple(item.id for item in items), left_out)
+        catalog.normalize_hrefs(_ROOT)
+        catalog.save(pystac.CatalogType.SELF_CONTAINED, stac_io=_writing_to(draft))
+    return Written(folder / "catalog.json", tuple(item.id for item in items), tuple(left_out))
 
 
-def _item(universal: MapFile, block: Block, folder: Path) -> Any:
+def _writing_to(draft: Path) -> Any:
+    """What pystac writes with, which would take a folder for an address itself."""
+    import pystac
+
+    class Files(pystac.StacIO):
+        def read_text(self, source: Any, *_: Any, **__: Any) -> str:
+            raise NotImplementedError(source)
+
+        def write_text(self, dest: Any, txt: str, *_: Any, **__: Any) -> None:
+            file = draft / str(dest).partition(f"{_ROOT}/")[2]
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(txt, encoding="utf-8")
+
+    return Files()
+
+
+def _ids(names: Iterable[str]) -> list[str]:
+    """Of each map its item's, no two alike, also where a file system knows no capitals."""
+    taken: set[str] = set()
+    ids = []
+    for name in names:
+        first = _id(name)
+        spare = (f"{first}-{k}" for k in count(2))
+        id_ = next(one for one in chain([first], spare) if one.casefold() not in taken)
+        taken.add(id_.casefold())
+        ids.append(id_)
+    return ids
+
+
+def _id(name: str) -> str:
+    """A name as it can be a folder's, and a part of an address without being quoted."""
+    safe = _UNSAFE.sub("_", name)
+    while len(safe.encode()) > _LONGEST_ID:
+        safe = safe[:-1]
+    return safe if safe.strip("._") else "map"
+
+
+def _reference(path: str) -> str:
+    """A relative path as a URI; letters of any language stay as they are."""
+    return _UNSAFE_IN_PATH.sub(lambda one: urllib.parse.quote(os.fsencode(one[0])), path)
+
+
+def _item(universal: MapFile, block: Block, id_: str, folder: Path) -> Any:
     import pystac
     from pystac.extensions.projection import ProjectionExtension
 
@@ -96,14 +160,14 @@ def _item(universal: MapFile, block: Block, folder: Path) -> Any:
     geometry = _footprint(universal)
     first, last = block.first, block.last
     item = pystac.Item(
-        id=block.name,
+        id=id_,
         geometry=geometry.__geo_interface__,
         bbox=list(geometry.bounds),
         datetime=None if first else datetime.fromtimestamp(block.path.stat().st_mtime, UTC),
         start_datetime=first,
         end_datetime=last,
         properties={
-            "title": block.name,
+            "title": printable(block.name),
             "gsd": universal.cell_m,
             "fieldgrid:area_m2": round(block.area_m2, 4),
             "fieldgrid:sessions": [info.name for info in block.sessions],
@@ -129,7 +193,7 @@ def _item(universal: MapFile, block: Block, folder: Path) -> Any:
     item.add_asset(
         "map",
         pystac.Asset(
-            Path(os.path.relpath(block.path.absolute(), folder.absolute())).as_posix(),
+            _reference(Path(os.path.relpath(block.path.absolute(), folder.absolute())).as_posix()),
             title="Map with its evidence: GeoPackage",
             media_type=_GEOPACKAGE,
             roles=["data"],
@@ -139,10 +203,10 @@ def _item(universal: MapFile, block: Block, folder: Path) -> Any:
     return item
 
 
-def _cog(universal: MapFile, folder: Path, block: Block) -> Any:
+def _cog(universal: MapFile, folder: Path, id_: str) -> Any:
     import pystac
 
-    name = f"{block.name}.tif"
+    name = f"{id_}.tif"
     export_geotiff(universal, folder / name, Selection())
     return pystac.Asset(
         f"./{name}",

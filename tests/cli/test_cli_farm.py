@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 
+from fieldgrid import stac
+from fieldgrid.errors import MapError
 from fieldgrid.export import formats
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import create_map, merge_maps, open_map
+from fieldgrid.mapfile import MapFile, create_map, merge_maps, open_map
 from tests.cli.conftest import Run
 from tests.export.nav2_loader import load
 from tests.mapfile.maps import DATUM, drive, write_map, write_session
@@ -139,3 +142,26 @@ def test_one_picture_of_a_farm(fieldgrid: Run, maps: Path, tmp_path: Path) -> No
     done = fieldgrid("show", maps, "-o", tmp_path / "x.png", "--averaging", "paper")
     assert (done.status, "it is of one map" in done.err) == (2, True)
     assert not (tmp_path / "x.png").exists()
+
+
+def test_a_map_that_cannot_be_in_a_catalogue_is_told(
+    fieldgrid: Run, maps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pystac")
+    farm = tmp_path / "maps"
+    farm.mkdir()
+    for name in ("bad", "what? now"):
+        shutil.copy(maps / "south.gpkg", farm / f"{name}.gpkg")
+    outline = stac._footprint
+
+    def vanishing(universal: MapFile) -> object:
+        if universal.path.name == "bad.gpkg":
+            raise MapError("It went.")
+        return outline(universal)
+
+    monkeypatch.setattr(stac, "_footprint", vanishing)
+    result = fieldgrid("farm", farm, "--stac", tmp_path / "out")
+    assert result.status == 1
+    assert "bad.gpkg is not in the catalogue: It went." in result.out
+    assert "catalog.json: 1 maps" in result.out
+    assert (tmp_path / "out" / "maps" / "what_now" / "what_now.json").is_file()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import shutil
 import sqlite3
+import urllib.parse
 import warnings
 from contextlib import closing
 from datetime import UTC, datetime
@@ -144,6 +147,60 @@ def test_the_stac_catalogue_is_valid_and_others_read_it(made: Path, tmp_path: Pa
         own = rasterio.crs.CRS.from_wkt(item.properties["proj:wkt2"])
         corner = warp.transform_bounds(own, "EPSG:4326", *dataset.bounds)
     assert corner == pytest.approx(item.bbox, abs=2e-7)
+
+
+def test_maps_of_any_name_have_items_that_others_find(made: Path, tmp_path: Path) -> None:
+    pystac = pytest.importorskip("pystac")
+    maps, out = tmp_path / "#1 100%?", tmp_path / "cat?logue#"
+    maps.mkdir()
+    names = ["a b", "a?b", "a#b", "a%41b", "a\nb", "A_b", "\x1b[2J", "süd", "..", "x" * 240]
+    names += ["<&'\"\\>:*|$x{y}", os.fsdecode(b"\xff")]
+    for name in names:
+        shutil.copy(made / "whole.gpkg", maps / f"{name}.gpkg")
+    with Farm(maps) as farm:
+        written = write_stac(farm, out, with_cog=True)
+    out = out.rename(tmp_path / "catalogue")  # pystac finds nothing below a ? itself
+    assert not written.left_out
+    assert len({name.casefold() for name in written.items}) == len(names)
+    catalog = pystac.Catalog.from_file(out / "catalog.json")
+    (collection,) = catalog.get_children()
+    collection.validate()
+    found = set()
+    for item in collection.get_items():
+        pystac.validation.validate_dict({**item.to_dict(), "stac_extensions": []})
+        assert item.properties["title"].isprintable()
+        assert re.fullmatch(r"[\w.-]+", item.id)
+        assert item.get_self_href() == str(out / "maps" / item.id / f"{item.id}.json")
+        href = item.assets["map"].href
+        assert re.fullmatch(r"[\w./%-]+", href)
+        path = urllib.parse.unquote(href, errors="surrogateescape")
+        found.add((out / "maps" / item.id / path).resolve())
+        assert Path(item.assets["density"].get_absolute_href()).is_file()
+    assert found == {(maps / f"{name}.gpkg").resolve() for name in names}
+
+
+def test_a_map_that_cannot_be_read_to_the_end_is_left_out_and_told(
+    made: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("pystac")
+    for name in ("good", "bad"):
+        shutil.copy(made / "whole.gpkg", tmp_path / f"{name}.gpkg")
+    with Farm(tmp_path) as farm:
+        assert all(block.header for block in farm.blocks)
+        (tmp_path / "bad.gpkg").write_bytes(b"half a map")  # since it was looked at
+        written = write_stac(farm, tmp_path / "out", with_cog=True)
+        assert written.items == ("good",)
+        ((name, why),) = written.left_out
+        assert name == "bad.gpkg"
+        assert "is not an SQLite file" in why
+        assert sorted(path.name for path in (tmp_path / "out" / "maps").iterdir()) == [
+            "collection.json",
+            "good",
+        ]
+        (tmp_path / "good.gpkg").unlink()
+        with pytest.raises(ConfigError, match=r"No map of .* can be in a catalogue"):
+            write_stac(farm, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_other_programs_open_the_catalogue(made: Path, tmp_path: Path) -> None:

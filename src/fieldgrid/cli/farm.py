@@ -64,13 +64,18 @@ def command(
             from fieldgrid.stac import write_stac
 
             written = write_stac(farm, stac, with_cog=cog, overwrite=overwrite)
+    told = {block.path.name for block in blocks if block.problem or not block.bounds}
+    left_out = () if written is None else written.left_out
+    failed = [(name, why) for name, why in left_out if name not in told]
     if as_json:
         output.print_json(_as_dict(folder, blocks, written))
     else:
         _print(blocks)
         if written is not None:
+            for name, why in failed:
+                output.print_line(f"{name} is not in the catalogue: {why}")
             output.report_line(f"{written.file}: {len(written.items)} maps")
-    if any(block.health is Health.DAMAGED for block in blocks):
+    if failed or any(block.health is Health.DAMAGED for block in blocks):
         raise typer.Exit(1)
 
 
