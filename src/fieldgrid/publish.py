@@ -112,6 +112,7 @@ class Draft:
         self._exists = (
             f"{target} exists already; give another name, {advice}or --overwrite to replace it."
         )
+        check_place(target)
         if target.is_dir():
             raise MapExistsError(f"{target} is a folder; give the name of a file.")
         if target.exists() and not target.is_file():
@@ -200,6 +201,7 @@ class DraftFolder:
         self, target: Path, *, overwrite: bool, ours: Callable[[Path], bool], what: str
     ) -> None:
         self.target = target
+        check_place(target)
         if target.exists() and not target.is_dir():
             raise MapExistsError(f"{target} is a file; give the name of a folder.")
         if os.path.lexists(target) and not overwrite:
@@ -318,7 +320,9 @@ def mentions(path: Path, mark: bytes) -> bool:
 
 
 def refuse_input(target: Path, inputs: Iterable[Path]) -> None:
-    """Raise MapExistsError for a target that is one of the inputs of a command."""
+    """Raise MapExistsError for a target that is one of the inputs of a command,
+    MapWriteError for one that nothing can have the name of."""
+    check_place(target)
     for one in inputs:
         if target.exists() and one.exists() and target.samefile(one):
             raise MapExistsError(f"{target} is read here and never replaced; give another name.")
@@ -361,11 +365,23 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def check_place(target: Path) -> None:
+    """Raise MapWriteError where nothing can be at a place, or be seen there."""
+    try:
+        target.lstat()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise _unwritable(target, error) from error
+
+
 def _unwritable(target: Path, error: OSError) -> MapWriteError:
     if error.errno == errno.ENOSPC:
         return MapWriteError(f"The disk is full and {target} was not written; free some space.")
     if error.errno == errno.ENOENT:
         return MapWriteError(f"{target} was not written: its folder does not exist; make it first.")
+    if error.errno == errno.ENAMETOOLONG:
+        return MapWriteError(f"{target} was not written: its name is too long; give a shorter one.")
     return MapWriteError(
         f"{target} could not be written ({error.strerror}); check the folder and its permissions."
     )

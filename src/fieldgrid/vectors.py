@@ -298,6 +298,10 @@ class FeatureLayer(NamedTuple):
     columns: dict[str, AnyArray]
 
 
+_DROPPED = frozenset("\t\r\n")
+"""What pyogrio takes out of a path, as of an address."""
+
+
 def write_layer(
     file: Path | BytesIO, target: Path, layer: FeatureLayer, driver: str, crs: str, **options: Any
 ) -> None:
@@ -315,6 +319,12 @@ def write_layer(
             f"Writing {target.suffix} needs pyogrio, which is not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
+    if isinstance(file, Path) and _DROPPED & set(str(file)):
+        # It would be written elsewhere, and what is left here be empty.
+        raise MapWriteError(
+            f"{target} was not written: GDAL cannot write a path with a line break or a tab in it; "
+            "give another name or folder."
+        )
     values = list(layer.columns.values())
     try:
         write(

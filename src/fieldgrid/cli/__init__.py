@@ -6,6 +6,7 @@ data, 2 a wrong use of the command, 70 a defect of this program.
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -53,6 +54,17 @@ def _root(
     pass
 
 
+_REMEDIES = {
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.ENOSPC: "free some space on the disk",
+    errno.EROFS: "the disk is for reading only; write elsewhere",
+    **dict.fromkeys(
+        [errno.ESTALE, errno.ENOTCONN, errno.EHOSTDOWN, errno.ENODEV, errno.ETIMEDOUT],
+        "connect the drive or network folder again, and repeat the command",
+    ),
+}
+
+
 def main() -> None:
     """Run the command line; the entry point of the `fieldgrid` script."""
     # A polite request to end unwinds like an error, so that nothing half-written stays.
@@ -74,7 +86,10 @@ def main() -> None:
     except OSError as error:
         # What no part of the library could foresee: a disk that fills up under a cache, say.
         what = error.filename or "a file"
-        _end(f"{what}: {error.strerror or error}; check the disk.", 1)
+        _end(
+            f"{what}: {error.strerror or error}; {_REMEDIES.get(error.errno or 0, 'check the disk')}.",
+            1,
+        )
     except MemoryError:
         _end("The memory is full; give smaller --bounds, a larger --cell or fewer --jobs.", 1)
     except Exception as error:  # noqa: BLE001 - the last line of defence

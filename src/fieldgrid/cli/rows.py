@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output
+from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
     from fieldgrid.rows import Planting
@@ -65,6 +65,7 @@ def command(
         ),
     ] = False,
     overwrite: options.Overwrite = False,
+    wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
     """Find rows and what lies between them, with their sigma.
@@ -83,7 +84,7 @@ def command(
         fieldgrid rows vineyard.gpkg --keep
     """
     from fieldgrid.evaluation import read_survey
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.mapfile import Patience, open_map
     from fieldgrid.publish import refuse_input
     from fieldgrid.rows import crop_named, find_rows
     from fieldgrid.rows.agopengps import write_agopengps
@@ -105,7 +106,8 @@ def command(
         min_row_m=min_row,
         half_width_m=half_width,
     )
-    with open_map(map_, writable=keep) as universal:
+    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    with open_map(map_, writable=keep, patience=patience) as universal:
         root = universal.root_sha256
         survey = read_survey(truth, universal.datum).points_m if truth else None
         planting = find_rows(

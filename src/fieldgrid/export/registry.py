@@ -32,6 +32,7 @@ from fieldgrid.cost import DENSITIES
 from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, MapFile, Readable, read_datum
+from fieldgrid.publish import check_place
 from fieldgrid.settings import Declared, Settings, declared, first_problem
 
 _BUILT_IN = (
@@ -199,6 +200,7 @@ def export_map(
     chosen = format_of(path, format)
     checked = _checked(chosen, options or {})
     _check_layer(chosen, selection.layer)
+    check_place(path)
     _refuse_map(path)
     if not (chosen.several or isinstance(universal, MapFile)):
         others = ", ".join(one.name for one in formats().values() if one.several)

@@ -1,0 +1,58 @@
+"""Targets with names that not every library takes: written there, or refused with a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fieldgrid.errors import MapWriteError
+from fieldgrid.export import export_map, formats
+from fieldgrid.mapfile import open_map
+from tests.mapfile.maps import drive, write_map
+
+KEYS = ("geojson", "gpkg", "csv", "png", "shapefile")
+REMEDY = r"give another name or folder\.$|its name is too long; give a shorter one\.$"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_map(tmp_path_factory.mktemp("map") / "map.gpkg", [drive(2)])
+
+
+@pytest.mark.parametrize(
+    ("stem", "is_refused"),
+    [
+        ("a\nb", lambda key: key not in ("csv", "png")),
+        ("a?b#c%41 {x} $1 <&'\"\\>:*|", lambda _: False),
+        ("\x1b[2J", lambda _: False),
+        ("é" * 125, lambda _: True),
+    ],
+)
+def test_an_export_is_where_it_was_to_be_or_nowhere(
+    path: Path, tmp_path: Path, stem: str, is_refused: Callable[[str], bool]
+) -> None:
+    with open_map(path) as universal:
+        for key in KEYS:
+            folder = tmp_path / key
+            folder.mkdir()
+            ending = formats()[key].endings[0]
+            sizes = _sizes(export_map(universal, folder / f"plain{ending}", format=key).paths)
+            for written in folder.iterdir():
+                written.unlink()
+            target = folder / f"{stem}{ending}"
+            if is_refused(key):
+                with pytest.raises(MapWriteError, match=REMEDY):
+                    export_map(universal, target, format=key)
+                assert not list(folder.iterdir())
+            else:
+                found = export_map(universal, target, format=key)
+                assert {one.parent for one in found.paths} == {folder}
+                assert len(list(folder.iterdir())) == len(found.paths)
+                # Some hold the time, or the name.
+                assert _sizes(found.paths) == pytest.approx(sizes, rel=0.1, abs=600)
+
+
+def _sizes(paths: tuple[Path, ...]) -> list[int]:
+    return [one.stat().st_size for one in paths]
