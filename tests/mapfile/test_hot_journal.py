@@ -10,11 +10,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fieldgrid.errors import MapError
 from fieldgrid.mapfile import hot_journal, open_map
 from fieldgrid.mapfile.hot_journal import check_journal
+from fieldgrid.mapfile.journal_file import MAGIC
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, write_map, write_session
 
@@ -65,6 +67,72 @@ def test_a_journal_of_another_state_does_not_destroy_a_restored_map(tmp_path: Pa
         assert universal.verify(deep=True).sound
 
 
+def test_a_damaged_journal_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    before = content(path)
+    journal = interrupted(path)
+    map_bytes, whole = path.read_bytes(), journal.read_bytes()
+    segments = [at for at in range(0, len(whole), 512) if whole.startswith(MAGIC, at)]
+    assert len(segments) > 3
+    record, third = 512, segments[2]
+    page = whole.index(b"\0\0\0\x01SQLite format 3") + 4
+    places = {
+        0: "does not begin as one", 7: "does not begin as one", 8: "its end is missing",
+        13: "another sum", 19: "(header|page) is wrong", 22: "header is wrong", 25: "header is wrong",
+        record: "number of a page", record + 3: "number of a page",
+        record + 4 + 96: "another sum", record + 4 + 3896: "another sum",
+        record + 4 + 4096: "another sum", third + 2: "header is wrong", third + 11: ".",
+        third + 512 + 4 + 296: "another sum", page + 3: "another's", page + 18: "another's",
+        page + 29: "another size", page + 57: "another's", page + 70: "another's",
+    }  # fmt: skip
+    damaged = {f"{at}": (whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :], why)
+               for at, why in places.items()}  # fmt: skip
+    damaged |= {f"cut at {end}": (whole[:end], "its end is missing") for end in (600, 9000, 28000)}
+    for what, (data, why) in damaged.items():
+        path.write_bytes(map_bytes)
+        journal.write_bytes(data)
+        for writable in (False, True):
+            with pytest.raises(MapError, match=f"is damaged .*{why}.*run fieldgrid verify"):
+                open_map(path, writable=writable)
+        assert (path.read_bytes(), journal.read_bytes()) == (map_bytes, data), what
+    journal.write_bytes(whole)
+    with open_map(path) as universal:
+        assert universal.verify(deep=True).sound
+    assert content(path) == before
+
+
+@pytest.mark.long
+def test_each_byte_of_a_journal_leaves_old_or_is_told(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    before = content(path)
+    journal = interrupted(path)
+    map_bytes, whole = path.read_bytes(), journal.read_bytes()
+    random = np.random.default_rng(4)
+    old = 0
+    for at in [*range(28), *random.integers(28, len(whole), 300)]:
+        data = whole[:at] + bytes([whole[at] ^ int(random.integers(1, 256))]) + whole[at + 1 :]
+        path.write_bytes(map_bytes)
+        journal.write_bytes(data)
+        try:
+            with open_map(path) as universal:
+                is_sound = universal.verify(jobs=1).sound
+        except MapError as error:
+            if "-journal is damaged" in str(error):
+                assert (path.read_bytes(), journal.read_bytes()) == (map_bytes, data)
+        else:
+            old += is_sound
+            assert not is_sound or content(path) == before
+    assert old > 10
+
+
+@pytest.mark.parametrize("beginning", [b"", bytes(512), bytes(5000)])
+def test_a_journal_that_was_not_needed_is_none(tmp_path: Path, beginning: bytes) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    path.with_name("map.gpkg-journal").write_bytes(beginning)
+    with open_map(path) as universal:
+        assert universal.verify().sound
+
+
 def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
     path = write_map(tmp_path / "map.gpkg", [drive(1)])
     os.mkfifo(path.with_name("map.gpkg-journal"))
@@ -101,11 +169,12 @@ def test_a_map_in_use_is_not_let_go_of(tmp_path: Path, monkeypatch: pytest.Monke
 
 def being_written(path: Path, copy: Path) -> Path:
     """Copy a map, beside a journal with the first page of it."""
-    page = path.read_bytes()[:4096]
-    head = struct.pack(">8sIIIII", bytes.fromhex("d9d505f920a163d7"), 1, 0, 1, 512, len(page))
+    page, pages = path.read_bytes()[:4096], path.stat().st_size // 4096
+    head = struct.pack(">8sIIIII", bytes.fromhex("d9d505f920a163d7"), 1, 0, pages, 512, len(page))
+    summed = sum(page[at] for at in range(len(page) - 200, 0, -200))
     copy.write_bytes(path.read_bytes())
     journal = copy.with_name(f"{copy.name}-journal")
-    journal.write_bytes(head.ljust(512, b"\0") + b"\0\0\0\x01" + page + bytes(4))
+    journal.write_bytes(head.ljust(512, b"\0") + b"\0\0\0\x01" + page + summed.to_bytes(4, "big"))
     return copy
 
 

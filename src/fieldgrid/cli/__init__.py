@@ -86,10 +86,8 @@ def main() -> None:
     except OSError as error:
         # What no part of the library could foresee: a disk that fills up under a cache, say.
         what = error.filename or "a file"
-        _end(
-            f"{what}: {error.strerror or error}; {_REMEDIES.get(error.errno or 0, 'check the disk')}.",
-            1,
-        )
+        remedy = _REMEDIES.get(error.errno or 0, "check the disk")
+        _end(f"{what}: {error.strerror or error}; {remedy}.", 1)
     except MemoryError:
         _end("The memory is full; give smaller --bounds, a larger --cell or fewer --jobs.", 1)
     except Exception as error:  # noqa: BLE001 - the last line of defence
