@@ -78,7 +78,8 @@ def test_a_damaged_journal_is_refused_and_nothing_is_touched(tmp_path: Path) -> 
     page = whole.index(b"\0\0\0\x01SQLite format 3") + 4
     places = {
         0: "does not begin as one", 7: "does not begin as one", 8: "its end is missing",
-        13: "another sum", 19: "(header|page) is wrong", 22: "header is wrong", 25: "header is wrong",
+        13: "another sum", 19: "(header|page) is wrong",
+        22: "header is wrong", 25: "header is wrong",
         record: "number of a page", record + 3: "number of a page",
         record + 4 + 96: "another sum", record + 4 + 3896: "another sum",
         record + 4 + 4096: "another sum", third + 2: "header is wrong", third + 11: ".",
