@@ -8,6 +8,7 @@ and in a project.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
@@ -63,6 +64,11 @@ _MARK_RULES = {
 
 def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
+    return _style(layer, tuple(sessions))
+
+
+@lru_cache(maxsize=16)  # each commit asks for those of all layers, and most are as they were
+def _style(layer: str, sessions: tuple[tuple[str, str], ...]) -> str:
     root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering|Temporal")
     fill_style(root, layer, sessions)
     ET.indent(root)

@@ -55,7 +55,7 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
 
 def sum_of(connection: sqlite3.Connection, table: str) -> str:
     """The sum of a table as its rows give it now."""
-    columns = ", ".join(map(_hashable, _columns(connection)[table]))
+    columns = ", ".join(map(_hashable, _columns(connection, [table])[table]))
     return _written(sum(map(_of_row, connection.execute(f"SELECT {columns} FROM {table}"))))
 
 
@@ -117,7 +117,7 @@ class RowCounter:
         there = {name for (name,) in self._connection.execute(query)}
         if len(there) == len(SUMMED_TABLES) * len(_EVENTS):
             return
-        for table, columns in _columns(self._connection).items():
+        for table, columns in _columns(self._connection, SUMMED_TABLES).items():
             for event, rows in _EVENTS.items():
                 if (name := f"{table}_{event}") in there:
                     continue
@@ -152,12 +152,12 @@ def _note_root(connection: sqlite3.Connection) -> None:
     )
 
 
-def _columns(connection: sqlite3.Connection) -> Mapping[str, Sequence[str]]:
-    """The columns of the summed tables, in their order."""
+def _columns(connection: sqlite3.Connection, tables: Sequence[str]) -> Mapping[str, Sequence[str]]:
+    """The columns of tables, in their order."""
     rows = connection.execute(
         "SELECT t.name, c.name FROM sqlite_schema AS t JOIN pragma_table_info(t.name) AS c "
         "WHERE t.type = 'table' AND t.name IN (SELECT value FROM json_each(?)) ORDER BY 1, c.cid",
-        (json.dumps(SUMMED_TABLES),),
+        (json.dumps(tables),),
     )
     columns: dict[str, list[str]] = {}
     for table, column in rows:
