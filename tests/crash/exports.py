@@ -31,7 +31,7 @@ from tests.crash.failures import COUNT, KILL, run_in_child
 OPENED = {"nav2": ".yaml", "png": ".png", "csv": ".csv"}
 """What programs open of the formats that are several files beside each other."""
 
-DATED = {"kmz", "gpkg", "shapefile"}
+DATED = {"kmz", "gpkg", "shapefile", "qgz"}
 """Formats that hold the time at which they were written: their sizes tell old from new."""
 
 LONGEST_S = 5.0
