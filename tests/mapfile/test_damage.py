@@ -16,7 +16,7 @@ from fieldgrid.mapfile import MapFile, Mark, MarkKind, create_map, open_map
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES
 from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOMETRIES, OWN_TABLES
 from tests.mapfile.content import content
-from tests.mapfile.maps import DATUM, grid_of, pose_at, track
+from tests.mapfile.maps import DATUM, drive, grid_of, pose_at, track, write_map
 
 VALUES = ("NULL", "1e300", "'x'", "x'00ff'", "4611686018427387904")
 FREE = {
@@ -263,3 +263,30 @@ def test_a_session_that_an_index_has_lost_is_a_sentence(sound: Path, tmp_path: P
         assert universal.verify(1, deep=True).problems
         with pytest.raises(MapError, match="is listed and cannot be"):
             universal.trajectory("a")
+
+
+@pytest.mark.parametrize("missing", [4096, 40_000, 1])
+def test_a_map_that_was_not_copied_to_the_end_is_told(tmp_path: Path, missing: int) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    data = path.read_bytes()
+    path.write_bytes(data[:-missing])
+    for writable in (False, True):
+        with pytest.raises(MapError, match=rf"has \d+ of {len(data)} bytes: .* copy it again"):
+            open_map(path, writable=writable)
+    assert path.read_bytes() == data[:-missing]
+
+
+def test_a_copy_that_never_began_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "map.gpkg"
+    path.touch()
+    for writable in (False, True):
+        with pytest.raises(MapError, match=r"map\.gpkg is empty: .* copy it again"):
+            open_map(path, writable=writable)
+    assert path.read_bytes() == b""
+
+
+def test_a_link_to_what_went_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "link.gpkg"
+    path.symlink_to(tmp_path / "disk" / "map.gpkg")
+    with pytest.raises(MapError, match=r"link.gpkg leads to .*disk.map.gpkg, which is not there"):
+        open_map(path)

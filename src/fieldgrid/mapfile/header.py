@@ -168,5 +168,13 @@ def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
         for name in ("page_count", "page_size", "journal_mode")
     )
     # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
-    if mode != "wal" and path.stat().st_size < pages * page_bytes:
-        raise MapError(f"{path} is damaged: its end is missing. Restore it from a copy.")
+    if mode != "wal" and (found := path.stat().st_size) < pages * page_bytes:
+        raise cut_short(path, found, pages * page_bytes)
+
+
+def cut_short(path: Path, found: int, whole: int) -> MapError:
+    """The error for a file that has fewer bytes than it says."""
+    return MapError(
+        f"{path} has {found} of {whole} bytes: it was not copied to the end, or without its "
+        f"journal; copy it again, with {path.name}-journal where there is one."
+    )

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fieldgrid.errors import MapError
 from fieldgrid.mapfile.database import open_files
-from fieldgrid.mapfile.journal_file import FIRST_BYTES, damage, first_page
+from fieldgrid.mapfile.journal_file import FIRST_BYTES, PAGES, damage, first_page, page_size
 
 _COUNTER = slice(24, 28)
 """Of the changes, in the first page of a database."""
@@ -41,7 +41,7 @@ def check_journal(path: Path) -> None:
 
 def _found(path: Path, journal: Path) -> str:
     """What speaks against playing back a journal; empty where nothing does."""
-    now = _first_page_now(path)
+    now = first_page_now(path)
     try:
         with journal.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -66,7 +66,15 @@ def _found(path: Path, journal: Path) -> str:
     return ""
 
 
-def _first_page_now(path: Path) -> bytes:
+def whole_bytes(path: Path) -> int:
+    """How long a map says it is; 0 where it is no database."""
+    page = first_page_now(path)
+    if not page.startswith(b"SQLite format 3\0") or len(page) < FIRST_BYTES:
+        return 0
+    return page_size(page) * int.from_bytes(page[PAGES], "big")
+
+
+def first_page_now(path: Path) -> bytes:
     """The beginning of a map's first page; empty where it cannot be read."""
     try:
         with open_files() as used:

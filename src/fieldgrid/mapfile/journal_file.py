@@ -26,8 +26,8 @@ _SUMMED_EVERY = 200
 
 FIRST_BYTES = 100
 """What is looked at of the first page: its header."""
-_SIZE = slice(28, 32)
-"""Of a database in pages, in its first page."""
+PAGES = slice(28, 32)
+"""The size of a database in pages, in its first page."""
 _LASTING = (slice(0, 18), slice(20, 24), slice(52, 60), slice(64, 92))
 _VERSIONS = slice(18, 20)
 """What no change of a map makes another in the first page: what it is, and how it is laid out."""
@@ -82,7 +82,7 @@ def damage(file: BinaryIO, size: int, now: bytes) -> str:
         return ""
     first = now
     for segment in segments:
-        if segment.page != _page_size(now) or segment[3:] != segments[0][3:]:
+        if segment.page != page_size(now) or segment[3:] != segments[0][3:]:
             return "its header is wrong"
         if segment.end > size:
             return "its end is missing"
@@ -97,7 +97,7 @@ def damage(file: BinaryIO, size: int, now: bytes) -> str:
     is_known = set(first[_VERSIONS]) <= {1, 2}  # another program may choose the second
     if not is_known or any(first[part] != now[part] for part in _LASTING):
         return "the map's first page is another's"
-    if int.from_bytes(first[_SIZE], "big") != segments[0].pages_before:
+    if int.from_bytes(first[PAGES], "big") != segments[0].pages_before:
         return "it is of a map of another size"
     last = segments[-1]
     if last.pages and last.end < size < last.next + _HEADER.size:
@@ -143,7 +143,7 @@ def _ends(file: BinaryIO, size: int, last: Segment) -> bool:
     return not any(file.read(len(MAGIC)))  # which SQLite writes when the pages are on the disk
 
 
-def _page_size(first: bytes) -> int:
+def page_size(first: bytes) -> int:
     """Of a database, in its first page."""
     size = int.from_bytes(first[16:18], "big")
     return 65536 if size == 1 else size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from fieldgrid.mapfile.database import (
     reading,
     writing,
 )
-from fieldgrid.mapfile.header import Header, read_header
-from fieldgrid.mapfile.hot_journal import check_journal
+from fieldgrid.mapfile.header import Header, cut_short, read_header
+from fieldgrid.mapfile.hot_journal import check_journal, whole_bytes
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.row_sums import begin_sums
@@ -56,10 +57,23 @@ def open_map(
     if datum is not None and not path.exists():
         return create_map(path, datum, cell_m=cell_m, transfer=transfer)
     if not path.is_file():
+        if path.is_symlink():
+            raise MapError(
+                f"{path} leads to {os.readlink(path)}, which is not there; connect the drive or "
+                "network folder that it is on, or correct the link."
+            )
         raise MapError(f"There is no map {path}; check the name, or build it first.")
     writable = writable or datum is not None
+    if path.stat().st_size == 0:
+        raise MapError(f"{path} is empty: it was not copied, or the disk was full; copy it again.")
     check_journal(path.resolve())
-    connection = connect(path, path, writable=writable, patience=patience)
+    try:
+        connection = connect(path, path, writable=writable, patience=patience)
+    except MapError as error:
+        found, whole = path.stat().st_size, whole_bytes(path)
+        if found < whole:
+            raise cut_short(path, found, whole) from error
+        raise
     try:
         with reading(connection, path):
             header = read_header(connection, path)
