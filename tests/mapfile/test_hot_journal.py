@@ -126,6 +126,37 @@ def test_each_byte_of_a_journal_leaves_old_or_is_told(tmp_path: Path) -> None:
     assert old > 10
 
 
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv takes the rights of root")
+@pytest.mark.parametrize(("file", "folder"), [(0o444, 0o555), (0o644, 0o555), (0o444, 0o755)])
+def test_a_journal_that_cannot_be_played_back_where_it_lies_is_told(
+    tmp_path: Path, file: int, folder: int
+) -> None:
+    place = tmp_path / "map"
+    place.mkdir()
+    path = write_map(place / "map.gpkg", [drive(2)])
+    before = content(path)
+    journal = interrupted(path)
+    data = journal.read_bytes()
+    for one, mode in ((path, file), (journal, file), (place, folder)):
+        one.chmod(mode)
+    rights = "-dac_override,-dac_read_search"
+    limited = ["setpriv", "--bounding-set", rights, "--inh-caps", rights] if not os.getuid() else []
+    done = subprocess.run(
+        [*limited, sys.executable, "-m", "fieldgrid", "sessions", path],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    place.chmod(0o755)
+    assert done.returncode == 1
+    assert "was left by a writer that was interrupted" in done.stderr
+    assert journal.read_bytes() == data
+    copied = Path(shutil.copytree(place, tmp_path / "writable")) / "map.gpkg"
+    for one in (copied, copied.with_name(journal.name)):
+        one.chmod(0o644)
+    with open_map(copied) as universal:
+        assert universal.verify().sound
+    assert content(copied) == before
+
+
 @pytest.mark.parametrize("beginning", [b"", bytes(512), bytes(5000)])
 def test_a_journal_that_was_not_needed_is_none(tmp_path: Path, beginning: bytes) -> None:
     path = write_map(tmp_path / "map.gpkg", [drive(1)])

@@ -57,6 +57,7 @@ def _root(
 _REMEDIES = {
     errno.ENAMETOOLONG: "give a shorter name",
     errno.ENOSPC: "free some space on the disk",
+    errno.EACCES: "check the permissions of it and of its folder",
     errno.EROFS: "the disk is for reading only; write elsewhere",
     **dict.fromkeys(
         [errno.ESTALE, errno.ENOTCONN, errno.EHOSTDOWN, errno.ENODEV, errno.ETIMEDOUT],

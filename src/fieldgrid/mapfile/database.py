@@ -160,7 +160,13 @@ def copy_to(path: Path, copy: Path) -> None:
     By SQLite, which keeps the locks that a transaction of this process has on the file: whoever
     opens and closes it otherwise lets go of them.
     """
-    os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    try:
+        os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    except OSError as error:
+        raise MapWriteError(
+            f"{copy} could not be made ({error.strerror}), and {path} was not changed; check the "
+            "permissions of the folder."
+        ) from error
     with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
         target.execute("PRAGMA synchronous = EXTRA")
         source.backup(target)
@@ -248,6 +254,13 @@ def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
         return MapError(f"{name} is not a fieldgrid map: it is not an SQLite file. Check the name.")
     if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG):
         return _damaged(name, error)
+    is_kept = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_DELETE
+    if not writing and (code == sqlite3.SQLITE_READONLY or is_kept):
+        return MapError(
+            f"{name} was left by a writer that was interrupted, and what that had begun cannot be "
+            "undone here, since nothing may be written; make the file and its folder writable, or "
+            f"copy it and {name.name}-journal to a folder that is."
+        )
     if not writing:
         return MapError(f"{name} cannot be read ({said}); check the file.")
     if code == sqlite3.SQLITE_FULL:
