@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 from fieldgrid.recording import DriveOptions
+from tests.matching import matched_once
 from tests.once import made_once
 
 if TYPE_CHECKING:
@@ -133,6 +134,13 @@ def make_drive(tmp_path: Path) -> Callable[..., Path]:
         return make_small_drive(tmp_path / name, frames)
 
     return make
+
+
+@pytest.fixture
+def pairs_matched_once() -> Iterator[None]:
+    """For tests that are not about the matching of images: this process matches a pair once."""
+    with matched_once():
+        yield
 
 
 @pytest.fixture(scope="session")

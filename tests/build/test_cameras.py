@@ -34,6 +34,8 @@ from tests.build.making import (
     no_image_is_read,
 )
 
+pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+
 
 def swap_sides(drive: Path) -> None:
     left, right = drive / "left", drive / "right"

@@ -98,3 +98,8 @@ def fieldgrid_process() -> Run:
         return checked(Result(done.returncode, done.stdout, done.stderr))
 
     return run
+
+
+@pytest.fixture(autouse=True)
+def _no_pair_is_matched_twice(pairs_matched_once: None) -> None:
+    """How pairs are matched is tested elsewhere."""

@@ -33,3 +33,8 @@ def codes(found: Inspection, *severities: Severity) -> set[str]:
 def serious(found: Inspection) -> set[str]:
     """The codes of errors and warnings."""
     return codes(found, Severity.ERROR, Severity.WARNING)
+
+
+@pytest.fixture(autouse=True)
+def _no_pair_is_matched_twice(pairs_matched_once: None) -> None:
+    """How pairs are matched is tested elsewhere."""

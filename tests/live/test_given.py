@@ -23,6 +23,8 @@ from fieldgrid.trajectory import Status
 from tests.build.making import content
 from tests.live.making import Told, begin, slam, with_poses
 
+pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+
 
 @pytest.fixture(scope="module")
 def tum(short_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -26,6 +26,8 @@ from tests.conftest import TWO_LANES
 from tests.recording import bags
 from tests.recording.bags import CONTAINERS, Container, Maker, Said
 
+pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+
 SharedData = Callable[[str], Path]
 
 P_LEFT = np.array([[905.4, 0, 316.2, 0], [0, 905.4, 243.9, 0], [0, 0, 1, 0]])

@@ -49,6 +49,8 @@ from tests.recording import bags
 from tests.recording.bags import Maker
 from tests.recording.test_bag import said_of, settle
 
+pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+
 MakeDrive = Callable[..., Path]
 
 
