@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import gc
 import os
+import re
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +32,10 @@ settings.load_profile("untimed")
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = ROOT / ".." / "shared" / "data"
 TWO_LANES = ROOT / "examples" / "two_lanes"
+RTK_LOG = "gnss_rtk.nmea"
+AROUND_S = 32.0
+"""How long the log of a small drive goes on around its frames."""
+
 MAP = "vineyard.gpkg"
 HANGS_S = 900.0
 """A process that takes so long hangs. Compiling all kernels takes half a minute of a processor that
@@ -107,12 +113,15 @@ def two_lanes_map(built_two_lanes: tuple[Path, SessionReport]) -> Path:
 
 
 def make_small_drive(folder: Path, frames: Iterable[int]) -> Path:
-    """A small recording out of frames of the example; images are links, to be replaced."""
+    """A small recording out of frames of the example; images are links, to be replaced.
+
+    Its log begins and ends `AROUND_S` before and after the frames: most of the time of a build of
+    few frames would go to the poses of a minute in which there are none.
+    """
     for side in ("left", "right", "gnss"):
         (folder / side).mkdir(parents=True)
     shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
     shutil.copy(TWO_LANES / "session.json", folder)
-    shutil.copy(TWO_LANES / "gnss" / "gnss_rtk.nmea", folder / "gnss")
     with (TWO_LANES / "frames.csv").open(newline="") as table:
         rows = list(csv.DictReader(table))
     kept = [rows[k] for k in frames]
@@ -120,10 +129,34 @@ def make_small_drive(folder: Path, frames: Iterable[int]) -> Path:
         writer = csv.DictWriter(table, rows[0].keys())
         writer.writeheader()
         writer.writerows(kept)
+    log = (TWO_LANES / "gnss" / RTK_LOG).read_text(encoding="ascii")
+    (folder / "gnss" / RTK_LOG).write_text(_log_of(log, kept), encoding="ascii")
     for row in kept:
         for side in ("left", "right"):
             (folder / row[side]).symlink_to(TWO_LANES / row[side])
     return folder
+
+
+def _log_of(log: str, frames: Sequence[dict[str, str]]) -> str:
+    """The sentences of a log around frames, all of them where there are no frames.
+
+    The sentences of an epoch follow its GGA, whose second field is the time of the day.
+    """
+    if not frames:
+        return log
+    days = [datetime.fromisoformat(row["timestamp_iso"]) for row in frames]
+    from_s, to_s = (_day_s(f"{day:%H%M%S.%f}") for day in (min(days), max(days)))
+    epochs = re.split(r"(?=^\$GPGGA,)", log, flags=re.MULTILINE)
+    return "".join(
+        epoch
+        for epoch in epochs
+        if epoch and from_s - AROUND_S <= _day_s(epoch.split(",", 2)[1]) <= to_s + AROUND_S
+    )
+
+
+def _day_s(clock: str) -> float:
+    """Seconds of the day of hhmmss.ss."""
+    return 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
 
 
 @pytest.fixture
