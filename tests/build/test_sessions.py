@@ -115,8 +115,9 @@ def test_without_visual_odometry(make_drive: MakeDrive, tmp_path: Path) -> None:
         inputs = from_arrays(universal.session_inputs("drive"))
         expected = estimate_trajectory(recording, WITHOUT_CAMERA)
         trajectory = universal.trajectory("drive")
+        fixes = len(recording.fixes())
     assert inputs.motion.steps is None
-    assert len(inputs.fixes) == report.fixes == 437
+    assert len(inputs.fixes) == report.fixes == fixes > 150
     np.testing.assert_array_equal(trajectory.east_m, expected.east_m)
     np.testing.assert_array_equal(trajectory.heading_deg, expected.heading_deg)
 
@@ -183,9 +184,6 @@ def test_drives_without_a_datum_share_that_of_the_first(
     first, second = make_drive("first", range(3, 6)), make_drive("second", range(40, 43))
     for drive in (first, second):
         (drive / "session.json").unlink()
-    log = second / "gnss" / "gnss_rtk.nmea"  # which begins elsewhere than that of the first
-    lines = log.read_text().splitlines(keepends=True)
-    log.write_text("".join(lines[len(lines) // 2 :]))
     with open_recording(first) as one, open_recording(second) as other:
         alone = estimate_trajectory(one).datum, estimate_trajectory(other).datum
     assert alone[0] != alone[1]
