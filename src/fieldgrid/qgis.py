@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import chain, zip_longest
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape
 
 from fieldgrid import palette
 
@@ -31,6 +33,9 @@ _LABELS = {0: "0: free", 101: "101: obstacle"}
 
 
 _LONGEST_LABEL = 80
+
+_NAME = "\N{REPLACEMENT CHARACTER}"
+"""Stands for the names of sessions in a document without them."""
 
 
 class _Look(NamedTuple):
@@ -64,15 +69,38 @@ _MARK_RULES = {
 
 def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
-    return _style(layer, tuple(sessions))
+    named = _by_colour(sessions) if layer in _LOOKS else {}
+    texts = [
+        escape(text, {'"': "&quot;"})
+        for names in named.values()
+        for text in (_label(names), ", ".join(map(_quoted, names)))
+    ]
+    pieces = _pieces(layer, tuple(named))
+    return "".join(chain.from_iterable(zip_longest(pieces, texts, fillvalue="")))
 
 
-@lru_cache(maxsize=16)  # each commit asks for those of all layers, and most are as they were
-def _style(layer: str, sessions: tuple[tuple[str, str], ...]) -> str:
+@lru_cache(maxsize=64)
+def _pieces(layer: str, colours: tuple[str, ...]) -> tuple[str, ...]:
+    """What stands around the names of sessions in a document, which each commit writes."""
     root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering|Temporal")
-    fill_style(root, layer, sessions)
+    fill_style(root, layer, [(_NAME, colour) for colour in colours])
     ET.indent(root)
-    return _DOCTYPE + ET.tostring(root, encoding="unicode")
+    document = _DOCTYPE + ET.tostring(root, encoding="unicode")
+    return tuple(document.replace(_quoted(_NAME), _NAME).split(_NAME))
+
+
+def _by_colour(sessions: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
+    """The names of sessions by their colours."""
+    named: dict[str, list[str]] = {}
+    for name, colour in sessions:
+        if name.isprintable():  # another one XML cannot have: it is drawn as one of the others
+            named.setdefault(colour, []).append(name)
+    return named
+
+
+def _label(names: Sequence[str]) -> str:
+    label = ", ".join(names)
+    return label if len(label) <= _LONGEST_LABEL else f"{label[:_LONGEST_LABEL]}..."
 
 
 def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -> None:
@@ -94,17 +122,11 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
     renderer = ET.SubElement(root, "renderer-v2", type="RuleRenderer", symbollevels="0")
     rules = ET.SubElement(renderer, "rules", key="{root}")
     symbols = ET.SubElement(renderer, "symbols")
-    named: dict[str, list[str]] = {}
-    for name, colour in sessions:
-        if name.isprintable():  # another one XML cannot have: it is drawn as one of the others
-            named.setdefault(colour, []).append(name)
-    for colour, names in named.items():
+    for colour, names in _by_colour(sessions).items():
         key = str(len(symbols))
-        label = ", ".join(names)
         quoted = ", ".join(map(_quoted, names))
         ET.SubElement(
-            rules, "rule", key=f"{{{key}}}", symbol=key,
-            label=label if len(label) <= _LONGEST_LABEL else f"{label[:_LONGEST_LABEL]}...",
+            rules, "rule", key=f"{{{key}}}", symbol=key, label=_label(names),
             filter=f"\"session\" IN ({quoted}) AND \"status\" <> 'rejected'",
         )  # fmt: skip
         symbols.append(_symbol(key, look.symbol, layer, colour))

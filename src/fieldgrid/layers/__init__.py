@@ -19,6 +19,8 @@ from fieldgrid.layers.declaration import (
     Layer,
     OverviewChannel,
     Surroundings,
+    is_nothing,
+    nothing,
 )
 from fieldgrid.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.layers.registry import (
@@ -52,6 +54,8 @@ __all__ = [
     "channel_names",
     "check_layers",
     "groups_of",
+    "is_nothing",
+    "nothing",
     "register_group",
     "register_layer",
     "stored_groups",

@@ -58,6 +58,19 @@ class Cells(Mapping[str, UInt64]):
         return seen
 
 
+def nothing(shape: tuple[int, ...]) -> UInt64:
+    """A channel that is 0 everywhere: one 0 that is repeated, takes no memory and stays so.
+
+    Many drives have none of what a channel is for, and a tile of zeros costs as much as any other.
+    """
+    return np.broadcast_to(np.uint64(0), shape)
+
+
+def is_nothing(channel: UInt64) -> bool:
+    """Whether `nothing` made a channel. Kernels take none: they are compiled for other arrays."""
+    return not any(channel.strides) and channel.size > 1 and not channel.flat[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """A stored channel.
@@ -89,7 +102,10 @@ class Fold(Protocol):
         """Add a frame to the cells that it lands in."""
 
     def channels(self) -> UInt64:
-        """The channels so far, uint64 [channels, cells]; a cell without a frame is all 0."""
+        """The channels so far, uint64 [channels, cells]; a cell without a frame is all 0.
+
+        Where no frame had anything to tell, `nothing` says so.
+        """
 
 
 @dataclass(frozen=True, slots=True)

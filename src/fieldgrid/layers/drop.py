@@ -31,6 +31,7 @@ from fieldgrid.layers.declaration import (
     Combine,
     Layer,
     OverviewChannel,
+    nothing,
 )
 from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.relief import LEAST_STEP_CM
@@ -52,14 +53,16 @@ class _Drops:
 
     def __init__(self, cells: int, _: Lattice) -> None:
         self._sums = np.zeros((cells, 6), dtype=np.int32)
+        self._told = False
 
     def add(self, frame: FrameInPlace) -> None:
         spec, landing, channels = frame.cells.grid.spec, frame.landing, frame.cells.channels
-        nothing = np.full(spec.shape, NO_DROP_TOLD, np.uint8)
+        untold = np.full(spec.shape, NO_DROP_TOLD, np.uint8)
         drops_cm, steps_cm = channels.get(DROP_CHANNEL), channels.get(STEP_CHANNEL)
+        self._told |= drops_cm is not None
         add_drops(
-            np.ascontiguousarray(nothing if drops_cm is None else drops_cm, dtype=np.uint8),
-            np.ascontiguousarray(nothing if steps_cm is None else steps_cm, dtype=np.uint8),
+            np.ascontiguousarray(untold if drops_cm is None else drops_cm, dtype=np.uint8),
+            np.ascontiguousarray(untold if steps_cm is None else steps_cm, dtype=np.uint8),
             landing.cell,
             landing.shift,
             landing.unit,
@@ -67,6 +70,8 @@ class _Drops:
         )
 
     def channels(self) -> UInt64:
+        if not self._told:
+            return nothing((4, len(self._sums)))
         parts, odds, drops, total_cm, behind, before = self._sums.T.astype(np.int64)
         share, whole = BEYOND_SHARE
         beyond = (behind > 0) & (whole * behind >= share * (behind + before))
@@ -98,9 +103,9 @@ def add_drops(drops_cm, steps_cm, cell, shift, unit, sums):  # type: ignore[no-u
 
 def _expected(weight: UInt64, _: UInt64) -> UInt64:
     """Mostly there is no drop wherever anything is seen, and it is seen often."""
-    nothing = np.zeros_like(weight)
+    none = np.zeros_like(weight)
     clear = np.maximum(CLEAR * weight.astype(np.int64), LEAST).view(np.uint64)
-    return np.stack([clear, nothing, nothing, nothing])
+    return np.stack([clear, none, none, none])
 
 
 def _of_base(cells: Cells) -> UInt64:

@@ -24,7 +24,7 @@ from fieldgrid.array_types import AnyArray, Bool, Int64, UInt64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer
+from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer, nothing
 from fieldgrid.layers.frame import FrameInPlace
 
 HEIGHT_SHARE, LEAST_SIGMA_M, SIGMA_SHARE = 2.0, 0.02, 0.004
@@ -45,12 +45,15 @@ class _Terrain:
     weights, weights times centimetres; how many have a slope, and its rise to east and north."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
-        self._sums = np.zeros((6, cells), dtype=np.int64)
+        self._shape = 6, cells
+        self._sums: Int64 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
         ground_cm, pose = frame.cells.channels.get(GROUND_CHANNEL), frame.pose
         if ground_cm is None or not math.isfinite(pose.up_m):
             return
+        if self._sums is None:
+            self._sums = np.zeros(self._shape, dtype=np.int64)
         spec, landing = frame.cells.grid.spec, frame.landing
         phi = math.radians(pose.heading_deg)
         add_terrain(
@@ -67,7 +70,7 @@ class _Terrain:
         )
 
     def channels(self) -> UInt64:
-        return self._sums.view(np.uint64)
+        return nothing(self._shape) if self._sums is None else self._sums.view(np.uint64)
 
 
 def weights(spec: GridSpec, position_sigma_m: float) -> Int64:
@@ -150,8 +153,8 @@ def _slope(cells: Cells) -> AnyArray:
 
 def _expected(weight: UInt64, _: UInt64) -> UInt64:
     """Mostly the ground is seen wherever anything is."""
-    nothing = np.zeros_like(weight)
-    return np.stack([weight, nothing, nothing, weight, nothing, nothing])
+    none = np.zeros_like(weight)
+    return np.stack([weight, none, none, weight, none, none])
 
 
 GROUP = ChannelGroup(

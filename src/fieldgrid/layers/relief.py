@@ -28,6 +28,7 @@ from fieldgrid.layers.declaration import (
     Combine,
     Layer,
     OverviewChannel,
+    nothing,
 )
 from fieldgrid.layers.frame import FrameInPlace
 
@@ -54,7 +55,8 @@ class _Relief:
     theirs; how many tell of steps, in how many there is one, and the steps' centimetres."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
-        self._sums = np.zeros((cells, 5), dtype=np.int64)
+        self._shape = cells, 5
+        self._sums: Int64 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
         heights_cm, steps_cm = (
@@ -62,6 +64,8 @@ class _Relief:
         )
         if heights_cm is None and steps_cm is None:
             return
+        if self._sums is None:
+            self._sums = np.zeros(self._shape, dtype=np.int64)
         spec, landing = frame.cells.grid.spec, frame.landing
         block = max(round(BLOCK_M / spec.cell_m), 1)
         if steps_cm is None:
@@ -77,7 +81,7 @@ class _Relief:
         )
 
     def channels(self) -> UInt64:
-        return np.ascontiguousarray(self._sums.T).view(np.uint64)
+        return nothing(self._shape[::-1]) if self._sums is None else self._sums.T.view(np.uint64)
 
 
 def roughness(heights_cm: AnyArray | None, spec: GridSpec, block: int) -> Int64:
@@ -166,8 +170,8 @@ def _step(cells: Cells) -> AnyArray:
 
 def _expected(weight: UInt64, _: UInt64) -> UInt64:
     """Mostly a place is seen well enough wherever anything is, and there is no step."""
-    nothing = np.zeros_like(weight)
-    return np.stack([weight, nothing, weight, nothing, nothing])
+    none = np.zeros_like(weight)
+    return np.stack([weight, none, weight, none, none])
 
 
 GROUP = ChannelGroup(

@@ -12,11 +12,19 @@ from __future__ import annotations
 import numpy as np
 
 from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, UInt64
+from fieldgrid.array_types import AnyArray, UInt8, UInt64
 from fieldgrid.grids import FOOT_CHANNEL, GROUND_BELOW, TOP_CHANNEL
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Combine, Layer
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    nothing,
+)
 from fieldgrid.layers.frame import FrameInPlace
 
 LEAST_ROOM_DM = 3
@@ -30,13 +38,16 @@ class _Standing:
     """Of each cell the highest top, the rest to the lowest foot, and whether ground shows below."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
-        self._most = np.zeros((cells, 3), dtype=np.uint8)
+        self._shape = cells, 3
+        self._most: UInt8 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
         grid, landing, channels = frame.cells.grid, frame.landing, frame.cells.channels
         tops_dm, feet_dm = channels.get(TOP_CHANNEL), channels.get(FOOT_CHANNEL)
         if tops_dm is None or feet_dm is None:
             return
+        if self._most is None:
+            self._most = np.zeros(self._shape, dtype=np.uint8)
         raise_standing(
             grid.density,
             np.ascontiguousarray(tops_dm, dtype=np.uint8),
@@ -47,7 +58,7 @@ class _Standing:
         )
 
     def channels(self) -> UInt64:
-        return np.ascontiguousarray(self._most.T).astype(np.uint64)
+        return nothing(self._shape[::-1]) if self._most is None else self._most.T.astype(np.uint64)
 
 
 @kernel

@@ -9,7 +9,15 @@ import numpy as np
 from fieldgrid.array_types import Int32, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Combine, OverviewChannel
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Combine,
+    OverviewChannel,
+    is_nothing,
+    nothing,
+)
 from fieldgrid.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Landing, Transfer, land
@@ -65,11 +73,22 @@ class WindowFold:
             if group.derived:
                 continue
             if group.of_session is None:
-                channels = np.ascontiguousarray(self._done[group.name][inside])
+                channels = self._done[group.name][inside]
             else:
                 channels = group.of_session(Cells(arrays))
-            arrays.update(zip((one.name for one in group.channels), channels, strict=True))
+            for one, values in zip(group.channels, channels, strict=True):
+                if group is self._groups[0]:  # that kernels take
+                    arrays[one.name] = np.ascontiguousarray(values)
+                else:
+                    arrays[one.name] = _own(values)
         return Cells(arrays)
+
+
+def _own(values: UInt64) -> UInt64:
+    """A part of a channel as an array of its own, which does without the others' memory."""
+    if is_nothing(values) or not values.any():
+        return nothing(values.shape)
+    return np.ascontiguousarray(values)
 
 
 @kernel
@@ -95,7 +114,9 @@ def merge_sessions(groups: Iterable[ChannelGroup], a: Cells, b: Cells) -> Cells:
 
 
 def combined(how: Combine, a: UInt64, b: UInt64) -> UInt64:
-    """Two values of a channel as one."""
+    """Two values of a channel as one; it may be one of those that are given."""
+    if is_nothing(a) or is_nothing(b):
+        return b if is_nothing(a) else a
     return np.maximum(a, b) if how is Combine.MAX else a + b
 
 
@@ -117,9 +138,12 @@ def coarser(groups: Iterable[ChannelGroup], cells: Cells, factor: int) -> Cells:
         channels: tuple[Channel | OverviewChannel, ...] = (*group.channels, *group.overview)
         for channel in channels:
             fine = cells[channel.name]
-            coarse = np.zeros((fine.shape[0] // factor, fine.shape[1] // factor), np.uint64)
-            gather(fine, factor, channel.coarser is Combine.MAX, coarse)
-            arrays[channel.name] = coarse
+            shape = fine.shape[0] // factor, fine.shape[1] // factor
+            if is_nothing(fine):
+                arrays[channel.name] = nothing(shape)
+                continue
+            arrays[channel.name] = np.zeros(shape, np.uint64)
+            gather(fine, factor, channel.coarser is Combine.MAX, arrays[channel.name])
     return Cells(arrays, cells.base_cells * factor * factor)
 
 

@@ -11,12 +11,10 @@ from fieldgrid.kernel import kernel
 
 
 @kernel
-def differences(values, expected, signed, stored):  # type: ignore[no-untyped-def]
-    """Fill flat `stored` with the flat `values` of a part of a tile, less what is expected of it;
-    `signed` ones become small numbers. Returns the bits that any of them has."""
+def differences(stored, expected, signed):  # type: ignore[no-untyped-def]
+    """Take from the flat values `stored` of a part of a tile what is expected of it; `signed` ones
+    become small numbers. Returns the bits that any of them has."""
     one, bits = np.uint64(1), np.uint64(0)
-    for k in range(stored.size):
-        stored[k] = values[k]
     if expected.size > 0:
         for k in range(stored.size):
             stored[k] -= expected[k]

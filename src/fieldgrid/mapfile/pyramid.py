@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
-from fieldgrid.layers import Cells, ChannelGroup, Combine
+from fieldgrid.layers import Cells, ChannelGroup, Combine, is_nothing, nothing
 from fieldgrid.layers.window import empty_cells, merge_sessions
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.placing import RECENT_TILES, SessionTiles, encode_groups
@@ -30,6 +30,7 @@ from fieldgrid.mapfile.tiling import parent
 from fieldgrid.transfer import mean_density
 from fieldgrid.workers.order import in_order
 
+_NO_BLOBS: Mapping[str, bytes] = {}
 _SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
@@ -66,7 +67,8 @@ class Pyramid:
             joining = new.cells(tile) if new is not None and tile in after else None
             blobs = new.blobs(tile) if new is not None and tile in after else {}
             cells = self._changed(session_id, tile, leaving, joining)
-            return blobs, self._encoded(tile, cells, self._groups), cells
+            same = blobs if cells is joining else {}
+            return blobs, self._encoded(tile, cells, self._groups, same), cells
 
         changed: dict[TileIndex, Cells | None] = {}
         for blobs, encoded, cells in in_order(work, sorted(before | after), self._jobs):
@@ -128,7 +130,10 @@ class Pyramid:
         self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None
     ) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
-        total = self._tables.cells(self._base, tile) or empty_cells(self._groups, _SHAPE)
+        total = self._tables.cells(self._base, tile)
+        if total is None:
+            return joining or empty_cells(self._groups, _SHAPE)
+        arrays, part = dict(total), None if joining is None else box_of(joining["weight"]).slices
         stay: Cells | None = None
         maxima = [
             group
@@ -139,17 +144,20 @@ class Pyramid:
             # What is expected of the others is made of the density.
             groups = tuple(dict.fromkeys((self._groups[0], *maxima)))
             stay = self.merged(tile, session_id, groups)
-        # In place: nobody else has these arrays.
         for channel in (channel for group in self._groups for channel in group.channels):
-            value, by_sum = total[channel.name], channel.sessions is Combine.SUM
-            if leaving is not None and by_sum:
-                value -= leaving[channel.name]
-            elif leaving is not None:
-                value[:] = 0 if stay is None else stay[channel.name]
-            if joining is not None:
+            name, by_sum = channel.name, channel.sessions is Combine.SUM
+            if leaving is not None and by_sum and not is_nothing(leaving[name]):
+                arrays[name] = arrays[name] - leaving[name]
+            elif leaving is not None and not by_sum:
+                arrays[name] = nothing(_SHAPE) if stay is None else stay[name]
+            if joining is None or is_nothing(joining[name]):
+                continue
+            if is_nothing(value := arrays[name]):
+                arrays[name] = joining[name]
+            else:  # in place: nobody else has these arrays
                 combine = np.add if by_sum else np.maximum
-                combine(value, joining[channel.name], out=value)
-        return total
+                combine(value[part], joining[name][part], out=value[part])
+        return Cells(arrays)
 
     def _raise_levels(
         self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]
@@ -202,12 +210,18 @@ class Pyramid:
         )
 
     def _encoded(
-        self, tile: TileIndex, cells: Cells | None, groups: Sequence[ChannelGroup]
+        self,
+        tile: TileIndex,
+        cells: Cells | None,
+        groups: Sequence[ChannelGroup],
+        known: Mapping[str, bytes] = _NO_BLOBS,
     ) -> _Encoded:
+        """A tile as it is to be stored; `known` has the blobs of groups that are there already."""
         if cells is None or not cells["weight"].any():
             return _Encoded(tile, {}, b"", None)
         box = box_of(cells["weight"])
-        blobs = encode_groups(groups, cells, base=cells.base_cells == 1, box=box)
+        lacking = [group for group in groups if group.name not in known]
+        blobs = {**known, **encode_groups(lacking, cells, base=cells.base_cells == 1, box=box)}
         picture = encode_png(*mean_density(cells["weight"], cells["sum"]))
         return _Encoded(tile, blobs, picture, box)
 

@@ -10,11 +10,13 @@ import numpy as np
 
 from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS
-from fieldgrid.layers import ChannelGroup
+from fieldgrid.layers import ChannelGroup, is_nothing, nothing
 from fieldgrid.mapfile.codec import damaged, deflate, inflate
 from fieldgrid.mapfile.packing import differences, join, split
 
 _WORD_BYTES = 8
+_SHAPE = (TILE_CELLS, TILE_CELLS)
+_DENSITY = ("weight", "sum")
 _NOTHING = np.empty(0, dtype=np.uint64)
 
 
@@ -73,10 +75,10 @@ class Expectation:
         if not self._base or group.expected is None:
             return (_NOTHING,) * len(stored_channels(group, base=self._base))
         if self._sums is None or self._box != box:
-            weight, total = (self._density[name][box.slices] for name in ("weight", "sum"))
+            weight, total = (self._density[name][box.slices] for name in _DENSITY)
             self._box = box
             self._sums = np.ravel(weight), np.ravel(total)
-        return tuple(group.expected(*self._sums))
+        return tuple(row if row.any() else _NOTHING for row in group.expected(*self._sums))
 
 
 def encode_tile(
@@ -93,7 +95,11 @@ def encode_tile(
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
     for guess, (name, signed) in zip(expectation.of(group, box), names, strict=True):
-        bits = int(differences(np.ravel(cells[name][box.slices]), guess, signed, stored))
+        if is_nothing(cells[name]) and not guess.size:
+            header += [0, 0]
+            continue
+        np.copyto(stored.reshape(box.shape), cells[name][box.slices])
+        bits = int(differences(stored, guess, signed))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
         count = -(-(bits >> shift).bit_length() // 8)
         split(stored, shift, planes[used : used + count])
@@ -122,7 +128,10 @@ def decode_tile(
     planes = planes.reshape(-1, *box.shape)
     arrays, first = dict[str, UInt64](), 0
     for guess, (name, signed), shift, count in zip(expected, names, shifts, counts, strict=True):
-        arrays[name] = np.zeros((TILE_CELLS, TILE_CELLS), dtype=np.uint64)
+        if not (count or guess.size or name in _DENSITY):  # that kernels take
+            arrays[name] = nothing(_SHAPE)
+            continue
+        arrays[name] = np.zeros(_SHAPE, dtype=np.uint64)
         part = planes[first : first + count]
         join(part, shift, guess, signed, box.first_row, box.first_column, arrays[name])
         first += count

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
-from fieldgrid.layers import Cells, ChannelGroup
+from fieldgrid.layers import Cells, ChannelGroup, is_nothing
 from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
 from fieldgrid.mapfile.tile_codec import stored_channels
@@ -130,7 +130,10 @@ class TileTables:
             below = {child: self.cells(zoom + 1, child, wanted) for child in children(tile)}
         names = [name for group in groups for name, _ in stored_channels(group, base=False)]
         arrays = {
-            name: np.zeros(_SHAPE, np.uint64) if before is None else before[name] for name in names
+            name: np.zeros(_SHAPE, np.uint64)
+            if before is None or is_nothing(before[name])
+            else before[name]
+            for name in names
         }
         for child, cells in below.items():
             quadrant = quadrant_of(child)
