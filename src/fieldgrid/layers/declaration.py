@@ -7,9 +7,10 @@ channels. Nothing here depends on the order of frames or sessions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import Protocol, Self
 
 import numpy as np
@@ -58,6 +59,7 @@ class Cells(Mapping[str, UInt64]):
         return seen
 
 
+@lru_cache(maxsize=64)
 def nothing(shape: tuple[int, ...]) -> UInt64:
     """A channel that is 0 everywhere: one 0 that is repeated, takes no memory and stays so.
 
@@ -115,7 +117,7 @@ class ChannelGroup:
     They come from the frames (`fold`, given the number of cells and the lattice) or from a
     session's finished density (`of_session`, given its `Cells`; returns [channels, ...]). `frame`
     names channels of a frame's evidence that are needed beyond density and mask. `expected` guesses
-    the channels from a cell's weight and sum, flat arrays, as they are when it was seen once or
+    each channel from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0.
 
@@ -128,7 +130,7 @@ class ChannelGroup:
     fold: Callable[[int, Lattice], Fold] | None = None
     of_session: Callable[[Cells], UInt64] | None = None
     overview: tuple[OverviewChannel, ...] = ()
-    expected: Callable[[UInt64, UInt64], UInt64] | None = None
+    expected: Callable[[UInt64, UInt64], Iterable[UInt64]] | None = None
     frame: tuple[str, ...] = ()
     follows_from: tuple[str, ...] = ()
 

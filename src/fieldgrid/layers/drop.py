@@ -11,6 +11,8 @@ own level. The density is as ever.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fieldgrid import palette
@@ -101,11 +103,10 @@ def add_drops(drops_cm, steps_cm, cell, shift, unit, sums):  # type: ignore[no-u
                 sums[k, 3] += unit * np.int32(drop)
 
 
-def _expected(weight: UInt64, _: UInt64) -> UInt64:
+def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
     """Mostly there is no drop wherever anything is seen, and it is seen often."""
-    none = np.zeros_like(weight)
-    clear = np.maximum(CLEAR * weight.astype(np.int64), LEAST).view(np.uint64)
-    return np.stack([clear, none, none, none])
+    none, clear = nothing(weight.shape), CLEAR * weight.view(np.int64)
+    return np.maximum(clear, LEAST, out=clear).view(np.uint64), none, none, none
 
 
 def _of_base(cells: Cells) -> UInt64:

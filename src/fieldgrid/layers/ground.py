@@ -15,6 +15,7 @@ that of one of them, the harmonic mean.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -151,10 +152,10 @@ def _slope(cells: Cells) -> AnyArray:
     return np.where(known, slope, np.nan)
 
 
-def _expected(weight: UInt64, _: UInt64) -> UInt64:
+def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
     """Mostly the ground is seen wherever anything is."""
-    none = np.zeros_like(weight)
-    return np.stack([weight, none, none, weight, none, none])
+    none = nothing(weight.shape)
+    return weight, none, none, weight, none, none
 
 
 GROUP = ChannelGroup(

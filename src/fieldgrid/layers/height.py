@@ -7,6 +7,7 @@ the vehicle stood when it saw the cell.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.count import frames_of_weight
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer
+from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer, nothing
 from fieldgrid.layers.frame import FrameInPlace
 
 _PER_M = 1000
@@ -36,9 +37,8 @@ class _Heights:
         return self._sums.view(np.uint64)
 
 
-def _expected(weight: UInt64, _: UInt64) -> UInt64:
-    frames = frames_of_weight(weight)
-    return np.stack([np.zeros_like(frames), frames])
+def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
+    return nothing(weight.shape), frames_of_weight(weight)
 
 
 def _height(cells: Cells) -> AnyArray:

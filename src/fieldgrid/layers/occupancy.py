@@ -107,10 +107,14 @@ def add_log_odds(density, drops_cm, cell, shift, number, says, worth, cells):  #
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """As if all frames agreed."""
-    frames = frames_of_weight(weight).astype(np.int64)
-    free = np.where(total == 0, np.maximum(FREE * frames, LEAST), 0)
+    frames = frames_of_weight(weight).view(np.int64)
+    odds = FREE * frames
+    np.maximum(odds, LEAST, out=odds)
+    odds *= total == 0
     obstacle = total > weight * np.uint64(OBSTACLE_ABOVE)
-    return np.where(obstacle, np.minimum(OCCUPIED * frames, MOST), free).view(np.uint64)[None]
+    if obstacle.any():
+        odds[obstacle] = np.minimum(OCCUPIED * frames[obstacle], MOST)
+    return odds.view(np.uint64)[None]
 
 
 def _of_base(cells: Cells) -> UInt64:

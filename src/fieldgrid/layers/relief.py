@@ -7,6 +7,8 @@ heights half a metre apart; steps come with the frames (:func:`fieldgrid.edges.f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fieldgrid import palette
@@ -168,10 +170,10 @@ def _step(cells: Cells) -> AnyArray:
     return np.where(highest > 0, (highest.astype(np.float64) - 1.0) / 100.0, np.nan)
 
 
-def _expected(weight: UInt64, _: UInt64) -> UInt64:
+def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
     """Mostly a place is seen well enough wherever anything is, and there is no step."""
-    none = np.zeros_like(weight)
-    return np.stack([weight, none, weight, none, none])
+    none = nothing(weight.shape)
+    return weight, none, weight, none, none
 
 
 GROUP = ChannelGroup(

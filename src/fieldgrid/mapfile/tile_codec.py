@@ -78,7 +78,8 @@ class Expectation:
             weight, total = (self._density[name][box.slices] for name in _DENSITY)
             self._box = box
             self._sums = np.ravel(weight), np.ravel(total)
-        return tuple(row if row.any() else _NOTHING for row in group.expected(*self._sums))
+        rows = group.expected(*self._sums)
+        return tuple(_NOTHING if is_nothing(row) or not row.any() else row for row in rows)
 
 
 def encode_tile(
