@@ -68,7 +68,10 @@ class Pyramid:
             blobs = new.blobs(tile) if new is not None and tile in after else {}
             cells = self._changed(session_id, tile, leaving, joining)
             same = blobs if cells is joining else {}
-            return blobs, self._encoded(tile, cells, self._groups, same), cells
+            encoded = self._encoded(tile, cells, self._groups, same)
+            # The levels above need no more now; what else a tile has is much.
+            density = Cells({one.name: cells[one.name] for one in self._groups[0].channels})
+            return blobs, encoded, density
 
         changed: dict[TileIndex, Cells | None] = {}
         for blobs, encoded, cells in in_order(work, sorted(before | after), self._jobs):
