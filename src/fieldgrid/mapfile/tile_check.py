@@ -26,10 +26,11 @@ from fieldgrid.transfer import mean_density
 _TILES_TOGETHER = 8
 
 
-def check_tiles(subject: Subject) -> Iterator[str]:
-    """The tiles of sessions against a new fold, those above against those below them."""
+def check_tiles(subject: Subject, *, folded: bool = False) -> Iterator[str]:
+    """The tiles of sessions against a new fold, unless they were `folded` just now, and those above
+    against those below them."""
     tables = subject.tables
-    for session_id, name in active(subject.connection):
+    for session_id, name in () if folded else active(subject.connection):
         yield from _session_tiles(subject, session_id, name)
     removed = subject.connection.execute(
         "SELECT DISTINCT s.name FROM fieldgrid_session_tile AS t LEFT JOIN fieldgrid_session AS s "
