@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import GROUPS, Cells, FrameCells
+from fieldgrid.layers import GROUPS, Cells, FrameCells, is_nothing, nothing
 from fieldgrid.layers.window import WindowFold, coarser, merge_sessions, with_overviews
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 from tests.mapfile.maps import CELL_M, Frame, drive, grid_of, one_cell, pose_at
@@ -105,3 +105,32 @@ def test_coarser_twice_is_coarser_by_four() -> None:
     assert once["weight"].sum() == cells["weight"].sum()
     assert once["seen"].sum() == cells.observed.sum()
     assert once["frames"].max() == cells["frames"].max()
+
+
+def test_channels_that_are_0_everywhere_take_no_memory() -> None:
+    cells = folded([one_cell(1.05, -2.05, 0)])
+    there = {name for name, values in cells.items() if not is_nothing(values)}
+    # The density is what kernels are compiled for; a frame counts, and says that it is free here.
+    assert there == {"weight", "sum", "frames", "seen_sessions", "height_mm", "height_frames"} | {
+        "log_odds"
+    }
+    assert not cells["drop_odds"].flags.writeable
+
+
+def test_channels_that_are_0_everywhere_merge_and_grow_coarser_like_others() -> None:
+    group, shape = GROUPS["standing"], (4, 6)
+    names = [channel.name for channel in group.channels]
+    values = {name: np.arange(24, dtype=np.uint64).reshape(shape) for name in names}
+    without, zeros = (
+        dict.fromkeys(names, zero) for zero in (nothing(shape), np.zeros_like(values["top_dm"]))
+    )
+    for a, b in ((values, without), (without, values), (without, without)):
+        plain = [Cells(zeros if one is without else one) for one in (a, b)]
+        merged, expected = (
+            merge_sessions([group], Cells(a), Cells(b)),
+            merge_sessions([group], *plain),
+        )
+        larger, expected_larger = coarser([group], merged, 2), coarser([group], expected, 2)
+        for name in names:
+            np.testing.assert_array_equal(merged[name], expected[name])
+            np.testing.assert_array_equal(larger[name], expected_larger[name])

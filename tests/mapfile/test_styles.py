@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from fieldgrid import palette
+from fieldgrid import palette, qgis
 from fieldgrid.mapfile import open_map
 from tests.mapfile.maps import drive, track, write_map, write_session
 
@@ -77,6 +77,19 @@ def test_many_sessions_share_eight_colours(path: Path) -> None:
     found = rules(path, "trajectory")
     assert len(found) == len(palette.SESSIONS) + 2  # and the rejected, and others
     assert "\"session\" IN ('0', '8', '16')" in found["0, 8, 16"]
+
+
+def test_documents_without_names_filled_in_are_those_of_an_xml_library() -> None:
+    names = ["a & <b>", 'it\'s "june"', "c\\d", "ä" * 90, *map(str, range(9)), "\n"]
+    sessions = [(name, palette.session_colour(k)) for k, name in enumerate(names)]
+    for layer in qgis.LAYERS:
+        for some in (sessions[:0], sessions[:3], sessions):
+            root = ET.Element("qgis", version=qgis.VERSION)
+            root.set("styleCategories", "Symbology|Rendering|Temporal")
+            qgis.fill_style(root, layer, some)
+            ET.indent(root)
+            _, _, document = qgis.style(layer, some).partition("\n")
+            assert document == ET.tostring(root, encoding="unicode")
 
 
 def test_a_style_that_a_user_saved_stays_the_default(path: Path) -> None:

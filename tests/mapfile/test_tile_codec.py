@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.errors import MapError
-from fieldgrid.layers import GROUPS
+from fieldgrid.layers import GROUPS, nothing
 from fieldgrid.mapfile.tile_codec import (
     Expectation,
     box_of,
@@ -74,6 +74,24 @@ def test_cells_seen_once_cost_no_more_than_their_density() -> None:
     ]
     assert sizes[0] < 256 * 256 * 1.02
     assert max(sizes[1:]) < 20
+
+
+@pytest.mark.parametrize("name", ["standing", "relief", "drop"])
+def test_channels_that_are_0_everywhere_are_stored_as_zeros_are(name: str) -> None:
+    weight = np.zeros(SHAPE, np.uint64)
+    weight[30:50, 100:140] = 16
+    density = {"weight": weight, "sum": np.zeros_like(weight)}
+    group, box = GROUPS[name], box_of(weight)
+    names = [channel for channel, _ in stored_channels(group, base=True)]
+    blobs = []
+    for zero in (nothing(SHAPE), np.zeros(SHAPE, np.uint64)):
+        cells = density | dict.fromkeys(names, zero)
+        blobs.append(encode_tile(group, cells, box, Expectation(cells, base=True), base=True))
+    head = 5 + 2 * len(names)
+    assert blobs[0][:head] == blobs[1][:head]
+    assert zlib.decompress(blobs[0][head:]) == zlib.decompress(blobs[1][head:])
+    read = decode_tile(group, blobs[0], Expectation(density, base=True), "tile", base=True)
+    assert not any(values.any() for values in read.values())
 
 
 def test_only_the_box_that_was_observed_is_stored() -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import MapError
-from fieldgrid.mapfile import MapFile, merge_maps, open_map
+from fieldgrid.mapfile import MapFile, merge_maps, open_map, verification
+from fieldgrid.mapfile.placing import Squares
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, track, write_map
 
@@ -256,6 +257,34 @@ def test_a_session_whose_evidence_is_damaged_can_be_taken_out(
     merge_maps([path], tmp_path / "rest.gpkg")
     assert problems(tmp_path / "rest.gpkg") == ()
     assert content(tmp_path / "rest.gpkg") == content(path)
+
+
+def test_repair_checks_and_folds_the_frames_once(
+    sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    def counted(owner: object, name: str) -> None:
+        original = getattr(owner, name)
+
+        def counting(*arguments: object) -> object:
+            done.append(name)
+            return original(*arguments)
+
+        monkeypatch.setattr(owner, name, counting)
+
+    path = shutil.copy(sound, tmp_path / "copy.gpkg")
+    with open_map(path) as universal:
+        counted(verification, "_frame_problem")
+        counted(Squares, "fold")
+        frames = universal.verify(1, deep=True).frames
+    once = sorted(done)
+    assert once.count("_frame_problem") == frames
+    assert "fold" in once
+    done.clear()
+    with open_map(path, writable=True) as universal:
+        universal.repair(1)
+    assert sorted(done) == once
 
 
 def test_noise_in_the_file_never_passes_for_sound(sound: Path, tmp_path: Path) -> None:

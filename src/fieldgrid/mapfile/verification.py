@@ -83,7 +83,7 @@ def verify(
 ) -> HealthReport:
     """Check everything, within the caller's reading; `deep` without trust in the map's sums.
 
-    Where a map was `rebuilt` in the same transaction, of evidence that was found sound, that is not
+    Where a map was `rebuilt` in the same transaction, of evidence that was checked, that is not
     read again, nor folded once more: the tiles of sessions are what was made of it just now, and
     so are the sums.
     """
@@ -96,7 +96,7 @@ def verify(
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
     checks = (
         *(check_file, check_layout, check_types, _root, check_marks),
-        partial(_evidence, which="WHERE removed IS NOT NULL") if rebuilt else _evidence,
+        *(() if rebuilt else (_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
     )
@@ -332,18 +332,19 @@ def _with_stored(header: Header) -> Header:
 
 def _left(subject: Subject) -> tuple[str, ...]:
     """What is wrong with the evidence of removed sessions. MapError for anything else."""
-    removed = set(_evidence(subject, "WHERE removed IS NOT NULL"))
-    removed.update(orphans(subject.connection, "fieldgrid_grid"))
     connection, path, header, runner = subject
+    removed = islice(_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
+    known = dict.fromkeys(shortened(one, _LONGEST_PROBLEM) for one in removed)
+    grids = {shortened(one, _LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
     assert runner is not None
     found = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
     for problem in found:
-        if problem not in {shortened(one, _LONGEST_PROBLEM) for one in removed}:
+        if problem not in known and problem not in grids:
             raise MapError(
                 f"{subject.path} cannot be repaired, because this does not follow from its "
                 f"evidence: {problem} Nothing was changed; restore a copy of the map."
             )
-    return found
+    return tuple(dict.fromkeys((*known, *found)))
 
 
 def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:
