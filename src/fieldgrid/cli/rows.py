@@ -133,6 +133,8 @@ def command(
         output.print_json(value)
         return
     _print(planting)
+    for doubt in planting.doubts:
+        output.message(f"doubtful: {doubt.text}")
     if compared is not None:
         output.print_table(
             ("survey", ""),
@@ -250,6 +252,10 @@ def _as_dict(path: Path, planting: Planting) -> dict[str, Any]:
     }
     for feature in planting_features(planting):
         found[f"{feature.kind}s"].append(plain_properties(feature))
+    found["doubts"] = [
+        {"kind": doubt.kind, "rows": list(doubt.rows), "text": doubt.text}
+        for doubt in planting.doubts
+    ]
     for entry, quality in zip(found["blocks"], block_quality(planting), strict=True):
         entry.update({k: output.known(v) for k, v in quality._asdict().items() if k != "block"})
     by_row = {q.row: q for q in row_quality(planting)}

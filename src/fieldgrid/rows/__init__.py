@@ -2,12 +2,13 @@
 
 from fieldgrid.rows.crops import CROPS, Crop, crop_named
 from fieldgrid.rows.find import find_rows, rows_of_view
-from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
+from fieldgrid.rows.result import Block, Doubt, Gap, Headland, Lane, Obstacle, Planting, Row
 
 __all__ = [
     "CROPS",
     "Block",
     "Crop",
+    "Doubt",
     "Gap",
     "Headland",
     "Lane",

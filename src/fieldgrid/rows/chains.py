@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from fieldgrid.array_types import Float64, Int64
-from fieldgrid.polyline import lengths, resampled
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.polyline import lengths, part, resampled
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.segments import Segments
 
 _STEP_M = 2.0
 _MAX_TURN_RAD = np.radians(8.0)
+
+_ARC_M = 10.0
+"""Lines that bend are joined over holes up to this; it is also what tells of their bends."""
 
 
 def reference_lines(segments: Segments, chain: Int64, crop: Crop) -> list[Float64]:
@@ -22,7 +27,8 @@ def reference_lines(segments: Segments, chain: Int64, crop: Crop) -> list[Float6
         line = _ordered(segments, np.flatnonzero(chain == k))
         if lengths(line)[-1] >= 0.6 * crop.min_row_m:
             lines.append(line)
-    return _without_doubles(_bridged(lines, crop), crop)
+    bridged = _bridged(lines, crop)
+    return [bridged[k] for k in without_doubles(bridged, crop)]
 
 
 def _ordered(segments: Segments, members: Int64) -> Float64:
@@ -71,7 +77,10 @@ def _bridged(lines: list[Float64], crop: Crop) -> list[Float64]:
         onward = (step * outward[a]).sum(axis=1)
         off = [np.abs(step[:, 0] * outward[k, 1] - step[:, 1] * outward[k, 0]) for k in (a, b)]
         straight = np.maximum(*off) <= 0.2 * crop.min_spacing_m + 0.02 * apart
-        good = facing & straight & (onward > -0.25 * crop.patch_m)
+        meeting = facing & straight
+        near = np.flatnonzero(apart <= _ARC_M)
+        meeting[near] |= _in_arcs(lines, pairs[near], crop)
+        good = meeting & (onward > -0.25 * crop.patch_m)
         if not good.any():
             return lines
         best = np.flatnonzero(good)[apart[good].argmin()]
@@ -86,6 +95,49 @@ def _bridged(lines: list[Float64], crop: Crop) -> list[Float64]:
     return lines
 
 
+def _in_arcs(lines: list[Float64], pairs: Int64, crop: Crop) -> Bool:
+    """Of pairs of tips [n, 2], whether the lines go on in each other as they bend: half-way between
+    them both come to the same place, in the same direction."""
+    ends = {tip: _End.of(lines[tip // 2], at_last=bool(tip % 2)) for tip in np.unique(pairs)}
+    found = np.zeros(len(pairs), dtype=np.bool_)
+    for k, (a, b) in enumerate(pairs):
+        one, other = ends[a], ends[b]
+        onward = float((other.tip_m - one.tip_m) @ one.out)
+        (here, ahead), (there, back) = one.after(0.5 * onward), other.after(0.5 * onward)
+        off = float(np.hypot(*(there - here)))
+        found[k] = off <= 0.25 * crop.min_spacing_m and ahead @ back < -np.cos(_MAX_TURN_RAD)
+    return found
+
+
+class _End(NamedTuple):
+    """The end of a line, the direction out of it, and how the line bends there, 1/m to the left."""
+
+    tip_m: Float64
+    out: Float64
+    bend: float
+
+    @classmethod
+    def of(cls, line: Float64, *, at_last: bool) -> _End:
+        """By a parabola through the last metres of a line."""
+        ordered = line if at_last else line[::-1]
+        s = lengths(ordered)
+        last = resampled(part(ordered, max(0.0, float(s[-1]) - _ARC_M), float(s[-1])), 1.0)
+        step = last[-1] - last[0]
+        along = step / np.hypot(*step)
+        across = np.array([-along[1], along[0]])
+        u, v = (last - last[-1]) @ along, (last - last[-1]) @ across
+        half_bend, slope, off = np.polyfit(u, v, 2) if len(last) > 3 else (0.0, 0.0, 0.0)
+        out = along + slope * across
+        return cls(last[-1] + off * across, out / np.hypot(*out), float(2.0 * half_bend))
+
+    def after(self, way_m: float) -> tuple[Float64, Float64]:
+        """Where the line comes to beyond its end, and in which direction."""
+        left = np.array([-self.out[1], self.out[0]])
+        turn = self.bend * way_m
+        ahead = np.cos(turn) * self.out + np.sin(turn) * left
+        return self.tip_m + way_m * (self.out + 0.5 * turn * left), ahead
+
+
 def _outward(line: Float64) -> Float64:
     """Unit vectors [2, 2] that point out of a line at its first and its last point."""
     s = lengths(line)
@@ -96,12 +148,15 @@ def _outward(line: Float64) -> Float64:
     return unit
 
 
-def _without_doubles(lines: list[Float64], crop: Crop) -> list[Float64]:
-    """Of lines that run beside each other closer than rows can, the longest is kept."""
+def without_doubles(lines: list[Float64], crop: Crop) -> list[int]:
+    """The numbers of the lines, the longest first; of those that run beside each other closer than
+    rows can, the longest is kept."""
     if len(lines) < 2:
-        return lines
-    lines = sorted(lines, key=lambda line: -lengths(line)[-1])
-    fine = [resampled(line, 0.5) for line in lines]
+        return list(range(len(lines)))
+    order = sorted(range(len(lines)), key=lambda k: -lengths(lines[k])[-1])
+    # Points of two lines that run side by side are at most half a step apart along them.
+    step_m = min(0.5, 0.3 * crop.min_spacing_m)
+    fine = [resampled(lines[k], step_m) for k in order]
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in fine])
     points = np.concatenate(fine)
     pairs = cKDTree(points).query_pairs(0.5 * crop.min_spacing_m, output_type="ndarray")
@@ -117,4 +172,4 @@ def _without_doubles(lines: list[Float64], crop: Crop) -> list[Float64]:
     for k in range(1, len(lines)):
         own = doubled[(doubled[:, 1] == k) & kept[doubled[:, 0]]]
         kept[k] = len(np.unique(own[:, 2])) < 0.5 * len(fine[k])
-    return [line for line, keep in zip(lines, kept, strict=True) if keep]
+    return [k for k, keep in zip(order, kept, strict=True) if keep]

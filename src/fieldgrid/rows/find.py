@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
+from fieldgrid.rows.doubts import find_doubts
 from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
 from fieldgrid.rows.ground import (
     Thing,
@@ -25,6 +27,7 @@ from fieldgrid.rows.ground import (
     find_things,
     measure_lane,
     seen_cells,
+    stray_cells,
     without_specks,
 )
 from fieldgrid.rows.measure import Measured, measure_rows
@@ -108,7 +111,7 @@ def _planting(
     found_lanes = _lanes(evidence, filled, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
     clean = without_specks(evidence)
-    return Planting(
+    found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
         evidence.cell_m,
@@ -119,6 +122,8 @@ def _planting(
         _blocks(ordered, areas, rows, found_lanes),
         _obstacles(evidence, find_things(clean, ordered.rows), ordered, found_lanes, reach),
     )
+    stray = stray_cells(clean, ordered.rows, list(areas.values()))
+    return replace(found, doubts=find_doubts(found, stray, crop))
 
 
 def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:

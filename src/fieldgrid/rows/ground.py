@@ -135,6 +135,25 @@ def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
     return found
 
 
+class Stray(NamedTuple):
+    """Obstacle cells within blocks that are on no row: how many, and their share of all there."""
+
+    cells: int
+    share: float
+
+
+def stray_cells(evidence: Evidence, rows: list[Measured], blocks: list[shapely.Polygon]) -> Stray:
+    """The obstacle cells of blocks beside their rows, of which gaps are no part."""
+    inside = np.zeros(evidence.cells.shape, dtype=np.uint8)
+    for block in blocks:
+        _fill(inside, evidence, block)
+    inside &= evidence.cells == OBSTACLE
+    every = int(np.count_nonzero(inside))
+    inside &= ~_canopies(evidence, rows)
+    stray = int(np.count_nonzero(inside))
+    return Stray(stray, stray / max(every, 1))
+
+
 def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool) -> bool:
     """Whether some of these cells of a window are so far from the canopy that they are a thing."""
     reach = math.ceil(_PROTRUSION_M / evidence.cell_m) + 2  # beyond it nothing is near enough

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from fieldgrid.array_types import Float64
 from fieldgrid.evidence import Evidence
 from fieldgrid.polyline import extended, lengths, part, project, resampled
+from fieldgrid.rows.chains import without_doubles
 from fieldgrid.rows.contrast import chance_of_noise, stand_out
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, connected_run, find_extent
@@ -55,7 +56,7 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
     settled = _all_settled(evidence, lines, _gates(lines, crop), crop)
     width = _half_width([profile for profile, _ in settled], crop)
     candidates = _candidates(evidence, settled, width, crop)
-    rows = _standing_out(candidates)
+    rows = _standing_out(candidates, crop)
     # Too little of a row beyond the last may have been seen to find it without its neighbour.
     outer, apart_m = outer_lines([row.line for row in rows], crop)
     settled = _all_settled(evidence, outer, [_GATE * apart_m] * len(outer), crop)
@@ -63,7 +64,7 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
         known = cKDTree(np.concatenate([row.line for row, _ in candidates]))
         if is_apart(candidate[0].line, known, apart_m):
             candidates.append(candidate)
-    return _standing_out(candidates)
+    return _standing_out(candidates, crop)
 
 
 def _uncrossed(candidates: list[tuple[Measured, float]]) -> list[tuple[Measured, float]]:
@@ -105,8 +106,15 @@ def _candidates(
     return found
 
 
-def _standing_out(candidates: list[tuple[Measured, float]]) -> list[Measured]:
-    candidates = _uncrossed(candidates)
+def _single(candidates: list[tuple[Measured, float]], crop: Crop) -> list[tuple[Measured, float]]:
+    """The candidates without those that turned out to lie on a longer one: the two faces of a wide
+    canopy both lead to its middle."""
+    kept = without_doubles([row.line for row, _ in candidates], crop)
+    return [candidates[k] for k in kept]
+
+
+def _standing_out(candidates: list[tuple[Measured, float]], crop: Crop) -> list[Measured]:
+    candidates = _single(_uncrossed(candidates), crop)
     are_rows = stand_out(np.array([chance for _, chance in candidates]))
     return [row for (row, _), is_row in zip(candidates, are_rows, strict=True) if is_row]
 
@@ -139,6 +147,14 @@ def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Pr
     for last in (False, True):
         wide = extended(line, _BEYOND_M, _BEYOND_M)
         profile = take_profile(evidence, wide, gate_m)
+        # Beyond the line only what lies in the canopy is the row: between two rows of the next
+        # block there are cells to either side.
+        beyond = (profile.along_m < _BEYOND_M) | (profile.along_m > lengths(wide)[-1] - _BEYOND_M)
+        inner = profile.offset_m[~beyond & (profile.weight > 0.0)]
+        middle_m = float(np.median(inner)) if len(inner) else 0.0
+        canopy_m = crop.half_width_m + crop.half_width_sigma_m
+        astray = np.abs(profile.offset_m - middle_m) > canopy_m
+        profile = profile._replace(weight=np.where(beyond & astray, 0.0, profile.weight))
         span = connected_run(profile.weight, STATION_M, crop)
         if span is None or (span[1] - span[0]) * STATION_M < 0.5 * crop.min_row_m:
             return None

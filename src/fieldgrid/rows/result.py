@@ -126,6 +126,15 @@ class Obstacle(NamedTuple):
     sessions: tuple[str, ...] = ()
 
 
+class Doubt(NamedTuple):
+    """What speaks against rows that were found: `pieces` that end where others go on in line,
+    `uneven` distances, `stray` obstacle cells on no row; the rows it is about, and what to do."""
+
+    kind: str
+    rows: tuple[str, ...]
+    text: str
+
+
 @dataclass(frozen=True, slots=True)
 class Planting:
     """All that was found in a map, within `bounds`, from cells of `cell_m`."""
@@ -139,6 +148,7 @@ class Planting:
     headlands: tuple[Headland, ...]
     blocks: tuple[Block, ...]
     obstacles: tuple[Obstacle, ...]
+    doubts: tuple[Doubt, ...] = ()
 
     def lane(self, name: str) -> Lane | None:
         """A lane by its id, None when there is none."""
