@@ -6,70 +6,103 @@ A row is tested against noise on its own; whether all of them make a field is se
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64
+from fieldgrid.polyline import project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.ground import Stray
-from fieldgrid.rows.result import Doubt, Planting, Row
+from fieldgrid.rows.result import Doubt, Planting
 
-_IN_LINE = np.cos(np.radians(20.0))
+_IN_LINE = np.cos(np.radians(25.0))
+_RADIUS_M = 65.0
+_SAGITTA_M = 0.4
+_ROAD_M = 2.0
+"""Across less than this there is no road between blocks."""
+
+_OVERLAP_M = 4.0
+_HOLES = 2.0
+"""Pieces of one row are farther apart than the holes that rows are joined over, and not by much."""
 _UNEVEN = 0.25
 """Lanes of one block differ by less than this share of their median."""
 
-_STRAY_SHARE = 0.35
+_STRAY_SHARE = 0.05
 """At most this share of the obstacle cells in blocks lies on no row."""
 
-_LEAST_STRAY = 100
+_LEAST_STRAY = 30
 
 
 def find_doubts(planting: Planting, stray: Stray, crop: Crop) -> tuple[Doubt, ...]:
     """The doubts of a planting, of which so many obstacle cells are on no row."""
     if not planting.rows:
         return ()
-    return (*_in_pieces(planting, crop), *_uneven(planting), *_stray(planting, stray))
+    return (
+        *_bent(planting),
+        *_in_pieces(planting, crop),
+        *_uneven(planting),
+        *_stray(planting, stray),
+    )
+
+
+def _bent(planting: Planting) -> list[Doubt]:
+    """Rows that bend more than those which are found whole."""
+    found = {}
+    for row in planting.rows:
+        line = np.asarray(row.line.coords)
+        sagitta_m = float(np.abs(project(line, line[[0, -1]])[1]).max())
+        if sagitta_m > _SAGITTA_M:
+            found[row.id] = float(np.hypot(*(line[-1] - line[0]))) ** 2 / (8.0 * sagitta_m)
+    tight = {name: radius_m for name, radius_m in found.items() if radius_m < _RADIUS_M}
+    if not tight:
+        return []
+    return [
+        Doubt(
+            "bend",
+            tuple(tight),
+            f"{len(tight)} of {len(planting.rows)} rows bend to a radius of "
+            f"{min(tight.values()):.0f} m or so; below {_RADIUS_M:.0f} m rows may be in pieces, or "
+            "missed",
+        )
+    ]
 
 
 def _in_pieces(planting: Planting, crop: Crop) -> list[Doubt]:
-    """Rows that end where another one of their block goes on in line."""
-    found = []
-    for block in planting.blocks:
-        rows = [row for row in planting.rows if row.block == block.id]
-        reach_m = min(0.35 * block.spacing_m, 1.5) if block.spacing_m > 0.0 else 0.5
-        broken = sorted(
-            {
-                one.id
-                for first in rows
-                for second in rows
-                if first is not second and _goes_on(first, second, reach_m, crop.max_bridge_m)
-                for one in (first, second)
-            }
-        )
-        if broken:
-            found.append(
-                Doubt(
-                    "pieces",
-                    tuple(broken),
-                    f"{len(broken)} rows of {block.id} end where another begins in line: they may "
-                    "be pieces of rows that bend, or lack many plants; --spacing with their "
-                    "distance helps where rows are near to each other",
-                )
-            )
-    return found
-
-
-def _goes_on(first: Row, second: Row, reach_m: float, bridge_m: float) -> bool:
-    """Whether the second row begins ahead of where the first one ends, within a lane's part of its
-    line."""
-    tip, before = _tip(np.asarray(first.line.coords))
-    begin, after = _tip(np.asarray(second.line.coords)[::-1])
-    ahead = before @ -after
-    step = begin - tip
-    way = float(step @ before)
-    if ahead < _IN_LINE or not -2.0 < way < bridge_m:
-        return False
+    """Rows that end where another one goes on in line; across a road those of another block do."""
+    rows = planting.rows
+    if len(rows) < 2:
+        return []
+    reach_m = 0.35 * float(np.nanmedian([*(row.spacing_m for row in rows), 2.0]))
+    lines = [np.asarray(row.line.coords) for row in rows]
+    tips, out = (
+        np.array(both)
+        for both in zip(*(_tip(end) for line in lines for end in (line[::-1], line)), strict=True)
+    )
+    reach_of_holes_m = _HOLES * crop.max_bridge_m
+    pairs = cKDTree(tips).query_pairs(reach_of_holes_m, output_type="ndarray")
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    first, second = pairs[pairs[:, 0] // 2 != pairs[:, 1] // 2].T
+    same = np.array(
+        [rows[a // 2].block == rows[b // 2].block for a, b in zip(first, second, strict=True)], bool
+    )
+    way = ((tips[second] - tips[first]) * out[first]).sum(axis=1)
+    facing = (out[first] * out[second]).sum(axis=1) < -_IN_LINE
+    near = (way > -_OVERLAP_M) & (way < np.where(same, reach_of_holes_m, _ROAD_M))
     # Half-way, as far as the two directions lead towards each other.
-    off = np.abs((tip + 0.5 * way * before) - (begin + 0.5 * way * after))
-    return bool(np.hypot(*off) < reach_m)
+    half = 0.5 * way[:, None]
+    off = (tips[first] + half * out[first]) - (tips[second] + half * out[second])
+    goes_on = facing & near & (np.hypot(off[:, 0], off[:, 1]) < reach_m)
+    broken = {rows[k // 2].id for k in (*first[goes_on], *second[goes_on])}
+    if not broken:
+        return []
+    return [
+        Doubt(
+            "pieces",
+            tuple(row.id for row in planting.rows if row.id in broken),
+            f"{len(broken)} of {len(planting.rows)} rows end where another begins in line: they "
+            "may be pieces of rows that bend, or lack many plants; --spacing with their distance "
+            "helps where rows are near to each other",
+        )
+    ]
 
 
 def _tip(line: Float64) -> tuple[Float64, Float64]:
@@ -117,8 +150,8 @@ def _stray(planting: Planting, stray: Stray) -> list[Doubt]:
         Doubt(
             "stray",
             tuple(row.id for row in planting.rows),
-            f"{stray.share:.0%} of the obstacle cells in blocks are on no row: rows were missed, or "
-            "there is noise, by which rows may be too long; --crop and --spacing say what to look "
-            "for, --obstacle-above which cells are plants",
+            f"{stray.share:.0%} of the obstacle cells in blocks are on no row: some were missed, "
+            "or there is noise, by which rows may be too long; --crop and --spacing say what to "
+            "look for, --obstacle-above which cells are plants",
         )
     ]

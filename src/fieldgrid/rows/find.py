@@ -122,7 +122,7 @@ def _planting(
         _blocks(ordered, areas, rows, found_lanes),
         _obstacles(evidence, find_things(clean, ordered.rows), ordered, found_lanes, reach),
     )
-    stray = stray_cells(clean, ordered.rows, list(areas.values()))
+    stray = stray_cells(evidence, ordered.rows, list(areas.values()))
     return replace(found, doubts=find_doubts(found, stray, crop))
 
 

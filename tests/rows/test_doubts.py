@@ -1,0 +1,97 @@
+"""Fields that are hard: rows are right, or a doubt says what speaks against them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.planting import Planting as Stand
+from benchmarks.planting import Sight, seen_view
+from benchmarks.rows import match
+from fieldgrid.rows import Planting, rows_of_view
+from tests.rows.fields import QUIET, Array, straight, view_of
+
+
+def arcs(radius_m: float, length_m: float, count: int = 4, spacing_m: float = 2.5) -> list[Array]:
+    turn = np.linspace(0.0, length_m / radius_m, 40)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    return [(radius_m + k * spacing_m) * circle for k in range(count)]
+
+
+def faults(found: Planting, rows: list[Array]) -> tuple[int, int]:
+    """How many found rows are none, and how many true ones were missed."""
+    lines = [np.asarray(row.line.coords) for row in found.rows]
+    matched = match(lines, rows, [True] * len(rows))
+    return matched.false, matched.missed
+
+
+def kinds(found: Planting) -> list[str]:
+    return [doubt.kind for doubt in found.doubts]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_wide_canopy_of_sown_plants_is_one_row(seed: int) -> None:
+    """Either face leads to its middle."""
+    rows = straight(8, 20.0, 0.75, 15.0)
+    view = seen_view(Stand(rows, 0.2), replace(QUIET, fill=0.4, seed=seed), 0.1)
+    found = rows_of_view(view, crop="arable")
+    assert faults(found, rows) == (0, 0)
+    assert kinds(found) == []
+
+
+@pytest.mark.parametrize("radius_m", [70.0, 90.0])
+def test_rows_that_bend_are_whole(radius_m: float) -> None:
+    rows = arcs(radius_m, 60.0)
+    found = rows_of_view(view_of(rows, replace(QUIET, fill=0.6)))
+    assert faults(found, rows) == (0, 0)
+    assert kinds(found) == []
+
+
+@pytest.mark.parametrize("radius_m", [20.0, 40.0])
+def test_tight_bends_are_told(radius_m: float) -> None:
+    found = rows_of_view(view_of(arcs(radius_m, 40.0), replace(QUIET, fill=0.6)))
+    assert "bend" in kinds(found)
+
+
+@pytest.mark.parametrize("spacing_m", [2.4, 3.0])
+def test_a_row_does_not_run_on_between_those_of_the_next_block(spacing_m: float) -> None:
+    rows = straight(6, 16.0, spacing_m)
+    rows += straight(6, 16.0, spacing_m, at=(0.5 * spacing_m, 17.5))
+    found = rows_of_view(view_of(rows, half_width_m=0.4))
+    assert faults(found, rows) == (0, 0)
+    assert max(row.length_m for row in found.rows) < 17.0
+
+
+def test_a_row_in_two_pieces_is_told() -> None:
+    rows = straight(4, 60.0)
+    found = rows_of_view(view_of(rows, missing=[(1, 20.0, 42.0)]))
+    assert len(found.rows) == 5
+    assert kinds(found) == ["pieces"]
+    lines = {row.id: np.asarray(row.line.coords) for row in found.rows}
+    assert sorted(found.doubts[0].rows) == sorted(
+        name for name, line in lines.items() if len(line) < 40
+    )
+    assert "2 of 5 rows" in found.doubts[0].text
+
+
+def test_a_lane_that_is_unlike_the_others_is_told() -> None:
+    rows = straight(6, 30.0)
+    rows[3] = rows[3] + (0.9, 0.0)
+    found = rows_of_view(view_of(rows))
+    assert kinds(found) == ["uneven"]
+    assert found.doubts[0].rows == ("B1-R3", "B1-R4", "B1-R5")
+    assert "2 of 5 lanes of B1" in found.doubts[0].text
+
+
+def test_noise_is_told() -> None:
+    view = view_of(straight(5, 30.0), Sight(noise_per_m2=1.0, fill=0.3), cell_m=0.2)
+    assert kinds(rows_of_view(view)) == ["stray"]
+
+
+def test_a_road_and_gaps_are_no_doubt() -> None:
+    rows = straight(5, 20.0) + straight(5, 20.0, at=(0.0, 25.0))
+    found = rows_of_view(view_of(rows, missing=[(1, 5.0, 9.0), (6, 10.0, 12.0)]))
+    assert len(found.rows) == 10
+    assert kinds(found) == []
