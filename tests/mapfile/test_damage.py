@@ -280,7 +280,9 @@ def test_a_copy_that_never_began_is_told(tmp_path: Path) -> None:
     path = tmp_path / "map.gpkg"
     path.touch()
     for writable in (False, True):
-        with pytest.raises(MapError, match=r"map\.gpkg is empty: .* copy it again"):
+        with pytest.raises(
+            MapError, match=r"is not a fieldgrid map: it is empty, .* copy it again"
+        ):
             open_map(path, writable=writable)
     assert path.read_bytes() == b""
 

@@ -65,7 +65,10 @@ def open_map(
         raise MapError(f"There is no map {path}; check the name, or build it first.")
     writable = writable or datum is not None
     if path.stat().st_size == 0:
-        raise MapError(f"{path} is empty: it was not copied, or the disk was full; copy it again.")
+        raise MapError(
+            f"{path} is not a fieldgrid map: it is empty, as a copy that never began or a full disk "
+            "leaves it; copy it again."
+        )
     check_journal(path.resolve())
     try:
         connection = connect(path, path, writable=writable, patience=patience)
