@@ -66,8 +66,8 @@ def open_map(
     writable = writable or datum is not None
     if path.stat().st_size == 0:
         raise MapError(
-            f"{path} is not a fieldgrid map: it is empty, as a copy that never began or a full disk "
-            "leaves it; copy it again."
+            f"{path} is not a fieldgrid map: it is empty, as a copy that never began or a full "
+            "disk leaves it; copy it again."
         )
     check_journal(path.resolve())
     try:
