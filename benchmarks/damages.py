@@ -79,6 +79,17 @@ def later(what: str, by_s: float, from_middle: bool = False) -> Damage:
     return damage
 
 
+def cut_stamps(to_s: float) -> Damage:
+    """Stamps of images without what is smaller than `to_s`."""
+
+    def change(rows: list[list[str]]) -> list[list[str]]:
+        for row in rows:
+            row[1] = f"{math.floor(float(row[1]) / to_s) * to_s:.3f}"
+        return rows
+
+    return lambda folder: _rows(folder / FRAMES, change)
+
+
 def images_of(order: Callable[[int], list[int]]) -> Damage:
     """The images of other frames at the stamps of these."""
 
@@ -220,6 +231,8 @@ DAMAGES: dict[str, Damage] = {
     "computer 18 s early": _all(later(IMU, -18.0), later(FRAMES, -18.0)),
     "computer set ahead 0.7 s": _all(later(IMU, 0.7, True), later(FRAMES, 0.7, True)),
     "images 0.3 s late": later(FRAMES, 0.3),
+    "images in whole seconds": cut_stamps(1.0),
+    "images in tenths of a second": cut_stamps(0.1),
     "gyro 0.5 s late": later(IMU, 0.5),
     "frames sorted as text": images_of(lambda n: sorted(range(n), key=str)),
     "images one late": images_of(lambda n: [0, *range(n - 1)]),

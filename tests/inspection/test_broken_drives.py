@@ -505,6 +505,19 @@ def test_an_imu_that_is_mounted_sideways_stops_a_build(drive: Make) -> None:
     assert "--accept imu-turned" in remedy
 
 
+def test_images_that_are_stamped_in_whole_seconds_stop_a_build(drive: Make) -> None:
+    folder = drive()
+    table = folder / "frames.csv"
+    head, *rows = (line.split(",") for line in table.read_text().splitlines())
+    for row in rows:
+        row[1] = row[1].partition(".")[0]
+    table.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    found = inspect_recording(folder)
+    assert not found.builds
+    message, _ = finding(found, "frames-misplaced")
+    assert "stamped in whole seconds" in message
+
+
 def test_images_in_another_order_than_their_stamps_stop_a_build(drive: Make) -> None:
     """As a program leaves them that sorts 10 before 2."""
     folder = drive()

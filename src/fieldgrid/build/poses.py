@@ -239,6 +239,12 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
             "or far less good than they state; look at the log, and if it is the clock, give "
             "--gnss-offset."
         )
+    elif _whole_seconds(recording.frame_times_ns()):
+        why = (
+            "The images are stamped in whole seconds, so each is of up to a second later; let what "
+            "writes them stamp milliseconds, or take the stamps from the files' names or times if "
+            "those have them."
+        )
     else:
         why = (
             "The images are not in the order of their stamps, some are missing or stamped wrong, "
@@ -246,6 +252,13 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
             "before 2), at how the images were written, and at the clock of the computer."
         )
     return Doubted(Doubt.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
+
+
+def _whole_seconds(time_ns: Int64) -> bool:
+    """Whether stamps [n] lie whole seconds apart, though not as those of a camera that is
+    triggered each so many seconds."""
+    apart_ns = np.diff(time_ns)
+    return bool((apart_ns % 1_000_000_000 == 0).all() and len(np.unique(apart_ns)) > 1)
 
 
 def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:

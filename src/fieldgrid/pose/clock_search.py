@@ -44,9 +44,10 @@ CLEAR_LEAD = 16.0
 """By so much the sum of squares must be larger at every other offset: four sigmas. On an even
 drive, noise alone makes a lowest place."""
 
-CONTRADICTION_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 5.0, 0.1, 4
-"""Images are not of their stamps when so many of the camera's steps, and such a share, are farther
-from the drive than so many sigmas. In honest drives, KITTI and the rendered ones, it is none."""
+OFF_SIGMAS, FULL_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 3.0, 5.0, 0.1, 3
+"""A step of the camera counts against the drive from the first of these distances on, in sigmas,
+with its square, and in full from the second on. Images are not of their stamps when in all so many
+steps count, and such a share. In honest drives, KITTI and the rendered ones, none does."""
 
 SURE_TURN_DEG = 4.0
 """Where the drive does not know its turn over a step better than this, it contradicts no camera."""
@@ -81,17 +82,19 @@ class ClockOffset(NamedTuple):
 
 class Contradiction(NamedTuple):
     """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
-    the drive, at any offset of the clock that was found. With `gyro_too` the gyro turns as the
-    images do, so it is the fixes that are of other moments."""
+    the drive, at any offset of the clock that was found, and count as `weight` that are far off.
+    With `gyro_too` the gyro turns as the images do, so it is the fixes that are of other
+    moments."""
 
     off: int
+    weight: float
     steps: int
     gyro_too: bool = False
 
     @property
     def is_certain(self) -> bool:
         """Whether images and fixes are of other moments, and not by one offset."""
-        return self.off >= max(CONTRADICTED_LEAST, CONTRADICTED_SHARE * self.steps)
+        return self.weight >= max(CONTRADICTED_LEAST, CONTRADICTED_SHARE * self.steps)
 
 
 class ClockSearch:
@@ -126,8 +129,9 @@ class ClockSearch:
         turn_2 = heading_deg**2 + steps.sigma_deg**2
         squared = (ahead**2 + right**2) / distance_2 + turn**2 / turn_2
         sure = heading_deg < SURE_TURN_DEG
-        off = sure & (squared > CONTRADICTION_SIGMAS**2)
-        return Contradiction(int(off.sum()), int(sure.sum()))
+        off = sure & (squared > OFF_SIGMAS**2)
+        weight = np.minimum(squared[off] / FULL_SIGMAS**2, 1.0).sum()
+        return Contradiction(int(off.sum()), float(weight), int(sure.sum()))
 
     def by_step(self, offsets_s: Float64) -> tuple[Steps, Float64]:
         """The steps that lie within the drive at all of these offsets [o], and the squared distance
