@@ -261,6 +261,7 @@ DAMAGES: dict[str, Damage] = {
     "camera pushed 2.5 deg aside": seen(_shifted(40.0, 0.0), "left right", HALF),
     "camera pushed 1.9 deg down": seen(_shifted(0.0, 30.0), "left right", HALF),
     "right camera pushed 2 px down": seen(_shifted(0.0, 2.0), "right", HALF),
+    "right camera 1.5 px aside": seen(_shifted(1.5, 0.0), "right"),
     "right camera pushed 1.5 px aside": seen(_shifted(1.5, 0.0), "right", HALF),
     "images of an eighth of the light": seen(lambda i: (i / 8).astype(np.uint8), "left right"),
     "six black images": seen(lambda i: 0 * i, "left right", slice(20, 26)),

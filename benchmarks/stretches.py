@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.heading_honesty import RENDERED
 from benchmarks.heading_scores import DATA
+from fieldgrid.build.camera_scale import camera_scale
 from fieldgrid.build.perception import visual_odometry
 from fieldgrid.errors import FieldgridError
 from fieldgrid.motion import Motion
@@ -33,7 +34,7 @@ def report() -> Iterator[str]:
     """A line for each denial, and their count."""
     random = np.random.default_rng(SEED)
     made = refused = denied = 0
-    by_camera = np.zeros(4, dtype=np.int64)
+    by_camera = np.zeros(6, dtype=np.int64)
     for name, logs in RENDERED:
         if not (DATA / name).exists():
             yield f"{name}: absent"
@@ -59,11 +60,14 @@ def report() -> Iterator[str]:
                 denied += bool(notes)
                 what = ("gyro", "camera", "both")[k % 3]
                 told = found.report
+                scale = camera_scale(motions[k % 3].steps, found.trajectory)
                 doubts = (
                     told.jump is not None or told.clock_change is not None,
                     told.contradiction is not None and told.contradiction.is_certain,
                     told.camera_yaw is not None and told.camera_yaw.is_off,
                     told.camera_yaw is not None and told.camera_yaw.moved is not None,
+                    scale is not None and scale.is_off,
+                    scale is not None and scale.stops,
                 )
                 by_camera += np.array(doubts)
                 for note in notes:
@@ -72,7 +76,7 @@ def report() -> Iterator[str]:
     yield "told falsely by the camera: " + ", ".join(
         f"{what} {count}"
         for what, count in zip(
-            ("clock-jump", "frames-misplaced", "camera-yaw", "camera-moved"),
+            ("clock-jump", "frames-misplaced", "camera-yaw", "camera-moved", "scale", "stops"),
             by_camera.tolist(),
             strict=True,
         )

@@ -28,6 +28,7 @@ class Doubt(StrEnum):
     CLOCK_JUMP = "clock-jump"
     FRAMES_MISPLACED = "frames-misplaced"
     MIRRORED = "mirrored"
+    SCALE = "scale"
     CAMERA_YAW = "camera-yaw"
     IMU_TURNED = "imu-turned"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"

@@ -115,6 +115,25 @@ def test_pairs_that_are_not_rectified_are_refused_unless_accepted(
     assert any("of 7 steps of the camera could be told" in note for note in report.notes)
 
 
+def test_a_camera_that_measures_other_metres_stops_a_build(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    """Nothing but the way tells images that are a pixel and a half aside."""
+    drive = make_drive(frames=range(5, 21))
+    for image in (drive / "right").iterdir():
+        pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+        assert pixels is not None
+        image.unlink()
+        aside = np.array([[1.0, 0.0, 1.5], [0.0, 1.0, 0.0]], dtype=np.float32)
+        moved = cv2.warpAffine(pixels, aside, pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        cv2.imwrite(str(image), moved)
+    with pytest.raises(
+        CalibrationError, match=r"the way is 1\.0\d\d .* a baseline of .* --accept scale"
+    ):
+        build([drive], tmp_path / "m.gpkg")
+    assert sorted(tmp_path.iterdir()) == [drive]
+
+
 @pytest.mark.parametrize(
     "change", [{"camera_height_above_ground_m": 3.65}, {"camera_tilt_down_deg": 26.0}]
 )

@@ -9,10 +9,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.measures import Look, blur, exposure
-from fieldgrid.inspection.rigs import scale
-from fieldgrid.pose import estimate_poses
 from fieldgrid.vertical import drive_misalignment, misalignment
-from tests.simulated import DATUM, Command, fixes_of, simulate, steps_of
 
 SIZE_PX = (640, 480)
 
@@ -80,16 +77,3 @@ def test_blur_does_not_depend_on_contrast() -> None:
 def test_exposure_is_that_of_the_worse_image() -> None:
     dark, bright = np.zeros((10, 10), np.uint8), np.full((10, 10), 255, np.uint8)
     assert exposure(dark, bright) == ((0.0, 255.0), 1.0, 1.0)
-
-
-@pytest.mark.parametrize(("stated_m", "least"), [(0.02, 0.005), (0.3, 0.0075)])
-def test_a_scale_is_no_surer_than_calibration_and_fixes(stated_m: float, least: float) -> None:
-    """Steps without noise agree with each other, and share what the parts do not show."""
-    simulated = simulate([Command(40.0, 1.5)], 20.0, speed_mps=1.5)
-    fixes = fixes_of(simulated, 0.2, 0.01)
-    fixes = fixes.replace(sigma_m=np.full(len(fixes), stated_m))
-    trajectory = estimate_poses(fixes, None, DATUM).trajectory
-    found = scale(steps_of(simulated, 0.5), trajectory)
-    assert found is not None
-    assert found.ratio == pytest.approx(1.0, abs=0.01)
-    assert least < found.sigma < 0.02

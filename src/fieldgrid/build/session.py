@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
+from fieldgrid.build.camera_scale import camera_scale, doubted_scale, scale_notes
 from fieldgrid.build.doubt import (
     camera_notes,
     doubted_cameras,
@@ -244,8 +245,11 @@ class NewSession:
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
         mirrored = doubted_mirror(recording, estimate.trajectory, steps)
         report.notes += settle(mirrored, self.settings)
+        scale = camera_scale(steps, estimate.trajectory)
         for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
             report.notes += settle(doubted(recording, estimate), self.settings)
+        report.notes += settle(doubted_scale(scale, recording.rig), self.settings)
+        report.notes += scale_notes(scale, recording.rig)
         report.notes += settle(doubted_imu(estimate), self.settings) + imu_notes(estimate)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory

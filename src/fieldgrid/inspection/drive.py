@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fieldgrid.build.camera_scale import camera_scale, doubted_scale, scale_notes
 from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
@@ -44,7 +45,7 @@ from fieldgrid.inspection.images import (
 from fieldgrid.inspection.looking import Seen, Tell, look_at
 from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
-from fieldgrid.inspection.rigs import ground_seen, mount_findings, scale, scale_findings
+from fieldgrid.inspection.rigs import ground_seen, mount_findings
 from fieldgrid.inspection.sampling import sample_every, stretches
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.pose import Estimate
@@ -189,8 +190,13 @@ def _with_poses(
         findings.append(refusal(mirrored.error, mirrored.doubt.value))
     elif seen.steps is not None:
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
-        by_way = scale(seen.steps, fixes_alone.trajectory, off_ns)
-        findings += scale_findings(by_way, recording.rig)
+        by_way = camera_scale(seen.steps, fixes_alone.trajectory, off_ns)
+        doubted = doubted_scale(by_way, recording.rig)
+        if doubted is not None:
+            findings.append(refusal(doubted.error, doubted.doubt.value))
+        for note in scale_notes(by_way, recording.rig):
+            what, _, remedy = note.partition("; ")
+            findings.append(warning(Doubt.SCALE.value, f"{what}.", remedy[0].upper() + remedy[1:]))
     if with_camera is not None and mirrored is None:
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:

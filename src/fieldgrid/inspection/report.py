@@ -7,11 +7,12 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from fieldgrid.build.camera_scale import CameraScale
 from fieldgrid.inspection.coverage import Coverage
 from fieldgrid.inspection.findings import Finding, Severity
 from fieldgrid.inspection.fixes import FixSummary, Sync
 from fieldgrid.inspection.measures import Look
-from fieldgrid.inspection.rigs import GroundSeen, Scale
+from fieldgrid.inspection.rigs import GroundSeen
 from fieldgrid.inspection.streams import StreamSummary
 from fieldgrid.pose import ClockOffset
 from fieldgrid.rig import Rig
@@ -49,7 +50,7 @@ class Inspection:
     looks: tuple[Look, ...] = ()
     misalignment: Misalignment | None = None
     ground: GroundSeen | None = None
-    scale: Scale | None = None
+    scale: CameraScale | None = None
     coverage: Coverage | None = None
     trajectory: Trajectory | None = None
 

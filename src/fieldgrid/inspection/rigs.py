@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldgrid.build.camera_scale import CameraScale
 from fieldgrid.frame_ground import FrameGround
-from fieldgrid.inspection.findings import Finding, error, info, warning
-from fieldgrid.motion import Steps
+from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.rig import DepthCamera, Lidar, Mount, Rig, Sensor, StereoCamera
-from fieldgrid.trajectory import Status, Trajectory
 
 LOWEST_M, HIGHEST_M = 0.3, 6.0
 
@@ -21,35 +20,11 @@ OFF_CENTRE_SHARE = 0.2
 
 NARROWEST_DEG, WIDEST_DEG = 15.0, 150.0
 
-SCALE_WARN, SCALE_ERROR = 0.03, 0.05
-"""How far the camera's way may be off that of the fixes."""
-
-LEAST_WAY_M, LEAST_STEP_M = 10.0, 0.1
-
-PARTS = 8
-CALIBRATION_SHARE = 0.005
-"""Disparities that are off by a tenth of a pixel, where most points are, make half a per cent."""
-
-
 HEIGHT_SHARE, LEAN_DEG, CLEAR_SIGMAS = 0.08, 1.5, 4.0
 """A mounting disagrees with the ground when height, tilt or roll is off by more than these, and
 by more than so many errors of the mean: the ground ahead is not the one under the wheels."""
 
 FEWEST_GROUNDS = 5
-
-
-class Scale(NamedTuple):
-    """The way by the camera over the way by the fixes, with its 1-sigma error, over so many
-    metres."""
-
-    ratio: float
-    sigma: float
-    distance_m: float
-
-    @property
-    def is_off(self) -> bool:
-        """Whether it is certainly not 1."""
-        return abs(self.ratio - 1.0) > max(SCALE_WARN, CLEAR_SIGMAS * self.sigma)
 
 
 class GroundSeen(NamedTuple):
@@ -137,58 +112,6 @@ def describe_sensor(sensor: Sensor) -> str:
     return f"lidar, {sensor.points_per_sr:.0f} points/sr"
 
 
-def scale(steps: Steps, trajectory: Trajectory, offset_ns: int = 0) -> Scale | None:
-    """The camera's way beside that of the fixes alone, projected on the nose, so that noise does
-    not lengthen it; None where too little can be compared. `offset_ns` is added to the steps'
-    times."""
-    camera_m, fixes_m = [], []
-    times = zip(steps.start_ns.tolist(), steps.stop_ns.tolist(), strict=True)
-    if not trajectory.accepted.any():
-        return None
-    for k, (start_ns, stop_ns) in enumerate(times):
-        one, other = trajectory.at(start_ns + offset_ns), trajectory.at(stop_ns + offset_ns)
-        forward_m = float(steps.forward_m[k])
-        if Status.REJECTED in (one.status, other.status) or abs(forward_m) < LEAST_STEP_M:
-            continue
-        nose = math.radians(one.heading_deg)
-        east_m, north_m = other.east_m - one.east_m, other.north_m - one.north_m
-        distance_m = east_m * math.sin(nose) + north_m * math.cos(nose)
-        camera_m.append(abs(forward_m))
-        fixes_m.append(math.copysign(1.0, forward_m) * distance_m)
-    by_camera, by_fixes = np.array(camera_m), np.array(fixes_m)
-    if by_fixes.sum() < LEAST_WAY_M or len(by_fixes) < PARTS:
-        return None
-    parts = np.array_split(np.arange(len(by_camera)), PARTS)
-    rest = np.array(
-        [
-            (by_camera.sum() - by_camera[part].sum()) / (by_fixes.sum() - by_fixes[part].sum())
-            for part in parts
-        ]
-    )
-    scatter = math.sqrt((PARTS - 1) / PARTS * float(((rest - rest.mean()) ** 2).sum()))
-    way_m = float(by_fixes.sum())
-    # What all parts share: calibration, and fixes that are off at both ends of the way.
-    ends_m = math.sqrt(2.0) * float(np.median(trajectory.position_sigma_m[trajectory.accepted]))
-    sigma = math.hypot(scatter, CALIBRATION_SHARE, ends_m / way_m)
-    return Scale(float(by_camera.sum()) / way_m, sigma, way_m)
-
-
-def scale_findings(found: Scale | None, rig: Rig) -> Iterator[Finding]:
-    """A baseline, or a focal length, that is not that of these images."""
-    if found is None or not found.is_off or not isinstance(rig.sensor, StereoCamera):
-        return
-    baseline_m = rig.sensor.baseline_m
-    level = error if abs(found.ratio - 1.0) > SCALE_ERROR else warning
-    yield level(
-        "scale",
-        f"By the camera the way is {found.ratio:.3f} ± {found.sigma:.3f} times that of the fixes "
-        f"(over {found.distance_m:.0f} m), so all distances of the grids are.",
-        f"A baseline of {baseline_m / found.ratio:.4f} m in place of {baseline_m:.4f} m would "
-        "agree: check it (P[3] = -f·b of the right camera, stereo_baseline_m) and the focal "
-        "length.",
-    )
-
-
 def ground_seen(grounds: Sequence[FrameGround], mount: Mount) -> GroundSeen | None:
     """The mount as the ground shows it; None where it was found in too few frames."""
     found = [ground for ground in grounds if ground.refined]
@@ -210,7 +133,7 @@ def ground_seen(grounds: Sequence[FrameGround], mount: Mount) -> GroundSeen | No
 
 
 def mount_findings(
-    seen: GroundSeen | None, mount: Mount, scale_found: Scale | None
+    seen: GroundSeen | None, mount: Mount, scale_found: CameraScale | None
 ) -> Iterator[Finding]:
     """A mounting that is not that of these images. A wrong scale also makes a wrong height."""
     if seen is None:

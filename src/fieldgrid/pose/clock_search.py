@@ -52,8 +52,9 @@ steps count, and such a share. In honest drives, KITTI and the rendered ones, no
 SURE_TURN_DEG = 4.0
 """Where the drive does not know its turn over a step better than this, it contradicts no camera."""
 
-PLACING_SHARE = 0.1
-"""By what share of its length a step may be off when the calibration is: other checks tell that."""
+PLACING_SHARE, LEAST_STEP_M = 0.1, 0.1
+"""By what share of its length a step may be off beside the scale of most when the calibration is:
+other checks tell that. Shorter ones tell no scale."""
 
 LEAST_SIGMA_S = 0.003
 """What no drive tells: exposure, and the time between two lines of a sensor."""
@@ -120,8 +121,9 @@ class ClockSearch:
         return float(self._squared(steps, offset_s).mean())
 
     def contradiction(self, offset_s: float) -> Contradiction:
-        """How many steps are not of the drive with this offset, whatever its own errors."""
-        steps = self._inside(offset_s, 0.0)
+        """How many steps are not of the drive with this offset, whatever its own errors and the
+        camera's scale."""
+        steps = self._in_metres(self._inside(offset_s, 0.0), offset_s)
         ahead, right, turn = self._differences(steps, offset_s)
         place_m, heading_deg = self._drive_sigmas(steps, offset_s)
         length_m = np.hypot(steps.forward_m, steps.right_m)
@@ -187,6 +189,15 @@ class ClockSearch:
     def far(self, rough_s: float | None) -> ClockOffset | None:
         """The best offset near where the steps fit best; None when there is no clear one."""
         return None if rough_s is None else self.best(rough_s)
+
+    def _in_metres(self, steps: Steps, offset_s: float) -> Steps:
+        """Steps of which most are as long as those of the drive."""
+        long = np.abs(steps.forward_m) > LEAST_STEP_M
+        if not long.any():
+            return steps
+        ahead = self._differences(steps, offset_s)[0]
+        scale = 1.0 + float(np.median(ahead[long] / steps.forward_m[long]))
+        return steps._replace(forward_m=scale * steps.forward_m, right_m=scale * steps.right_m)
 
     def _inside(self, near_s: float, margin_s: float) -> Steps:
         times_ns, steps = self._time_ns, self._steps
