@@ -505,6 +505,19 @@ def test_an_imu_that_is_mounted_sideways_stops_a_build(drive: Make) -> None:
     assert "--accept imu-turned" in remedy
 
 
+def test_what_a_build_notes_of_the_poses_is_told(drive: Make) -> None:
+    """An antenna that sits 0.9 m beside where it is declared."""
+    folder = drive()
+    change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=[-0.45, -0.78, 0.35])
+    found = inspect_recording(folder)
+    assert serious(found) == {"poses"}
+    message, remedy = finding(found, "poses")
+    assert re.search(
+        r"the antenna sits 0\.\d\d m ± 0\.\d\d m farther left than mounting\.json", message
+    )
+    assert remedy.startswith("Measure its place and correct it.")
+
+
 def test_images_that_are_stamped_in_whole_seconds_stop_a_build(drive: Make) -> None:
     folder = drive()
     table = folder / "frames.csv"

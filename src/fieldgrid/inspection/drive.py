@@ -50,6 +50,7 @@ from fieldgrid.inspection.sampling import sample_every, stretches
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.pose import Estimate
 from fieldgrid.pose.camera_yaw import yaw_notes
+from fieldgrid.pose.report import NO_AXLE, clock_notes
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -68,6 +69,20 @@ def with_fixes(
     summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
     findings += fix_findings(summary)
     return replace(found, fixes=summary, trajectory=estimate.trajectory)
+
+
+def pose_notes(estimate: Estimate) -> Iterator[Finding]:
+    """What a build notes of the poses, but for what has findings of its own."""
+    report = estimate.report
+    if not estimate.trajectory.accepted.any():
+        return
+    own = {*clock_notes(report.clock)}
+    if report.camera_yaw is not None:
+        own.update(yaw_notes(report.camera_yaw))
+    for note in report.notes:
+        if note not in own and not note.startswith(NO_AXLE):
+            what, _, remedy = note.partition("; ")
+            yield warning("poses", f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
 
 
 def with_frames(
@@ -205,6 +220,8 @@ def _with_poses(
         findings.append(clock_unknown(seen.followed))
     # With a wrong clock the camera's motion would be laid beside that of other moments.
     estimate = fixes_alone if with_camera is None or off else with_camera
+    if mirrored is None and not off:
+        findings += pose_notes(estimate)
     track = estimate.trajectory
     images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]

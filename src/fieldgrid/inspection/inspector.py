@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import CalibrationError, FieldgridError, NoFramesError, RecordingError
-from fieldgrid.inspection.drive import with_fixes, with_frames
+from fieldgrid.inspection.drive import pose_notes, with_fixes, with_frames
 from fieldgrid.inspection.findings import Finding, error, in_order, info, warning
 from fieldgrid.inspection.looking import Tell
 from fieldgrid.inspection.refusals import noted, refusal
@@ -105,5 +105,7 @@ def _without_images(
 ) -> Inspection:
     """The fixes of a drive that has nothing else."""
     with noted(findings):
-        found = with_fixes(found, estimate_drive(drive, settings), drive, findings)
+        estimate = estimate_drive(drive, settings)
+        found = with_fixes(found, estimate, drive, findings)
+        findings += pose_notes(estimate)
     return found

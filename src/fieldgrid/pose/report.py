@@ -31,6 +31,8 @@ from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
 
+NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
+
 
 class FixOffset(NamedTuple):
     """How far the antenna is estimated from the accepted fixes, metres: the mean east and north,
@@ -139,7 +141,7 @@ def drive_notes(
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
     yield from _leap_note(fixes)
-    yield from _clock_note(clock)
+    yield from clock_notes(clock)
     if yaw is not None:
         yield from yaw_notes(yaw)
     if not names_axle(rig):
@@ -177,7 +179,8 @@ def _leap_note(fixes: AcceptedFixes) -> Iterator[str]:
         )
 
 
-def _clock_note(clock: ClockOffset | None) -> Iterator[str]:
+def clock_notes(clock: ClockOffset | None) -> Iterator[str]:
+    """That the images are stamped otherwise than the fixes."""
     if clock is not None and clock.is_certain:
         remedy = (
             f"and the gyro with them; if so, add {-clock.offset_s:.3f} to gnss_time_offset_s in "
@@ -197,15 +200,14 @@ def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
     remedy = "Say it with --antenna-ahead METRES."
     if isinstance(rig, Rig):
         remedy = "Declare camera_mid_from_rear_axle_ground_flu_m in mounting.json."
-    unknown = "Nothing says how far the antenna sits ahead of the axle that does not steer"
     if axle.told:
         (_, ahead_m), _ = axle.frame()
-        return f"{unknown}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
+        return f"{NO_AXLE}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
     turns = "a metre is 11° at a radius of 5 m"
     if isinstance(rig, Rig):
-        return f"{unknown}, so headings are unsure in turns: {turns}. {remedy}"
+        return f"{NO_AXLE}, so headings are unsure in turns: {turns}. {remedy}"
     taken = "it is taken to be above it. Ahead of it, headings are off in turns"
-    return f"{unknown}; {taken}: {turns}. {remedy}"
+    return f"{NO_AXLE}; {taken}: {turns}. {remedy}"
 
 
 def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings) -> str:
