@@ -110,3 +110,24 @@ def test_a_damaged_layer_says_so(field: Path) -> None:
     connection.close()
     with open_map(field) as universal, pytest.raises(MapError, match=r"found_lane .*damaged"):
         universal.kept_features()
+
+
+def test_no_other_table_is_dropped_whatever_a_map_says_of_it(field: Path) -> None:
+    """As in a map that somebody made for this."""
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+        before = [frame.frame_id for frame in universal.frames(universal.sessions()[0].name)]
+    connection = sqlite3.connect(field)
+    connection.execute(
+        "UPDATE gpkg_contents SET description = (SELECT description FROM gpkg_contents WHERE "
+        "table_name = 'found_lane') WHERE table_name = 'footprint'"
+    )
+    connection.commit()
+    connection.close()
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND[:1], universal.root_sha256)
+        kept = universal.kept_features()
+        assert kept is not None
+        assert [one.kind for one in kept.features] == ["headland"]
+        assert [f.frame_id for f in universal.frames(universal.sessions()[0].name)] == before
+    assert "footprint" in dict(pyogrio.list_layers(field).tolist())

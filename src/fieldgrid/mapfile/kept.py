@@ -66,11 +66,12 @@ def read_kept(connection: sqlite3.Connection) -> Kept | None:
 
 
 def _tables(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    """The tables of kept features with their descriptions, in the order they were made."""
+    """The tables of kept features with their descriptions, in the order they were made. By both
+    name and description: no other table is dropped, whatever a map says of it."""
     return connection.execute(
         "SELECT table_name, description FROM gpkg_contents WHERE substr(description, 1, ?) = ? "
-        "ORDER BY rowid",
-        (len(_SAYS), _SAYS),
+        "AND substr(table_name, 1, ?) = ? ORDER BY rowid",
+        (len(_SAYS), _SAYS, len(_PREFIX), _PREFIX),
     ).fetchall()
 
 
