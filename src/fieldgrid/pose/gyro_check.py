@@ -167,6 +167,8 @@ def with_trusted_gyro(
     wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     if not drive.at.has_gyro() or not found.contradicts:
         return fits
+    if not found.blames_gyro and (motion.steps is None or not len(motion.steps.start_ns)):
+        return fits  # nothing else saw the turns, so the drive without it would tell nothing
     without = motion._replace(gyro=None, inertial=None)
     rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
     scale = found.gyro_scale

@@ -172,6 +172,9 @@ def _valid(time_ns: Int64) -> Int64:
 
 def _decimal_ns(cells: Sequence[str], places: int) -> Int64:
     """Decimal numbers times 10^places, exactly; digits beyond are cut off."""
+    aligned = _aligned_ns(cells, places)
+    if aligned is not None:
+        return aligned
     count, zeros = len(cells), "0" * places
     try:
         if "e" in "".join(cells).lower():
@@ -184,6 +187,33 @@ def _decimal_ns(cells: Sequence[str], places: int) -> Int64:
         fraction = np.fromiter((int(d) for d in digits), np.int64, count)
     except (ValueError, OverflowError):
         return np.array([_one_decimal(c, k, places) for k, c in enumerate(cells)], dtype=np.int64)
+    return _possible_ns(whole, fraction, places)
+
+
+def _aligned_ns(cells: Sequence[str], places: int) -> Int64 | None:
+    """The same of digits that have their point in one column, as most logs write them; None of
+    others."""
+    first = cells[0] if len(cells) else ""
+    length, wide = len(first), first.find(".") if "." in first else len(first)
+    text = "".join(cells)
+    if not 0 < wide <= 19 or set(map(len, cells)) != {length} or not text.isascii():
+        return None
+    digits = np.frombuffer(text.encode(), np.uint8).reshape(-1, length)
+    if length > wide and (digits[:, wide] != ord(".")).any():
+        return None
+    digits = np.delete(digits, wide, axis=1) - ord("0") if length > wide else digits - ord("0")
+    if (digits > 9).any() or (wide == 19 and (digits[:, 0] == 9).any()):
+        return None  # the latter may be too large for an int64
+    fraction = np.zeros(len(cells), dtype=np.int64)
+    whole = fraction.copy()
+    for column in digits.T[:wide]:
+        whole = 10 * whole + column
+    for k in range(places):
+        fraction = 10 * fraction + (digits[:, wide + k] if wide + k < digits.shape[1] else 0)
+    return _possible_ns(whole, fraction, places)
+
+
+def _possible_ns(whole: Int64, fraction: Int64, places: int) -> Int64:
     possible = (whole >= 0) & (whole < MAX_TIME_NS // 10**places)
     return np.asarray(np.where(possible, whole * 10**places + fraction, NO_TIME), dtype=np.int64)
 
