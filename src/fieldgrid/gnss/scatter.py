@@ -231,9 +231,10 @@ def _spacing_deg(angles_deg: Float64) -> float:
         return 0.0
     for spacing_deg in _LATTICES_DEG:
         steps = values / spacing_deg
-        on_it = np.abs(steps - np.round(steps)) <= _ON_LATTICE_TOLERANCE
+        nearest = np.round(steps)
+        on_it = np.abs(steps - nearest) <= _ON_LATTICE_TOLERANCE
         # A drive along a round meridian lies near one point of a coarse lattice, or few.
-        apart = np.unique(np.round(steps)).size
+        apart = 1 + np.count_nonzero(np.diff(nearest))  # both are in order
         if np.mean(on_it) >= _ON_LATTICE_SHARE and 2 * apart >= values.size:
             return spacing_deg
     return 0.0
