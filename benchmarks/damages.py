@@ -235,6 +235,8 @@ DAMAGES: dict[str, Damage] = {
     "images in tenths of a second": cut_stamps(0.1),
     "gyro 0.5 s late": later(IMU, 0.5),
     "frames sorted as text": images_of(lambda n: sorted(range(n), key=str)),
+    "frames from last to first": images_of(lambda n: [*reversed(range(n))]),
+    "every other image lost": images_of(lambda n: [min(2 * k, n - 1) for k in range(n)]),
     "images one late": images_of(lambda n: [0, *range(n - 1)]),
     "images one late from the middle": images_of(lambda n: [*range(25), *range(24, n - 1)]),
     "left and right exchanged": _exchanged,

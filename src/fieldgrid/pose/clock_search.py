@@ -52,9 +52,9 @@ steps count, and such a share. In honest drives, KITTI and the rendered ones, no
 SURE_TURN_DEG = 4.0
 """Where the drive does not know its turn over a step better than this, it contradicts no camera."""
 
-PLACING_SHARE, LEAST_STEP_M = 0.1, 0.1
+PLACING_SHARE, LEAST_STEP_M, MOST_SCALE = 0.1, 0.1, 2.0
 """By what share of its length a step may be off beside the scale of most when the calibration is:
-other checks tell that. Shorter ones tell no scale."""
+other checks tell that. Shorter steps tell no scale, which is at most the last of these."""
 
 LEAST_SIGMA_S = 0.003
 """What no drive tells: exposure, and the time between two lines of a sensor."""
@@ -197,6 +197,8 @@ class ClockSearch:
             return steps
         ahead = self._differences(steps, offset_s)[0]
         scale = 1.0 + float(np.median(ahead[long] / steps.forward_m[long]))
+        # A calibration is off by less; images from last to first go the other way.
+        scale = min(max(scale, 1.0 / MOST_SCALE), MOST_SCALE)
         return steps._replace(forward_m=scale * steps.forward_m, right_m=scale * steps.right_m)
 
     def _inside(self, near_s: float, margin_s: float) -> Steps:
