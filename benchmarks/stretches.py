@@ -60,7 +60,7 @@ def report() -> Iterator[str]:
                 denied += bool(notes)
                 what = ("gyro", "camera", "both")[k % 3]
                 told = found.report
-                scale = camera_scale(motions[k % 3].steps, found.trajectory)
+                scale = camera_scale(motions[k % 3].steps, found.trajectory, heights_told=True)
                 doubts = (
                     told.jump is not None or told.clock_change is not None,
                     told.contradiction is not None and told.contradiction.is_certain,

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fieldgrid.build.camera_scale import camera_scale, doubted_scale, scale_notes
+from fieldgrid.build.camera_scale import (
+    camera_scale,
+    doubted_scale,
+    scale_notes,
+    tells_heights,
+)
 from fieldgrid.choices import Doubt
 from fieldgrid.motion import Steps
 from fieldgrid.pose import estimate_poses
+from fieldgrid.recording import open_drive
 from fieldgrid.trajectory import Trajectory
 from tests.scenes import paper_rig
 from tests.simulated import DATUM, Command, fixes_of, simulate, steps_of
@@ -33,7 +40,7 @@ def scaled(by: float) -> Steps:
 @pytest.mark.parametrize(("stated_m", "least"), [(0.02, 0.005), (0.3, 0.0075)])
 def test_a_scale_is_no_surer_than_calibration_and_fixes(stated_m: float, least: float) -> None:
     """Steps without noise agree with each other, and share what the parts do not show."""
-    found = camera_scale(scaled(1.0), driven(stated_m))
+    found = camera_scale(scaled(1.0), driven(stated_m), heights_told=True)
     assert found is not None
     assert found.ratio == pytest.approx(1.0, abs=0.01)
     assert least < found.sigma < 0.02
@@ -46,7 +53,7 @@ def test_a_scale_is_no_surer_than_calibration_and_fixes(stated_m: float, least: 
 def test_a_baseline_that_is_wrong_is_told_and_stops_a_build_from_a_twentieth(
     by: float, notes: int, stops: bool
 ) -> None:
-    found = camera_scale(scaled(by), driven())
+    found = camera_scale(scaled(by), driven(), heights_told=True)
     assert found is not None
     assert found.ratio == pytest.approx(by, abs=0.01)
     assert len(scale_notes(found, RIG)) == notes
@@ -66,16 +73,29 @@ def test_a_way_up_a_slope_is_longer_than_its_plan() -> None:
     noise_m = np.random.default_rng(2).normal(0.0, 0.1, len(way_m))
     sloping = replace(trajectory, up_m=climb * way_m + noise_m)
     longer = scaled(1.0 / np.cos(np.radians(20.0)))
-    found = camera_scale(longer, sloping)
+    found = camera_scale(longer, sloping, heights_told=True)
     assert found is not None
     assert found.ratio == pytest.approx(1.0, abs=0.01)
     # Without heights it may be a slope, and is not called a fault.
-    unknown = camera_scale(longer, replace(trajectory, up_m=np.full(len(way_m), np.nan)))
+    unknown = camera_scale(longer, trajectory, heights_told=False)
     assert unknown is not None
     assert not unknown.is_off
 
 
 def test_without_a_camera_or_a_way_there_is_no_scale() -> None:
-    assert camera_scale(None, driven()) is None
+    assert camera_scale(None, driven(), heights_told=True) is None
     few = Steps(*(column[:6] for column in scaled(1.0)))
-    assert camera_scale(few, driven()) is None
+    assert camera_scale(few, driven(), heights_told=True) is None
+
+
+def test_a_log_without_heights_tells_none(tmp_path: Path) -> None:
+    """Its fixes have 0 m, all of them."""
+    for heights, tells in (("", False), (",alt_m", True)):
+        log = tmp_path / "fixes.csv"
+        rows = (
+            f"{1_308_133_811 + k},{41.65 + k * 1e-6:.8f},-4.72{heights and f',{700 + k / 10}'}"
+            for k in range(5)
+        )
+        log.write_text("\n".join([f"timestamp_utc_s,lat_deg,lon_deg{heights}", *rows]) + "\n")
+        with open_drive(log) as drive:
+            assert tells_heights(drive.fixes()) == tells

@@ -16,6 +16,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.build.poses import Doubted
 from fieldgrid.choices import Doubt
 from fieldgrid.errors import CalibrationError
+from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Steps
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.trajectory import Status, Trajectory
@@ -34,7 +35,7 @@ CLIMB_OVER_M = 16.0
 
 FLAT_SHARE = 0.02
 """A slope of 11 degrees, which nothing tells without heights, makes the camera's way so much longer
-than its plan."""
+than its plan. Four times as much is one of 22 degrees."""
 
 
 class CameraScale(NamedTuple):
@@ -56,12 +57,17 @@ class CameraScale(NamedTuple):
         return self.is_off and abs(self.ratio - 1.0) > SCALE_ERROR
 
 
+def tells_heights(fixes: FixColumns) -> bool:
+    """Whether fixes have heights; where a log has none they are all 0."""
+    return len(fixes) > 0 and bool(np.ptp(fixes.height_m) > 0.0)
+
+
 def camera_scale(
-    steps: Steps | None, trajectory: Trajectory, offset_ns: int = 0
+    steps: Steps | None, trajectory: Trajectory, offset_ns: int = 0, *, heights_told: bool
 ) -> CameraScale | None:
     """The camera's way beside that of the poses, projected on the nose, so that noise does not
-    lengthen it, and along the slope; None where too little can be compared. `offset_ns` is added
-    to the steps' times."""
+    lengthen it, and along the slope where heights are told; None where too little can be compared.
+    `offset_ns` is added to the steps' times."""
     if steps is None or not trajectory.accepted.any():
         return None
     camera_m, plan_m, place_m = [], [], []
@@ -80,8 +86,8 @@ def camera_scale(
     by_camera, by_fixes = np.array(camera_m), np.array(plan_m)
     if by_fixes.sum() < LEAST_WAY_M or len(by_fixes) < PARTS:
         return None
-    slope = _slope(np.array(place_m))
-    by_fixes = by_fixes * np.hypot(1.0, np.nan_to_num(slope))
+    if heights_told:
+        by_fixes = by_fixes * np.hypot(1.0, _slope(np.array(place_m)))
     parts = np.array_split(np.arange(len(by_camera)), PARTS)
     rest = np.array(
         [
@@ -94,14 +100,13 @@ def camera_scale(
     # What all parts share: calibration, slopes that nothing tells, and fixes that are off at both
     # ends of the way.
     ends_m = math.sqrt(2.0) * float(np.median(trajectory.position_sigma_m[trajectory.accepted]))
-    flat = FLAT_SHARE * float(np.isnan(slope).mean())
-    sigma = math.hypot(scatter, CALIBRATION_SHARE, flat, ends_m / way_m)
+    slope = 0.0 if heights_told else FLAT_SHARE
+    sigma = math.hypot(scatter, CALIBRATION_SHARE, slope, ends_m / way_m)
     return CameraScale(float(by_camera.sum()) / way_m, sigma, way_m)
 
 
 def _slope(place_m: Float64) -> Float64:
-    """How steeply the way goes up at some places [n, 3] in order, metres a metre; NaN where
-    heights do not tell."""
+    """How steeply the way goes up at some places [n, 3] in order, metres a metre."""
     apart_m = np.hypot(*np.diff(place_m[:, :2], axis=0).T)
     way_m = np.concatenate([[0.0], np.cumsum(apart_m)])
     ends_m = np.clip(way_m + np.array([[-0.5], [0.5]]) * CLIMB_OVER_M, 0.0, way_m[-1])

@@ -18,7 +18,12 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build.camera_scale import camera_scale, doubted_scale, scale_notes
+from fieldgrid.build.camera_scale import (
+    camera_scale,
+    doubted_scale,
+    scale_notes,
+    tells_heights,
+)
 from fieldgrid.build.doubt import (
     camera_notes,
     doubted_cameras,
@@ -245,7 +250,8 @@ class NewSession:
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
         mirrored = doubted_mirror(recording, estimate.trajectory, steps)
         report.notes += settle(mirrored, self.settings)
-        scale = camera_scale(steps, estimate.trajectory)
+        heights = tells_heights(recording.fixes())
+        scale = camera_scale(steps, estimate.trajectory, heights_told=heights)
         for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
             report.notes += settle(doubted(recording, estimate), self.settings)
         report.notes += settle(doubted_scale(scale, recording.rig), self.settings)

@@ -10,7 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from fieldgrid.build.camera_scale import camera_scale, doubted_scale, scale_notes
+from fieldgrid.build.camera_scale import (
+    camera_scale,
+    doubted_scale,
+    scale_notes,
+    tells_heights,
+)
 from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
@@ -81,8 +86,13 @@ def pose_notes(estimate: Estimate) -> Iterator[Finding]:
         own.update(yaw_notes(report.camera_yaw))
     for note in report.notes:
         if note not in own and not note.startswith(NO_AXLE):
-            what, _, remedy = note.partition("; ")
-            yield warning("poses", f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
+            yield _as_warning("poses", note)
+
+
+def _as_warning(code: str, note: str) -> Finding:
+    """A note of a build, whose remedy follows a semicolon."""
+    what, _, remedy = note.partition("; ")
+    return warning(code, f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
 
 
 def with_frames(
@@ -205,13 +215,14 @@ def _with_poses(
         findings.append(refusal(mirrored.error, mirrored.doubt.value))
     elif seen.steps is not None:
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
-        by_way = camera_scale(seen.steps, fixes_alone.trajectory, off_ns)
+        heights = tells_heights(recording.fixes())
+        track = fixes_alone.trajectory
+        by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
         doubted = doubted_scale(by_way, recording.rig)
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
-        for note in scale_notes(by_way, recording.rig):
-            what, _, remedy = note.partition("; ")
-            findings.append(warning(Doubt.SCALE.value, f"{what}.", remedy[0].upper() + remedy[1:]))
+        notes = scale_notes(by_way, recording.rig)
+        findings += [_as_warning(Doubt.SCALE.value, note) for note in notes]
     if with_camera is not None and mirrored is None:
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:
