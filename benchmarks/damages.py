@@ -200,6 +200,16 @@ def _shifted(right_px: float, down_px: float) -> Callable[[np.ndarray], np.ndarr
     )
 
 
+def _grainy(image: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(int(image.sum()))
+    return np.clip(image + rng.normal(0.0, 25.0, image.shape), 0, 255).astype(np.uint8)
+
+
+def _hard_pressed(image: np.ndarray) -> np.ndarray:
+    _, pressed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 8])
+    return cv2.imdecode(pressed, cv2.IMREAD_GRAYSCALE)
+
+
 def _all(*damages: Damage) -> Damage:
     def damage(folder: Path) -> None:
         for one in damages:
@@ -266,6 +276,8 @@ DAMAGES: dict[str, Damage] = {
     "right camera 1.5 px aside": seen(_shifted(1.5, 0.0), "right"),
     "right camera pushed 1.5 px aside": seen(_shifted(1.5, 0.0), "right", HALF),
     "images of an eighth of the light": seen(lambda i: (i / 8).astype(np.uint8), "left right"),
+    "noise of 25 grey levels": seen(_grainy, "left right"),
+    "stored as JPEG of quality 8": seen(_hard_pressed, "left right"),
     "six black images": seen(lambda i: 0 * i, "left right", slice(20, 26)),
 }
 

@@ -71,6 +71,16 @@ def to_universal(x_m: npt.ArrayLike, y_m: npt.ArrayLike, pose: Pose) -> tuple[Fl
     return east, north
 
 
+def to_local(east_m: npt.ArrayLike, north_m: npt.ArrayLike, pose: Pose) -> tuple[Float64, Float64]:
+    """Eq. 3 turned round: (x right, y forward) at a pose of places (E, N), metres."""
+    east = np.asarray(east_m, dtype=np.float64) - pose.east_m
+    north = np.asarray(north_m, dtype=np.float64) - pose.north_m
+    phi = math.radians(pose.heading_deg)
+    x_m = east * math.cos(phi) - north * math.sin(phi)
+    y_m = east * math.sin(phi) + north * math.cos(phi)
+    return x_m, y_m
+
+
 class Landing(NamedTuple):
     """Where the cells of one local grid land in a window of universal cells.
 

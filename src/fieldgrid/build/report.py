@@ -80,6 +80,7 @@ class SessionReport:
     heading_sigma_deg: float | None = None
     position_sigma_m: float | None = None
     max_range_m: float = 0.0
+    denied_share: float | None = None
     bad: tuple[BadFrame, ...] = ()
     notes: tuple[str, ...] = ()
     stages: StageTimes = field(default_factory=StageTimes)

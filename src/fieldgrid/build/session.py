@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
+from fieldgrid.build.agreement import Placed, agreement_notes, denied_share
 from fieldgrid.build.camera_scale import (
     camera_scale,
     doubted_scale,
@@ -233,7 +234,9 @@ class NewSession:
             source_sha256=recording.gnss_sha256(),
             inputs=to_arrays(_inputs(recording, steps, staged)),
         ) as session:
-            _place(staged, session, trajectory, recording.rig, report)
+            accepted = _place(staged, session, trajectory, recording.rig, report)
+            report.denied_share = denied_share(staged.frames, accepted)
+            report.notes += tuple(agreement_notes(report.denied_share, recording.rig))
             report.notes += tuple(camera_notes(recording, report))
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
@@ -271,9 +274,9 @@ def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
 
 def _place(
     staged: Staged, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
-) -> None:
-    """The second half: every staged frame meets its pose."""
-    placed: Pose | None = None
+) -> list[Placed]:
+    """The second half: every staged frame meets its pose. Returns those that are accepted."""
+    accepted: list[Placed] = []
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
     start, camera = time.thread_time(), StuckCamera()
     for k, entry in enumerate(staged.entries):
@@ -289,15 +292,16 @@ def _place(
             report.reasons[pose.reason] += 1
             continue
         report.used += 1
-        report.distance_m += _step_m(placed, pose)
+        report.distance_m += _step_m(accepted[-1][1], pose) if accepted else 0.0
         heading_sigma_deg.append(pose.heading_sigma_deg)
         position_sigma_m.append(pose.position_sigma_m)
-        placed = pose
+        accepted.append((k, pose))
     if report.used == 0:
         raise none_usable(report.session, report.reasons, rig)
     report.heading_sigma_deg = _median(heading_sigma_deg)
     report.position_sigma_m = _median(position_sigma_m)
     report.stages.map_s += time.thread_time() - start
+    return accepted
 
 
 def _inputs(recording: Recording, steps: Steps | None, staged: Staged) -> Inputs:
@@ -337,9 +341,7 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _step_m(last: Pose | None, pose: Pose) -> float:
-    if last is None:
-        return 0.0
+def _step_m(last: Pose, pose: Pose) -> float:
     return float(np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m))
 
 

@@ -19,6 +19,7 @@ from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import Contribution, Driven, SessionInfo
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.trajectory import Pose
+from fieldgrid.transfer import to_local
 
 _NEAREST_M = 0.1
 """A point nearer to the camera's plane than this has no place in its image."""
@@ -106,11 +107,13 @@ def _place(
     if rig is None or isinstance(rig.sensor, Lidar):
         return None
     top_m = _slice_top(info)
+    corners = product(
+        (bounds.west_m, bounds.east_m), (bounds.south_m, bounds.north_m), (0.0, top_m)
+    )
+    east_m, north_m, up_m = zip(*corners, strict=True)
+    x_m, y_m = to_local(east_m, north_m, pose)
     pixels = [
-        project(rig, *_in_vehicle(east_m, north_m, pose), up_m, image)
-        for east_m, north_m, up_m in product(
-            (bounds.west_m, bounds.east_m), (bounds.south_m, bounds.north_m), (0.0, top_m)
-        )
+        project(rig, float(x), float(y), z, image) for x, y, z in zip(x_m, y_m, up_m, strict=True)
     ]
     if any(pixel is None for pixel in pixels):
         return None
@@ -131,16 +134,6 @@ def _slice_top(info: SessionInfo) -> float:
     except (KeyError, TypeError, ValueError):
         return _SLICE_TOP_M
     return top_m if 0.0 < top_m < 20.0 else _SLICE_TOP_M
-
-
-def _in_vehicle(east_m: float, north_m: float, pose: Pose) -> tuple[float, float]:
-    """Metres right and forward of the vehicle: the paper's Eq. 3 turned round."""
-    phi = math.radians(pose.heading_deg)
-    d_east, d_north = east_m - pose.east_m, north_m - pose.north_m
-    return (
-        d_east * math.cos(phi) - d_north * math.sin(phi),
-        d_east * math.sin(phi) + d_north * math.cos(phi),
-    )
 
 
 def project(

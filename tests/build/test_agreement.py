@@ -1,0 +1,94 @@
+"""Obstacles that other frames deny are counted, and a build of noisy images says so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fieldgrid.array_types import Bool
+from fieldgrid.build.agreement import agreement_notes, denied_share
+from fieldgrid.grids import GridSpec, LocalGrid
+from fieldgrid.mapfile import StagedFrame, stage
+from fieldgrid.trajectory import Pose
+from fieldgrid.transfer import to_universal
+from tests.build.making import MakeDrive, build
+from tests.scenes import depth_rig, lidar_rig
+
+SPEC = GridSpec(8.0, 10.0, 0.1)
+
+
+def frames_past_a_wall(
+    false_share: float, apart_m: float = 1.0, count: int = 16, heading_deg: float = 30.0
+) -> tuple[list[StagedFrame], list[tuple[int, Pose]]]:
+    """A wall 2 to 3 m to the right of the way of frames, each with so many false cells for each of
+    the wall, to the left of it."""
+    rng, phi = np.random.default_rng(3), math.radians(heading_deg)
+    frames, placed = [], []
+    for k in range(count):
+        east_m, north_m = k * apart_m * math.sin(phi), k * apart_m * math.cos(phi)
+        pose = Pose(k * 10**9, east_m, north_m, 0.0, heading_deg, 0.02, 0.3, 1.0)
+        right_m, ahead_m = np.meshgrid(*SPEC.centres_m())
+        east, north = to_universal(right_m, ahead_m, pose)
+        across_m = east * math.cos(phi) - north * math.sin(phi)
+        wall: Bool = (across_m > 2.0) & (across_m < 3.0)
+        left = np.flatnonzero(right_m < 1.0)
+        density = np.where(wall, 200, 0).astype(np.uint8)
+        false = rng.choice(left, round(false_share * int(wall.sum())), replace=False)
+        density.flat[false] = 200
+        frames.append(stage(LocalGrid(SPEC, density, np.ones(SPEC.shape, bool)), f"{k}", 0))
+        placed.append((k, pose))
+    return frames, placed
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 30.0, 250.0])
+def test_a_wall_that_all_see_is_denied_by_none(heading_deg: float) -> None:
+    assert denied_share(*frames_past_a_wall(0.0, heading_deg=heading_deg)) == 0.0
+
+
+def test_false_cells_are_denied() -> None:
+    frames, placed = frames_past_a_wall(0.1)
+    share = denied_share(frames, placed)
+    # Of 1.1 cells 0.1 are false, and few of those lie beside another frame's.
+    assert share is not None
+    assert 0.06 < share < 0.1
+
+
+def test_a_pose_that_leaps_is_in_few_pairs() -> None:
+    frames, placed = frames_past_a_wall(0.0, count=24)
+    k, pose = placed[9]
+    placed[9] = k, replace(pose, east_m=pose.east_m + 1.5)
+    assert denied_share(frames, placed) == 0.0
+
+
+@pytest.mark.parametrize(("apart_m", "count"), [(0.01, 16), (4.5, 16), (1.0, 4)])
+def test_frames_that_cannot_be_compared_say_nothing(apart_m: float, count: int) -> None:
+    assert denied_share(*frames_past_a_wall(0.1, apart_m=apart_m, count=count)) is None
+
+
+def test_noisy_images_are_told(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive, rng = make_drive(frames=range(6, 22)), np.random.default_rng(1)
+    (clean,) = build([drive], tmp_path / "clean.gpkg")
+    for image in [*(drive / "left").iterdir(), *(drive / "right").iterdir()]:
+        grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).astype(float)
+        image.unlink()  # a link to that of the example
+        noisy = np.clip(grey + rng.normal(0.0, 25.0, grey.shape), 0, 255).astype(np.uint8)
+        assert cv2.imwrite(str(image), noisy)
+    (dirty,) = build([drive], tmp_path / "noisy.gpkg")
+    assert clean.denied_share is not None
+    assert dirty.denied_share is not None
+    assert clean.denied_share < 0.006 < 0.012 < dirty.denied_share
+    assert not any("free ground" in note for note in clean.notes)
+    assert any("Look at the images for noise" in note for note in dirty.notes)
+
+
+def test_lidars_are_not_told_of_images() -> None:
+    camera, lidar = depth_rig(), lidar_rig(1000.0)
+    assert list(agreement_notes(0.02, camera))
+    assert not list(agreement_notes(0.012, camera))
+    assert not list(agreement_notes(None, camera))
+    assert not list(agreement_notes(0.02, lidar))
