@@ -192,7 +192,7 @@ def sentences(folder: Path) -> Read:
         bodies = [
             f"GPGGA,{k // 36000:02d}{k // 600 % 60:02d}{k / 10 % 60:05.2f},4139.0227370,N,"
             "00443.2141860,W,4,12,0.7,737.921,M,52.4,M,1.5,0138"
-            for k in range(300_000)
+            for k in range(600_000)
         ]
         every = np.array(bodies, dtype="S").view(np.uint8).reshape(len(bodies), -1)
         sums = np.bitwise_xor.reduce(every, axis=1).tolist()

@@ -12,6 +12,7 @@ import pytest
 from fieldgrid.errors import ConfigError, GnssError, NoFramesError, RecordingError
 from fieldgrid.recording import Columns, DriveOptions, files, open_drive
 from fieldgrid.recording.logs import read_fix_log
+from tests.gnss.sentences import gga, rmc
 from tests.gnss.test_ubx import ITOW_MS, message, pvt
 
 SharedData = Callable[[str], Path]
@@ -127,3 +128,16 @@ def test_every_real_log_is_read_or_refused_in_a_sentence(shared_data: SharedData
             except (GnssError, RecordingError):
                 continue
             assert all(abs(fix.lat_deg) <= 90 and abs(fix.lon_deg) <= 180 for fix in fixes)
+
+
+def test_a_log_is_the_same_however_many_fixes_are_held_at_once(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Records become columns while a log is read; no fix is lost or moved at a seam."""
+    path.write_bytes(rmc("115959") + b"".join(gga(f"1200{k:02}") for k in range(40)))
+    at_once = read_fix_log(path).fixes
+    assert len(at_once) == 40
+    for held in (1, 7, 40):
+        monkeypatch.setattr("fieldgrid.recording.stream_log._PACKED_AT_ONCE", held)
+        monkeypatch.setattr("fieldgrid.recording.stream_log._CHUNK", 100)
+        assert read_fix_log(path).fixes == at_once

@@ -14,6 +14,7 @@ from fieldgrid.recording.fix_log import FixLog
 
 _CHUNK = 1 << 16
 _UNLIMITED = 1 << 60
+_PACKED_AT_ONCE = 8192
 _SENTENCE = re.compile(rb"\$[A-Z][A-Z0-9]{3,9},[ -)+-~]*\*[0-9A-Fa-f]{2}")
 _UBX_CLASSES = rb"\x01\x02\x04\x05\x06\x0a\x0b\x0c\x0d\x10\x13\x21\x27\x28"
 _UBX = re.compile(rb"\xb5\x62[" + _UBX_CLASSES + rb"][\x00-\xff]{2}[\x00-\x10]")
@@ -29,38 +30,67 @@ def read_stream(path: Path) -> FixLog:
 
     :class:`GnssError` where there is neither, or positions without a date.
     """
-    nmea, ubx = _parse(path)
+    (nmea, from_nmea), (ubx, from_ubx) = _parse(path)
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
         raise GnssError(
             f"{path} is no bag and no GNSS log that is known: no NMEA sentence, no UBX message, no "
             "table; check the file, or let the receiver write GGA and RMC."
         )
-    if nmea.undated and not (nmea.fixes or ubx.fixes):
+    if nmea.undated and not (len(from_nmea) or len(from_ubx)):
         raise GnssError(
             f"{path}: The log has {nmea.undated} positions but no valid RMC or ZDA sentence, which "
             "alone give their date; let the receiver write RMC besides GGA."
         )
-    by_ubx = bool(ubx.messages) and len(ubx.fixes) >= len(nmea.fixes)
-    notes = _ubx_notes(ubx) if by_ubx else nmea_notes(nmea)
-    if nmea.fixes and ubx.fixes:
-        counted = f"{len(ubx.fixes)} positions in UBX and {len(nmea.fixes)} in NMEA"
+    by_ubx = bool(ubx.messages) and len(from_ubx) >= len(from_nmea)
+    notes = _ubx_notes(ubx, len(from_ubx)) if by_ubx else nmea_notes(nmea)
+    if len(from_nmea) and len(from_ubx):
+        counted = f"{len(from_ubx)} positions in UBX and {len(from_nmea)} in NMEA"
         notes = [f"{counted}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
-    fixes = ubx.fixes if by_ubx else nmea.fixes
-    return FixLog(FixColumns.of_rows(fixes), tuple(f"{path.name}: {note}." for note in notes))
+    fixes = from_ubx if by_ubx else from_nmea
+    return FixLog(fixes.joined(), tuple(f"{path.name}: {note}." for note in notes))
 
 
-def _parse(path: Path) -> tuple[NmeaLog, UbxLog]:
-    """Both parsers over the same bytes; what belongs to the one is noise to the other."""
+class _Fixes:
+    """The fixes of a log as they are read. Records take six times the memory of columns, so
+    that no more than some thousand are held."""
+
+    def __init__(self) -> None:
+        self._rows: list[Fix] = []
+        self._parts: list[FixColumns] = []
+        self._packed = 0
+
+    def add(self, rows: list[Fix]) -> None:
+        self._rows += rows
+        if len(self._rows) >= _PACKED_AT_ONCE:
+            self._pack()
+
+    def __len__(self) -> int:
+        return self._packed + len(self._rows)
+
+    def joined(self) -> FixColumns:
+        self._pack()
+        return FixColumns.joined(self._parts)
+
+    def _pack(self) -> None:
+        self._parts.append(FixColumns.of_rows(self._rows))
+        self._packed += len(self._rows)
+        self._rows = []
+
+
+def _parse(path: Path) -> tuple[tuple[NmeaLog, _Fixes], tuple[UbxLog, _Fixes]]:
+    """Both parsers over the same bytes; what belongs to the one is noise to the other.
+
+    The counts of each, without the fixes, and the fixes.
+    """
     sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
-    from_nmea: list[Fix] = []
-    from_ubx: list[Fix] = []
+    from_nmea, from_ubx = _Fixes(), _Fixes()
     with open_log_bytes(path) as stream:
         while chunk := stream.read(_CHUNK):
-            from_nmea += sentences.feed(chunk)
-            from_ubx += messages.feed(chunk)
-    from_nmea += sentences.finish()
-    from_ubx += messages.close()
-    return sentences.log(from_nmea), messages.log(from_ubx)
+            from_nmea.add(sentences.feed(chunk))
+            from_ubx.add(messages.feed(chunk))
+    from_nmea.add(sentences.finish())
+    from_ubx.add(messages.close())
+    return (sentences.log([]), from_nmea), (messages.log([]), from_ubx)
 
 
 def nmea_notes(log: NmeaLog) -> list[str]:
@@ -76,7 +106,7 @@ def nmea_notes(log: NmeaLog) -> list[str]:
     return [f"{count} {what}" for count, what in counted if count]
 
 
-def _ubx_notes(log: UbxLog) -> list[str]:
+def _ubx_notes(log: UbxLog, fixes: int) -> list[str]:
     counted = (
         (log.bad_checksum + log.broken, "damaged UBX messages skipped"),
         (log.no_position, "UBX solutions without a position or a time"),
@@ -87,6 +117,6 @@ def _ubx_notes(log: UbxLog) -> list[str]:
         ),
     )
     notes = [f"{count} {what}" for count, what in counted if count]
-    if not log.fixes:
+    if not fixes:
         notes.append(f"{log.messages} UBX messages, but no NAV-PVT with a position; switch it on")
     return notes
