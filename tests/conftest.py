@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -57,6 +58,20 @@ KEPT_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(64 << 20), "MALLOC_TRIM_THRESHOLD_"
 if "PYTEST_XDIST_WORKER" in os.environ:
     for name in KEPT_MEMORY:
         os.environ.pop(name, None)
+
+
+# Files of tests lie in memory where there is room for them: a test waits for no disk when what it
+# tests asks for its files to be kept, of which maps are many. Kills and cuts of power do not depend
+# on what is below: the first lose nothing of a system that goes on, the second are modelled.
+IN_MEMORY = Path("/dev/shm")
+ROOM_BYTES = 3 << 30
+if (
+    "TMPDIR" not in os.environ
+    and os.access(IN_MEMORY, os.W_OK)
+    and shutil.disk_usage(IN_MEMORY).free >= ROOM_BYTES
+):
+    os.environ["TMPDIR"] = str(IN_MEMORY)
+    tempfile.tempdir = None  # asked for again
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import pytest
 
 from fieldgrid.cli import main
+from fieldgrid.cli.commands import load
+from fieldgrid.export import formats
 from tests.conftest import HANGS_S
 
 
@@ -58,12 +61,26 @@ def checked(result: Result) -> Result:
     return result
 
 
+@cache
+def _loaded(name: str, formats: tuple[str, ...]) -> object:
+    return load(name)
+
+
+def loaded_once(name: str) -> object:
+    """A command, made once for the hundreds of times that tests run it.
+
+    A process of a user makes it once too. What it takes depends on the formats that there are.
+    """
+    return _loaded(name, tuple(formats()))
+
+
 @pytest.fixture
 def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Runs `fieldgrid ARGUMENTS...` in this process."""
 
     def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["fieldgrid", *map(str, arguments)])
+        monkeypatch.setattr("fieldgrid.cli.commands.load", loaded_once)
         capsys.readouterr()
         try:
             main()
