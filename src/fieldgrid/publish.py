@@ -109,6 +109,7 @@ class Draft:
     ) -> None:
         self.target = target
         self._overwrite = overwrite
+        self._is_synced = False
         self._exists = (
             f"{target} exists already; give another name, {advice}or --overwrite to replace it."
         )
@@ -145,17 +146,28 @@ class Draft:
             is_held = _hold(held[0], self.file)
         _remove_orphans(place)
 
-    def publish(self) -> None:
-        """Bring the file to its final name, at once and for good; no file is replaced unasked."""
+    def sync(self) -> None:
+        """Have the disk keep what is written so far, so that `publish` need not wait for it."""
+        try:
+            _sync(self.file)
+        except OSError as error:
+            raise _unwritable(self.target, error) from error
+        self._is_synced = True
+
+    def publish(self, *, for_good: bool = True) -> None:
+        """Bring the file to its final name, at once and `for_good`, or until the next one that is
+        published there is: the folder is synced once then. No file is replaced unasked."""
         place = self.target.resolve()
         try:
             self._refuse_strays(place)
-            _sync(self.file)
+            if not self._is_synced:
+                _sync(self.file)
             if self._overwrite:
                 self.file.replace(place)
             else:
                 self._publish_new(place)
-            _sync(place.parent)
+            if for_good:
+                _sync(place.parent)
         except FileExistsError as error:
             raise MapExistsError(self._exists) from error
         except OSError as error:

@@ -300,10 +300,10 @@ def test_a_map_that_cannot_be_named_whole_is_gone(
     export_nav2(universal, tmp_path / "f.yaml")
     original = publish.Draft.publish
 
-    def fail_at_the_second(draft: publish.Draft) -> None:
+    def fail_at_the_second(draft: publish.Draft, **how: bool) -> None:
         if draft.target.name == "f.georef.json":
             raise MapWriteError("the disk has gone")
-        original(draft)
+        original(draft, **how)
 
     monkeypatch.setattr(publish.Draft, "publish", fail_at_the_second)
     with pytest.raises(MapWriteError, match="has gone"):
@@ -316,10 +316,10 @@ def test_a_file_that_another_program_makes_meanwhile_is_left_alone(
 ) -> None:
     original = publish.Draft.publish
 
-    def late(draft: publish.Draft) -> None:
+    def late(draft: publish.Draft, **how: bool) -> None:
         if draft.target.name == "f.yaml":
             draft.target.write_text("theirs")
-        original(draft)
+        original(draft, **how)
 
     monkeypatch.setattr(publish.Draft, "publish", late)
     with pytest.raises(MapExistsError, match="exists already"):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from fieldgrid import publish
 from fieldgrid.export.together import write_together
 
 
@@ -69,3 +70,39 @@ def test_with_the_same_files_beside_it_the_main_one_is_never_missing(
     assert all(main for main, _ in named)
     assert named[-1] == ("main 2", "side")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.main", "a.side"]
+
+
+def test_with_one_other_file_beside_it_neither_is_ever_missing(
+    tmp_path: Path, named: list[tuple[str, str]]
+) -> None:
+    """A picture that changes under the same extent: old or new, whenever the program is killed."""
+    write(tmp_path, "side 1", "main")
+    before = (tmp_path / "a.main").stat()
+    named.clear()
+    write(tmp_path, "side 2", "main")
+    assert set(named) <= {("main", "side 1"), ("main", "side 2")}
+    assert named[-1] == ("main", "side 2")
+    assert (tmp_path / "a.main").stat().st_mtime_ns > before.st_mtime_ns
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.main", "a.side"]
+
+
+def test_the_folder_is_synced_once_for_all_files_before_the_main_one_gets_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is waited for, but that, while the main file is missing."""
+    files = [tmp_path / name for name in ("a.one", "a.two", "a.main")]
+    missing: list[str] = []
+    original = publish._sync
+
+    def watched(path: Path) -> None:
+        if files[-1].with_suffix(".old").exists() and not files[-1].exists():
+            missing.append(path.name)
+        original(path)
+
+    for words in ("old", "new"):
+        monkeypatch.setattr(publish, "_sync", watched)
+        write_together(
+            {file: text(words) for file in files}, overwrite=True, ours=lambda _: True, what="it"
+        )
+        files[-1].with_suffix(".old").touch()
+    assert missing == [tmp_path.name]

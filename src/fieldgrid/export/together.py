@@ -20,9 +20,10 @@ def write_together(
 ) -> tuple[Path, ...]:
     """Write files by their writers, which are given the file to write, then name all of them.
 
-    The last one is what a program opens, and which refers to the others. Where these are there
-    already, byte by byte, it alone takes its name, at once. Else it is the last to get its name,
-    and what it replaces goes first, so that nobody opens it with the files of another.
+    The last one is what a program opens, and which refers to the others. Where no more than one
+    file differs from what is there already, each takes the place of the old one at once. Else the
+    last one is the last to get its name, and what it replaces goes first, so that nobody opens it
+    with the files of another.
     When one fails before the first is named, none is changed; later none is left. `ours` and `what`
     tell of the last file whether it may be replaced, as a :class:`Draft` has them. Raises
     MapExistsError when one exists and may not be overwritten, MapWriteError when one cannot be
@@ -48,13 +49,23 @@ def write_together(
 
 
 def _name(drafts: Sequence[Draft], targets: Sequence[Path]) -> None:
-    if all(_is_there(draft) for draft in drafts[:-1]):
-        drafts, targets = drafts[-1:], targets[-1:]
+    # Before anything has gone, so that what programs open is missing for as short as can be.
+    for draft in drafts:
+        draft.sync()
+    changed = [draft for draft in drafts if not _is_there(draft)]
+    if len(changed) <= 1:
+        # The last one also where it is the same: its time tells when the export was made.
+        drafts = [draft for draft in drafts[:-1] if draft in changed] + [drafts[-1]]
+        for draft in drafts:
+            draft.publish()
+        return
     ours = [_identity(draft.file) for draft in drafts]
-    if len(drafts) > 1 and targets[-1].exists():
+    if targets[-1].exists():
         targets[-1].unlink()
     try:
-        for draft in drafts:
+        for draft in drafts[:-2]:
+            draft.publish(for_good=False)
+        for draft in drafts[-2:]:
             draft.publish()
     except BaseException:
         # Also of the one that failed, which may have its name already; never of somebody else's.
