@@ -20,7 +20,15 @@ from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.drives import Drive, Role, read_drives
 from fieldgrid.align.network import Match, solve, turn_sigma_deg
-from fieldgrid.align.pairs import Overlap, Pair, bounded, overlapping, placed, thinned
+from fieldgrid.align.pairs import (
+    Overlap,
+    Pair,
+    bounded,
+    for_every_shift,
+    overlapping,
+    placed,
+    thinned,
+)
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.score import PROBE_DEG, Against, TurnPeak, peak, turn_peak
 from fieldgrid.align.submaps import Picture, draw
@@ -196,7 +204,9 @@ class _Run:
         (pictures,) = self._draw(transforms, COARSE_M, "drives")
         reach_m = self._reach_m + BEYOND_M
         by_pair = defaultdict(list)
-        pairs = [placed(one, pictures) for one in thinned(self._overlaps(pictures, None))]
+        chosen = thinned(self._overlaps(pictures, None))
+        chosen = for_every_shift(chosen, pictures, self._reach_m)
+        pairs = [placed(one, pictures) for one in chosen]
         for pair, score in self._each(
             lambda p: Against(pictures[p.a][p.k], reach_m).scores(pictures[p.b][p.l]),
             pairs,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import fft
 from scipy.spatial import cKDTree
 
 from fieldgrid.align.submaps import Picture
@@ -20,7 +21,14 @@ MOST_OF_A_DRIVE, MOST_OF_ALL = 3, 5
 most."""
 
 MOST_OF_TWO = 16
-"""To see whether two drives agree as wholes so many pairs are enough."""
+"""To see whether two drives agree as wholes so many pairs are enough that overlap as they lie, and
+so many more for other shifts."""
+
+COARSE_M = 1.0
+"""How finely it is told which shifts make submaps overlap."""
+
+MOST_LOOKED_AT = 96
+"""Pairs of two drives of which this is told, from all along them."""
 
 APART = 3
 """Submaps of one drive are compared when so many lie between them: before, they see the same from
@@ -98,6 +106,86 @@ def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:
     return chosen
 
 
+def for_every_shift(
+    chosen: Sequence[Overlap], pictures: Sequence[Sequence[Picture]], reach_m: float
+) -> list[Overlap]:
+    """Overlaps, with further ones of the same drives that exist where these lie elsewhere by up to
+    `reach_m`, so that each such shift has ground that would speak for it or against it.
+
+    Drives that lie a lane aside overlap most there, and pairs that overlap as they lie would all
+    be those that a slip by a row brings together.
+    """
+    by_drives = defaultdict[tuple[int, int], list[Overlap]](list)
+    for pair in chosen:
+        by_drives[pair.a, pair.b].append(pair)
+    found = list[Overlap]()
+    for (a, b), own in by_drives.items():
+        found += own
+        if a != b:
+            found += _others(own, pictures[a], pictures[b], reach_m)
+    return found
+
+
+def _others(
+    own: Sequence[Overlap], of_a: Sequence[Picture], of_b: Sequence[Picture], reach_m: float
+) -> Iterator[Overlap]:
+    """Further pairs of two drives: again and again the one that shares most at the shift at which
+    least ground is shared."""
+    a, b = own[0].a, own[0].b
+    ways = np.array([_shares(of_a[one.k], of_b[one.l], reach_m) for one in own])
+    known = {(one.k, one.l) for one in own}
+    near = [
+        (k, l)
+        for k, one in enumerate(of_a)
+        for l, other in enumerate(of_b)  # noqa: E741
+        if (k, l) not in known and _within(one, other, reach_m)
+    ]
+    near = near[:: max(-(-len(near) // MOST_LOOKED_AT), 1)]
+    if not near:
+        return
+    further = np.array([_shares(of_a[k], of_b[l], reach_m) for k, l in near])  # noqa: E741
+    further[further < LEAST_SHARE] = 0.0
+    ways[ways < LEAST_SHARE] = 0.0
+    shared = ways.sum(axis=0)
+    enough = float(shared.max())
+    for _ in range(MOST_OF_TWO):
+        lacking = np.where(further.max(axis=0) > 0.0, shared, np.inf)
+        shift = int(lacking.argmin())
+        if lacking[shift] >= enough:
+            return
+        n = int(further[:, shift].argmax())
+        yield Overlap(a, near[n][0], b, near[n][1], float(further[n].max()))
+        shared = shared + further[n]
+        further[n] = 0.0
+
+
+def _within(a: Picture, b: Picture, reach_m: float) -> bool:
+    """Whether the windows of pictures come together by a shift."""
+    cells = round(reach_m / a.lattice.cell_m)
+    return a.window.grown(cells).intersect(b.window) is not None
+
+
+def _shares(a: Picture, b: Picture, reach_m: float) -> Float64:
+    """The share of the smaller picture that both saw at each shift of `b` within reach [n],
+    `COARSE_M` apart."""
+    step = max(round(COARSE_M / a.lattice.cell_m), 1)
+    most = int(reach_m / (step * a.lattice.cell_m))
+    window = a.window.union(b.window)
+    shape = -(-window.height // step) + 2 * most, -(-window.width // step) + 2 * most
+    seen = np.zeros((2, *shape))
+    for of, picture in zip(seen, (a, b), strict=True):
+        rows, columns = np.nonzero(picture.seen)
+        rows += picture.window.j0 - window.j0
+        columns += picture.window.i0 - window.i0
+        np.add.at(of, (rows // step, columns // step), 1.0 / step**2)
+    spectra = fft.rfft2(seen)
+    shared = fft.irfft2(spectra[0] * np.conj(spectra[1]), shape)
+    every = np.arange(-most, most + 1)
+    near = shared[np.ix_(every, every)]
+    inside = np.hypot(*np.meshgrid(every, every)) * step * a.lattice.cell_m <= reach_m
+    return np.asarray(near[inside] * step**2 / max(min(a.cells, b.cells), 1))
+
+
 def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
     """Of each submap the pairs that share most ground with it, as far as it needs any."""
     counts = Counter[tuple[int, int]]()
@@ -120,15 +208,24 @@ def _shared(a: Picture, b: Picture) -> float:
 
 
 def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:
-    part = a.window.intersect(b.window)
-    assert part is not None  # they share cells
-    both = a.seen[a.window.slices_of(part)] & b.seen[b.window.slices_of(part)]
-    east, north = a.lattice.centres(part)
-    n = both.sum()
-    at = np.array([(both.sum(axis=0) * east).sum() / n, (both.sum(axis=1) * north).sum() / n])
+    at = _middle(a, b)
     # The direction in which the track of `a` runs; across it lies that of `b`.
     centred = a.track_m - a.track_m.mean(axis=0)
     along = np.linalg.svd(centred)[2][0] if len(centred) > 1 else np.zeros(2)
     left = np.array([-along[1], along[0]])
     apart_m = float(left @ (b.track_m.mean(axis=0) - a.track_m.mean(axis=0)))
     return at, left * np.sign(apart_m) if abs(apart_m) > SAME_LANE_M else np.zeros(2)
+
+
+def _middle(a: Picture, b: Picture) -> Float64:
+    """Of the ground that both saw, or between them where there is none as they lie."""
+    part = a.window.intersect(b.window)
+    if part is not None:
+        both = a.seen[a.window.slices_of(part)] & b.seen[b.window.slices_of(part)]
+        n = np.count_nonzero(both)
+        if n:
+            east, north = a.lattice.centres(part)
+            across, along = both.sum(axis=0) * east, both.sum(axis=1) * north
+            return np.array([across.sum() / n, along.sum() / n])
+    corners = [(w.i0 + w.width / 2.0, w.j0 + w.height / 2.0) for w in (a.window, b.window)]
+    return np.asarray(np.mean(corners, axis=0) * a.lattice.cell_m)
