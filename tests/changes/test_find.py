@@ -127,6 +127,19 @@ def test_drives_that_were_aligned_are_as_sure_as_they_lie_beside_each_other(tmp_
     # All looks err by what is between the drives, and no less.
     assert 0.05 <= found.sigma_m < 0.1
     assert list(changes_of(path, position_sigma_m=0.4)) == []
+    # Other names change nothing of it.
+    with open_map(path, writable=True) as universal:
+        before = universal.transform("second").to_text()
+        universal.rename_session("first", "earlier")
+        universal.rename_session("second", "later")
+        now = universal.transform("later").aligned
+        assert now is not None and now.to == ("earlier",)
+        assert universal.verify(deep=True).problems == ()
+    assert only(changes_of(path, "earlier", "later")).sigma_m == found.sigma_m
+    with open_map(path, writable=True) as universal:
+        universal.rename_session("earlier", "first")
+        universal.rename_session("later", "second")
+        assert universal.transform("second").to_text() == before
     # It is worth nothing once the other one lies elsewhere.
     aligned(path, 0.05, first=Transform(0.001))
     assert list(changes_of(path)) == []

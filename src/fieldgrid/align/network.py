@@ -30,15 +30,16 @@ WANDER_S = 300.0
 WANDER_SHARE = 0.7
 """The wandering part of a stated error, beside the part that stays for a drive."""
 
-MOST_TURN_SIGMA_DEG = 0.3
+MOST_TURN_SIGMA_DEG = 0.5
 """What a receiver errs from one end of a drive to the other turns it, and a short one no more."""
 
 COMMON_SIGMA_M, ALIKE = 0.03, 10
 """What all matches of two drives have in common, such as a mount that is a little off: this much,
 in so many neighbouring matches."""
 
-MATCH_TURN_SIGMA_DEG, COMMON_TURN_SIGMA_DEG = 0.15, 0.05
-"""The same of turns: headings within a submap, and what all submaps have in common."""
+MATCH_TURN_SIGMA_DEG, COMMON_TURN_SIGMA_DEG = 0.25, 0.05
+"""The same of turns: headings within a submap, and a slow error that bends it meanwhile, which a
+turn of the picture cannot be told from; and what all submaps have in common."""
 
 FACE_M, FACE_SIGMA_M = 0.07, 0.05
 """What is seen of a row from one lane and from the other agrees best so far apart. Either face

@@ -30,7 +30,7 @@ from fieldgrid.mapfile.metadata import (
 )
 from fieldgrid.mapfile.records import check_pose, frame_values
 from fieldgrid.mapfile.schema import NOW_SQL
-from fieldgrid.mapfile.transform import IDENTITY, Transform
+from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.trajectory import Pose, Trajectory
 
 
@@ -69,6 +69,18 @@ def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> No
     connection.execute("UPDATE fieldgrid_session SET name = ? WHERE id = ?", (to, session_id))
     for layer in FEATURE_LAYERS:
         connection.execute(f"UPDATE {layer} SET session = ? WHERE session = ?", (to, name))
+    # Those that were aligned to it know it by its name.
+    aligned = connection.execute(
+        "SELECT id, transform FROM fieldgrid_session WHERE transform IS NOT NULL"
+    ).fetchall()
+    for other_id, text in aligned:
+        stored = transform_of(text)
+        other = stored.with_renamed(name, to)
+        if other != stored:
+            connection.execute(
+                "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
+                (other.to_text(), other_id),
+            )
     derived.touch(connection)
 
 

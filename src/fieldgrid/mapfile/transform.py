@@ -211,6 +211,16 @@ class Transform:
             self.pivot_north_m + max(north) + _ROUNDING_M,
         )
 
+    def with_renamed(self, name: str, to: str) -> Transform:
+        """The same where another session that it speaks of has got another name."""
+        if self.aligned is None:
+            return self
+        others = tuple(to if one == name else one for one in self.aligned.to)
+        beside = tuple(
+            one._replace(name=to) if one.name == name else one for one in self.aligned.beside
+        )
+        return replace(self, aligned=replace(self.aligned, to=others, beside=beside))
+
     def to_text(self) -> str | None:
         """As it is stored: None for the identity, else a JSON object by the kind of transform."""
         if self.is_identity and self.aligned is None:
