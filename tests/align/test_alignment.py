@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from fieldgrid.align import Role, align_map, undo_alignment
 from fieldgrid.align.submaps import cut
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.transform import placing
+from fieldgrid.mapfile.transform import Wander, placing
 from tests.align.field import SPACING_M, Drive, Field, left_m, write_field
 
 OFF = Transform(0.9, -0.7)
@@ -200,6 +201,24 @@ def test_a_receiver_that_states_too_little_is_told_by_what_was_seen(
     assert np.hypot(*(left[2] - left[0])) < 3.0 * sure
     if sigma_m < 0.1:
         assert np.abs(left[:2]).max() < 0.05
+
+
+def test_a_receiver_that_wanders_by_more_than_it_states_is_told_by_what_was_seen(
+    tmp_path: Path,
+) -> None:
+    """On the mean it is right, so that only what is left of the parts of the drive tells it."""
+    field, times = Field(), tuple(int(2e14 + t * 1e9) for t in range(0, 66, 5))
+    swing = tuple(0.2 * math.sin(math.pi * k / 3.0) for k in range(len(times)))
+    wander = Transform(wander=Wander(times, swing, swing))
+    drives = {
+        "right": field.drive([0.0, 2.6], sigma_m=0.02, seed=1),
+        "wrong": field.drive([0.0, 2.6], by=wander, sigma_m=0.02, seed=2, start_s=2e5),
+    }
+    with open_map(write_field(tmp_path / "map.gpkg", drives, 0.5)) as universal:
+        found = align_map(universal)
+    (pair,) = found.pairs
+    assert pair.doubt is None
+    assert min(drive.sigma_m for drive in found.drives) > 0.06
 
 
 def test_far_apart_nothing_is_compared(tmp_path: Path) -> None:

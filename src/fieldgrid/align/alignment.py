@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -18,8 +18,8 @@ import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
-from fieldgrid.align.drives import Drive, Role, read_drives
-from fieldgrid.align.network import Match, solve, turn_sigma_deg
+from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
+from fieldgrid.align.network import Match, left_between, solve, turn_sigma_deg
 from fieldgrid.align.pairs import (
     Overlap,
     Pair,
@@ -53,6 +53,10 @@ FINE_REACH_M = 1.5
 
 FAR_SIGMAS = 3.0
 """Drives that agree so many stated errors apart contradict what their receivers state."""
+
+FOUND_WANDER_M = 0.25
+"""Receivers that are farther off than they state wander by so much at most, or by what they state:
+most of them have a wrong base."""
 
 FINE_ROUNDS = 2
 
@@ -96,13 +100,21 @@ def align_map(
         drive if some or drive.role is not Role.MOVES else replace(drive, role=Role.STAYS)
         for drive, some in zip(drives, matched, strict=True)
     ]
-    drives = _as_poor_as_found(drives, agreements)
+    drives = _as_poor_as_found(
+        drives,
+        {(one.a, one.b): float(np.hypot(*one.shift_m)) for one in agreements if one.doubt is None},
+    )
     before = [drive.transform for drive in drives]
     solution, matches = solve(drives, before, coarse), coarse
     for number in range(rounds):
         stage = f"submaps, round {number + 1} of {rounds}"
         matches = run.compare_finely(solution.transforms, believed, stage)
-        solution = solve(drives, solution.transforms, matches)
+        now = solution.transforms
+        solution = solve(drives, now, matches)
+        poorer = _as_poor_as_found(drives, left_between(matches, solution))
+        if any(one is not other for one, other in zip(poorer, drives, strict=True)):
+            drives = poorer
+            solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     found = summed_up(drives, before, agreements, matches, solution, rough_m)
     return with_beside(universal, found)
@@ -111,18 +123,19 @@ def align_map(
 MOST_REACH_M = 20.0
 
 
-def _as_poor_as_found(drives: Sequence[Drive], agreements: Sequence[Agreement]) -> list[Drive]:
-    """Drives with the errors of their receivers, and larger ones where drives agree too far apart.
+def _as_poor_as_found(
+    drives: Sequence[Drive], between_m: Mapping[tuple[int, int], float]
+) -> list[Drive]:
+    """Drives with the errors of their receivers, and larger ones where what lies between two is too
+    much for these.
 
     Of those that contradict each other the one that contradicts most is the wrong one, or the one
     whose receiver states most; where that is the same, both are.
     """
     apart = {
-        (one.a, one.b): size
-        for one in agreements
-        if one.doubt is None
-        and (size := float(np.hypot(*one.shift_m)))
-        > FAR_SIGMAS * math.hypot(drives[one.a].sigma_m, drives[one.b].sigma_m)
+        (a, b): size
+        for (a, b), size in between_m.items()
+        if size > FAR_SIGMAS * math.hypot(drives[a].sigma_m, drives[b].sigma_m)
     }
     found = list(drives)
     while apart:
@@ -131,7 +144,9 @@ def _as_poor_as_found(drives: Sequence[Drive], agreements: Sequence[Agreement]) 
         wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
         for n in wrong:
             size = max(size for pair, size in apart.items() if n in pair)
-            found[n] = replace(drives[n], sigma_m=max(size / 2.0, drives[n].sigma_m))
+            sigma_m = max(size / 2.0, drives[n].sigma_m)
+            wander_m = max(min(WANDER_SHARE * sigma_m, FOUND_WANDER_M), drives[n].wander_m)
+            found[n] = replace(drives[n], sigma_m=sigma_m, wander_m=wander_m)
         apart = {pair: size for pair, size in apart.items() if not wrong & set(pair)}
     return found
 

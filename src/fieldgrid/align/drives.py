@@ -21,6 +21,10 @@ UNKNOWN_SIGMA_M = 1.0
 """Of poses that state none."""
 
 
+WANDER_SHARE = 0.7
+"""The wandering part of a stated error, beside the part that stays for a drive."""
+
+
 class Role(Enum):
     """What may become of a drive: it moves; it stays although it may be wrong, which others are not
     to follow; it holds, and is what others come to."""
@@ -34,7 +38,8 @@ class Role(Enum):
 class Drive:
     """A session: its submaps in the order of time, [n], and where each was as driven.
 
-    `sigma_m` is the error along one axis that its receiver leaves open, which moves slowly.
+    `sigma_m` is the error along one axis that its receiver leaves open, `wander_m` the part of it
+    that moves slowly.
     """
 
     name: str
@@ -42,6 +47,7 @@ class Drive:
     submaps: tuple[Submap, ...]
     transform: Transform
     sigma_m: float
+    wander_m: float
     time_ns: Int64
     middle_m: Float64
     """Where the submaps were driven [n, 2], east and north."""
@@ -73,13 +79,15 @@ def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
             continue
         submaps = tuple(cut(name, frames))
         points = np.array([[f.driven.east_m, f.driven.north_m] for f in frames])
+        sigma_m = _sigma_m(frames, transforms[name], role)
         drives.append(
             Drive(
                 name,
                 role,
                 submaps,
                 transforms[name],
-                _sigma_m(frames, transforms[name], role),
+                sigma_m,
+                WANDER_SHARE * sigma_m,
                 np.array([submap.time_ns for submap in submaps], np.int64),
                 np.array([submap.driven_m() for submap in submaps]),
                 (points.min(axis=0) + points.max(axis=0)) / 2.0,

@@ -9,7 +9,7 @@ distribution (receivers may be wrong, but the better one is believed), and a sha
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,9 +26,6 @@ from fieldgrid.mapfile.transform import Wander
 
 WANDER_S = 300.0
 """A receiver's slow error changes over some minutes."""
-
-WANDER_SHARE = 0.7
-"""The wandering part of a stated error, beside the part that stays for a drive."""
 
 MOST_TURN_SIGMA_DEG = 0.5
 """What a receiver errs from one end of a drive to the other turns it, and a short one no more."""
@@ -50,6 +47,10 @@ VIEW_M, VIEW_SIGMA_M = 0.05, 0.04
 
 MATCH_SIGMA_M = 0.03
 """What poses within a submap, and cells, add to the error of a match."""
+
+SCATTER_M = 0.09
+"""The shifts that matches tell of drives that lie where they should: canopies that grew, other
+faces, other views."""
 
 OTHER_SIDE_SIGMA_M = 0.3
 """And along a row of which the two saw opposite faces, which are of other leaves."""
@@ -241,7 +242,7 @@ def _prior(drive: Drive, off: Float64, loose: float) -> Float64:
     block[2, 2] = _student((off[2] / sigma) ** 2, 1.0) / sigma**2
     # The Gauss-Markov chain of the wander, whose first shift may be any that is usual.
     fading = np.exp(-np.diff(drive.time_ns) / 1e9 / WANDER_S)
-    usual = (WANDER_SHARE * drive.sigma_m) ** 2
+    usual = drive.wander_m**2
     information = 1.0 / (usual * np.concatenate([[1.0], np.maximum(1.0 - fading**2, 1e-6)]))
     knots = off[3:].reshape(-1, 2)
     steps = knots - np.vstack([np.zeros(2), fading[:, None] * knots[:-1]])
@@ -307,6 +308,22 @@ def information_of(match: Match, alike: int) -> Float64:
         noise += OTHER_SIDE_SIGMA_M**2 * (np.eye(2) - np.outer(match.across, match.across))
     told = match.information @ np.linalg.inv(np.eye(2) + noise @ match.information)
     return (told + told.T) / 2.0
+
+
+def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int, int], float]:
+    """What is left of the shifts of matches between each two drives, root mean square, as far as
+    each match tells it, beyond what matches scatter by."""
+    squared, told = (defaultdict[tuple[int, int], float](float) for _ in range(2))
+    for match, left in zip(matches, solution.left_m, strict=True):
+        if match.a != match.b:
+            information = information_of(match, 1)
+            squared[match.a, match.b] += float(left @ information @ left)
+            told[match.a, match.b] += float(np.trace(information)) / 2.0
+    return {
+        pair: math.sqrt(max(squared[pair] / told[pair] - SCATTER_M**2, 0.0))
+        for pair in squared
+        if told[pair] > 0.0
+    }
 
 
 def _shift_and_turn(drive: Drive, transform: Transform) -> Float64:
