@@ -18,14 +18,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks import EXAMPLE
-from fieldgrid.align import MapAlignment, align_map
+from fieldgrid.align import MapAlignment, align_map, pairs, score
+from fieldgrid.align.submaps import cut, draw
 from fieldgrid.build import build_map
 from fieldgrid.evaluation import evaluate, read_truth
 from fieldgrid.geodesy import Datum
+from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import FrameRecord, MapFile, Transform, create_map, open_map
 from fieldgrid.mapfile.transform import Wander
 from fieldgrid.recording import DriveOptions
@@ -173,7 +176,7 @@ def report(name: str, results: Sequence[Left], *, spoilt: bool = False) -> None:
 def trials(folder: Path, count: int, seed: int, only: str) -> None:
     """Random displacements of one drive against another, of pairs whose names contain `only`. Those
     that leave more than they may and than they say are told one by one; each has its own seed."""
-    pairs: dict[str, tuple[Datum, list[FrameRecord], list[FrameRecord]]] = {}
+    sets: dict[str, tuple[Datum, list[FrameRecord], list[FrameRecord]]] = {}
     sources = {"two_lanes": (EXAMPLE, "gnss_rtk.nmea")}
     if LATER.exists():
         sources["later"] = (LATER, "gnss_rtk.nmea")
@@ -190,22 +193,22 @@ def trials(folder: Path, count: int, seed: int, only: str) -> None:
         datum = universal.datum
         own = frames[name]
         cut = [own[: int(0.65 * len(own))], own[int(0.35 * len(own)) :]]
-        pairs[f"{name}: every other frame"] = (datum, own[::2], own[1::2])
-        pairs[f"{name}: two overlapping parts"] = (datum, cut[0], cut[1])
+        sets[f"{name}: every other frame"] = (datum, own[::2], own[1::2])
+        sets[f"{name}: two overlapping parts"] = (datum, cut[0], cut[1])
     if LATER.exists():
         both = open_map(
             built(folder / "both.gpkg", {"june": sources["two_lanes"], "august": sources["later"]})
         )
         maps.append(both)
-        pairs["two_lanes: June and August"] = (
+        sets["two_lanes: June and August"] = (
             both.datum, frames_of(both, "june"), frames_of(both, "august"),
         )  # fmt: skip
     print(f"{'':44s} {'runs':>4s} {'doubts':>6s}   left: median, 95 %, worst cm; turn: median, "
           "worst °; within 3 sigma %; beyond 5 cm or 0.1°, and beyond the sigmas, too")  # fmt: skip
-    for at, (name, (datum, first, second)) in enumerate(pairs.items()):
+    for at, (name, (datum, first, second)) in enumerate(sets.items()):
         if only not in name:
             continue
-        share = -(-count // len(pairs))
+        share = -(-count // len(sets))
         for sigma_m, receiver in ((SF1_SIGMA_M, "says 0.35 m"), (0.02, "says 0.02 m")):
             results = []
             for n in range(share if sigma_m == SF1_SIGMA_M else max(share // 4, 1)):
@@ -337,6 +340,38 @@ def _scores(universal: MapFile, names: Sequence[str], logs: Mapping[str, tuple[P
             universal.restore_session(other)
 
 
+def lanes(folder: Path) -> None:
+    """What neighbouring lanes of one drive say of each other where they share less than they must
+    to be compared: drives with RTK, which lie within a centimetre of the truth, so that it should
+    be nothing but what lies between the faces of a row."""
+    print("\nlane against lane: share of the ground, rho², shift across (sigma), rho² as they lie")
+    for path in (EXAMPLE, LATER, SLOPE):
+        if not path.exists():
+            continue
+        made = built(folder / f"{path.name}-lanes.gpkg", {"a": (path, "gnss_rtk.nmea")})
+        least = patch.object(pairs, "LEAST_SHARE", 0.08), patch.object(score, "LEAST_SHARE", 0.02)
+        with open_map(made) as universal, least[0], least[1]:
+            drawn = [
+                draw(part, Transform(), Lattice(0.1))[0]
+                for part in cut("a", frames_of(universal, "a"))
+            ]
+            for overlap in pairs.overlapping([drawn], lambda a, b: True):
+                pair = pairs.placed(overlap, [drawn])
+                found = score.Against(drawn[pair.k], 1.5).scores(drawn[pair.l])
+                if found is None or not pair.across.any():
+                    continue
+                told = score.peak(found, np.zeros(2))
+                at = found.reach + np.array([-1, 2])
+                here = found.by_cell[at[0] : at[1], at[0] : at[1]].max()
+                across_m = 100.0 * float(told.shift_m @ pair.across)
+                sigma_m = 100.0 * float(pair.across @ told.information @ pair.across) ** -0.5
+                print(
+                    f"  {path.name:24s} {pair.k:2d} {pair.l:2d}  {100 * pair.share:3.0f} %   "
+                    f"{-np.expm1(-2.0 * found.by_cell.max()):.2f}   {across_m:+6.1f} cm "
+                    f"({sigma_m:5.1f})   {-np.expm1(-2.0 * here):.2f}"
+                )
+
+
 def many(folder: Path, sessions: int, frames: int) -> None:
     """The time and memory of many drives over one field: the example's frames, displaced."""
     universal = open_map(built(folder / "many.gpkg", {"a": (EXAMPLE, "gnss_rtk.nmea")}))
@@ -368,7 +403,7 @@ def main() -> None:
     """Print the tables that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("trials", nargs="?", type=int, default=200)
-    parser.add_argument("--only", choices=("real", "trials", "appended", "many"))
+    parser.add_argument("--only", choices=("real", "trials", "appended", "lanes", "many"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--pairs", default="", help="only trials of pairs with this in their names")
     given = parser.parse_args()
@@ -379,6 +414,8 @@ def main() -> None:
             trials(Path(folder), given.trials, given.seed, given.pairs)
         if given.only in (None, "appended"):
             appended(Path(folder), max(given.trials // 10, 2), given.seed)
+        if given.only in (None, "lanes"):
+            lanes(Path(folder))
         if given.only in (None, "many"):
             many(Path(folder), 20, 200)
 
