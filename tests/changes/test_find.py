@@ -133,7 +133,8 @@ def test_drives_that_were_aligned_are_as_sure_as_they_lie_beside_each_other(tmp_
         universal.rename_session("first", "earlier")
         universal.rename_session("second", "later")
         now = universal.transform("later").aligned
-        assert now is not None and now.to == ("earlier",)
+        assert now is not None
+        assert now.to == ("earlier",)
         assert universal.verify(deep=True).problems == ()
     assert only(changes_of(path, "earlier", "later")).sigma_m == found.sigma_m
     with open_map(path, writable=True) as universal:
