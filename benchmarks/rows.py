@@ -126,7 +126,7 @@ def judge_drive(path: Path, name: str) -> str:
     seen = [_seen_part(points, row) for row in truth.rows]
     lines = [np.asarray(row.line.coords) for row in planting.rows]
     matched = match(lines, truth.rows, [share >= 0.4 for share, _ in seen])
-    off, turns, ends, widths, metres = [], [], [], [], []
+    off, turns, ends, widths, clear, metres = [], [], [], [], [], []
     for k, t in matched.pairs:
         off.append(offsets(lines[k], truth.rows[t]))
         turns.append(angle_deg(lines[k], truth.rows[t]))
@@ -148,6 +148,7 @@ def judge_drive(path: Path, name: str) -> str:
         if lane.driven:
             true_m = _true_widths(truth.occupied, lane.line)
             widths.append(lane.free_width_m - true_m.min())
+            clear.append(lane.clear_width_m - true_m.min())
             metres.append(lane.widths_m - true_m[: len(lane.widths_m)])
     of_metres = np.concatenate(metres)
     of_metres = of_metres[np.isfinite(of_metres)]
@@ -161,7 +162,8 @@ def judge_drive(path: Path, name: str) -> str:
         f"rows {len(matched.pairs)} right, {matched.false} false, {matched.missed} missed, F1 "
         f"{matched.f1:.3f}; RMSE {_rms(off):.3f} m, angle {max(turns):.2f}°, ends at most "
         f"{max(ends):.2f} m of {len(ends)}; gaps {right} of {known} true and {listed} found; free "
-        f"width {', '.join(f'{w:+.2f}' for w in widths)} m, of {len(of_metres)} metres "
+        f"width {', '.join(f'{w:+.2f}' for w in widths)} m, clear width "
+        f"{', '.join(f'{w:+.2f}' for w in clear)} m, of {len(of_metres)} metres "
         f"{np.median(of_metres):+.2f}, 95 % {np.quantile(of_metres, 0.95):+.2f}, worst "
         f"{of_metres.max():+.2f} m; found {', '.join(things) or 'nothing'} "
         f"of {', '.join(in_map) or 'nothing'} in the map"

@@ -182,6 +182,31 @@ def test_one_obstacle_cell_narrows_its_metre_of_a_lane(heading_deg: float) -> No
     assert narrowed.tolist() == [12]
 
 
+def test_a_lone_cell_and_unseen_ground_narrow_the_free_width_and_not_the_clear_one() -> None:
+    rows = straight(3, 30.0)
+    quiet = dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0)
+    before = rows_of_view(view_of(rows, quiet, cell_m=0.05)).lanes[0]
+    assert before.clear_width_m == pytest.approx(before.free_width_m - 0.07, abs=0.04)
+    wedge = dataclasses.replace(quiet, unseen=[Bounds(1.9, 20.0, 2.1, 20.4)])
+    view = view_of(rows, wedge, cell_m=0.05)
+    i, j = view.lattice.index(*np.atleast_2d(before.line.interpolate(12.4).coords[0]).T)
+    view.density[j - view.window.j0, i - view.window.i0] = 255
+    lane = rows_of_view(view, hole_m=0.0).lanes[0]
+    assert lane.free_width_m < 1.1
+    assert lane.clear_width_m == pytest.approx(before.clear_width_m, abs=0.06)
+    assert 0.1 < lane.clear_sigma_m < 0.15
+
+
+def test_a_lane_of_which_a_side_was_not_seen_has_no_clear_width() -> None:
+    rows = straight(3, 30.0)
+    sight = dataclasses.replace(QUIET, unseen=[Bounds(0.5, -5.0, 0.7, 35.0)])
+    found = rows_of_view(view_of(rows, sight, cell_m=0.05), hole_m=0.0)
+    lane = next(lane for lane in found.lanes if lane.rows == ("B1-R1", "B1-R2"))
+    assert lane.free_width_m > 0.6
+    assert np.isnan(lane.clear_width_m)
+    assert np.isnan(lane.clear_sigma_m)
+
+
 def test_a_width_is_told_of_the_metres_that_were_seen() -> None:
     rows = straight(3, 30.0)
     sight = dataclasses.replace(
@@ -295,6 +320,43 @@ def test_a_speck_in_a_hole_does_not_end_a_row() -> None:
     at, _ = project(line_of(found, rows[1]), rows[1])
     assert at.min() < 1.0
     assert at.max() > 49.0
+
+
+def test_plants_that_are_missing_one_by_one_do_not_end_a_row() -> None:
+    """Beyond a hole of two plants stands one, and another one beyond the next: each alone is short
+    for its hole."""
+    rows = straight(4, 50.0)
+    missing = [(1, 20.0, 24.2), (1, 25.5, 29.0), (1, 30.3, 33.8), (1, 35.1, 39.0)]
+    found = rows_of_view(view_of(rows, missing=missing))
+    at, _ = project(line_of(found, rows[1]), rows[1])
+    assert at.min() < 1.0
+    assert at.max() > 49.0
+    told = [project(np.asarray(gap.line.coords), rows[1])[0] for gap in found.gaps]
+    assert [(a.min(), a.max()) for a in told] == [
+        (pytest.approx(start, abs=0.35), pytest.approx(stop, abs=0.35))
+        for _, start, stop in missing
+    ]
+
+
+def test_a_plant_that_stands_apart_beside_a_gap_is_no_thing_in_it() -> None:
+    rows = straight(3, 30.0)
+    missing = [(k, n - 0.25, n + 0.1) for k in range(3) for n in range(1, 30) if (k, n) != (1, 15)]
+    found = rows_of_view(view_of(rows, missing=[*missing, (1, 14.75, 16.3)], cell_m=0.05))
+    (gap,) = found.gaps
+    at, _ = project(np.asarray(gap.line.coords), rows[1])
+    assert [at.min(), at.max()] == pytest.approx([14.75, 16.3], abs=0.25)
+
+
+def test_the_seen_part_of_a_hole_is_a_gap() -> None:
+    """So that few cells of a row beside a gap, which make its hole longer, do not hide it."""
+    rows = straight(3, 40.0)
+    sight = dataclasses.replace(QUIET, unseen=[Bounds(1.5, 16.0, 3.5, 20.0)])
+    found = rows_of_view(view_of(rows, sight, missing=[(1, 20.0, 22.0)]))
+    (gap,) = found.gaps
+    at, _ = project(np.asarray(gap.line.coords), rows[1])
+    assert [at.min(), at.max()] == pytest.approx([20.0, 22.0], abs=0.3)
+    row = next(row for row in found.rows if row.id == gap.row)
+    assert row.known == pytest.approx(1.0 - 4.0 / 40.0, abs=0.03)
 
 
 @pytest.mark.parametrize(("oblique_deg", "wide_m"), [(0.0, 5.0), (30.0, 3.5)])

@@ -13,8 +13,9 @@ import shapely
 from fieldgrid import evidence
 from fieldgrid.evidence import FREE, OBSTACLE, Evidence, fill_pinholes
 from fieldgrid.rows import ground, segments
+from fieldgrid.rows.blocks import LaneLine
 from fieldgrid.rows.extent import Extent
-from fieldgrid.rows.ground import find_headlands, find_things, polygons_of
+from fieldgrid.rows.ground import find_headlands, find_things, measure_lane, polygons_of
 from fieldgrid.rows.segments import thinned
 from tests.rows.fields import QUIET, straight, view_of
 
@@ -99,3 +100,13 @@ def test_ground_inside_any_block_is_no_headland() -> None:
     found = find_headlands(free, blocks, 20.0)
     assert len(found) == 2
     assert sum(one.area for one in found) == pytest.approx(16.0 * (east_m - west_m), rel=0.05)
+
+
+def test_a_lane_between_rows_that_touch_has_no_width() -> None:
+    seen = Evidence.of(view_of(straight(2, 10.0)), 100)
+    line = np.array([[1.25, 1.0], [1.25, 9.0]])
+    area = shapely.LineString(line).buffer(0.01)
+    told = measure_lane(seen, seen, seen, LaneLine(0, 1, line, area, 0.01), (0.3, 0.3))
+    assert np.isnan(told.widths_m).all()
+    assert math.isnan(told.clear_m)
+    assert told.known == 0.0

@@ -10,7 +10,7 @@ import typer
 from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
-    from fieldgrid.rows import Planting
+    from fieldgrid.rows import Lane, Planting
 
 
 def command(
@@ -194,6 +194,12 @@ def _text(value: float, digits: int, unit: str) -> str:
     return output.number(output.known(value), digits, unit)
 
 
+def _clear_text(lane: Lane) -> str:
+    if output.known(lane.clear_width_m) is None:
+        return _text(lane.clear_width_m, 2, "m")
+    return f"{lane.clear_width_m:.2f} ± {lane.clear_sigma_m:.2f} m"
+
+
 def _print(planting: Planting) -> None:
     from fieldgrid.rows.report import row_quality
 
@@ -224,13 +230,14 @@ def _print(planting: Planting) -> None:
         ],
     )
     output.print_table(
-        ("lane", "between", "length", "free width", "known", "driven", "obstacles"),
+        ("lane", "between", "length", "free width", "clear width", "known", "driven", "obstacles"),
         [
             (
                 lane.id,
                 " ".join(lane.rows),
                 _text(lane.length_m, 1, "m"),
                 _text(lane.free_width_m, 2, "m"),
+                _clear_text(lane),
                 output.percent(lane.known, 0),
                 "yes" if lane.driven else "no",
                 str(sum(o.lane == lane.id for o in planting.obstacles)),

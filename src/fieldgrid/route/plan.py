@@ -204,11 +204,17 @@ def find_way(
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
-        searched = "the search ended without one" if found.exhausted else "none was found in time"
+        searched = (
+            "there is none among the poses searched"
+            if found.exhausted
+            else ("none was found in time")
+        )
         raise NoRouteError(
-            f"A way {what} seems wide enough, but {searched} that a vehicle "
-            f"with a turning radius of {vehicle.turning_radius_m:g} m "
-            f"{'' if vehicle.reverse else 'and no reverse '}can drive, and the search came nearest",
+            f"Ground that a disc in the vehicle may pass leads {what}, but of ways for all "
+            f"{vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m of it, with "
+            f"{vehicle.clearance_m:g} m beside it, a turning radius of "
+            f"{vehicle.turning_radius_m:g} m{'' if vehicle.reverse else ' and no reverse'}, "
+            f"{searched}; the search came nearest",
             found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, REMEDY,
         )  # fmt: skip
     return found.samples

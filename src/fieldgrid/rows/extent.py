@@ -24,6 +24,10 @@ _END = 0.3
 _OVERHANG_M = 0.3
 """The line of a row ends a canopy's half width, or this, before its last cells do."""
 
+_REACH = 1.5
+_REACH_M = 2.0
+"""How far beyond a hole plants are counted, in its lengths and at least."""
+
 _STEP_M = 0.1
 _CELLS = 8
 """Cells that a mean along the row is to have, where the evidence is thin."""
@@ -38,6 +42,10 @@ _HOLE_M = (0.3, 0.8)
 _CLEAR_HOLE_M = 1.0
 """A person or a pile of rocks in a gap is shorter than a plant, with some hole on one side and a
 clear one on the other. Two clear holes with nearly a plant between them are two weak plants."""
+
+_SPACE_M = 0.15
+_PER_SPACE_M = 4.0
+"""Plants of a row with a small hole in less than so many metres stand apart from each other."""
 
 _EDGE_M = 1.0
 """Between a gap and the end of its row there is a plant; an end post is none."""
@@ -64,27 +72,33 @@ def runs(flags: Bool) -> list[tuple[int, int]]:
 def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int] | None:
     """The stretch of a line that is one row: the longest run of cells, and runs beyond its holes.
 
-    What lies beyond a hole belongs to the row if it is long for that hole: a trailer that stands in
-    line with a row does not lengthen it, and a speck in a hole does not end it. None when there is
-    no run.
+    What lies beyond a hole belongs to the row if it is long for that hole, in one piece or, where
+    plants are missing one by one, in several: a trailer that stands in line with a row does not
+    lengthen it, and a speck in a hole does not end it. None when there is no run.
     """
     some = weight > 0.0
     if not some.any():
         return None
     occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
     parts = _closed(runs(occupied), crop.plant_spacing_m / step_m)
-    sizes = [b - a for a, b in parts]
-    first = last = int(np.argmax(sizes))
+    first = last = int(np.argmax([b - a for a, b in parts]))
 
-    def is_more(hole: int, size: int) -> bool:
-        """Whether what is so long beyond so long a hole is more of the row."""
-        return hole * step_m <= crop.max_bridge_m and size * step_m >= max(1.0, 0.5 * hole * step_m)
+    def is_more(k: int, hole: int, beyond: slice) -> bool:
+        """Whether what is beyond so long a hole is more of the row: plants over half of its length,
+        a metre at least, within one and a half times its length from part k on."""
+        if hole * step_m > crop.max_bridge_m:
+            return False
+        reach = max(_REACH * hole, _REACH_M / step_m)
+        near = [min(b, parts[k][0] + reach) - max(a, parts[k][1] - reach) for a, b in parts[beyond]]
+        return sum(max(m, 0.0) for m in near) * step_m >= max(1.0, 0.5 * hole * step_m)
 
     # A speck in a hole is passed over.
     for k in range(first - 1, -1, -1):
-        first = k if is_more(parts[first][0] - parts[k][1], sizes[k]) else first
+        is_row = is_more(k, parts[first][0] - parts[k][1], slice(0, k + 1))
+        first = k if is_row else first
     for k in range(last + 1, len(parts)):
-        last = k if is_more(parts[k][0] - parts[last][1], sizes[k]) else last
+        is_row = is_more(k, parts[k][0] - parts[last][1], slice(k, len(parts)))
+        last = k if is_row else last
     return parts[first][0], parts[last][1]
 
 
@@ -151,20 +165,35 @@ def _holes(
     """
     start, stop = span
     holes = [(start + a, start + b) for a, b in runs(~occupied[start:stop])]
+    small = sum(_SPACE_M <= (b - a) * _STEP_M <= _HOLE_M[1] for a, b in holes)
+    # Where plants stand apart all along, one beside a gap has a small hole on its other side, too.
+    is_apart = small * _PER_SPACE_M > (stop - start) * _STEP_M
     joined: list[tuple[int, int]] = []
     for a, b in holes:
-        if joined and _is_thing(joined[-1], (a, b), crop):
+        if joined and not is_apart and _is_thing(joined[-1], (a, b), crop):
             joined[-1] = (joined[-1][0], b)
         else:
             joined.append((a, b))
-    long = [(a, b) for a, b in joined if (b - a) * _STEP_M >= crop.min_gap_m - 0.5 * _STEP_M]
+    least_m = crop.min_gap_m - 0.5 * _STEP_M
+    long = [(a, b) for a, b in joined if (b - a) * _STEP_M >= least_m]
     edge = round(_EDGE_M / _STEP_M)
-    gaps = [
-        (a, b)
-        for a, b in long
-        if seen[a:b].mean() >= _GAP_SEEN and a - start >= edge and stop - b >= edge
-    ]
-    return gaps, [(a, b) for a, b in long if seen[a:b].mean() < _GAP_SEEN]
+    gaps, unseen = [], []
+    for hole in long:
+        bare = _bare(hole, seen, least_m)
+        gaps += [(a, b) for a, b in bare if a - start >= edge and stop - b >= edge]
+        edges = [hole[0], *(place for part in bare for place in part), hole[1]]
+        between = zip(edges[::2], edges[1::2], strict=True)
+        unseen += [(a, b) for a, b in between if (b - a) * _STEP_M >= least_m]
+    return gaps, unseen
+
+
+def _bare(hole: tuple[int, int], seen: Float64, least_m: float) -> list[tuple[int, int]]:
+    """What is a gap of a hole: all of it where its ground was seen, else the stretches that were.
+    Where few cells of a row show, or it is seen through others, a hole reaches beyond the gap."""
+    if seen[slice(*hole)].mean() >= _GAP_SEEN:
+        return [hole]
+    is_seen = uniform_filter1d(seen, 5)[slice(*hole)] >= _GAP_SEEN
+    return [(hole[0] + a, hole[0] + b) for a, b in runs(is_seen) if (b - a) * _STEP_M >= least_m]
 
 
 def _is_thing(before: tuple[int, int], after: tuple[int, int], crop: Crop) -> bool:

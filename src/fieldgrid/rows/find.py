@@ -108,9 +108,10 @@ def _planting(
     rows = _rows(ordered, reach)
     lanes = lane_lines(ordered)
     filled = fill_pinholes(evidence, hole_m)
-    found_lanes = _lanes(evidence, filled, ordered, lanes, rows, drives, reach)
+    speckless = without_specks(evidence)
+    clean = fill_pinholes(speckless, hole_m)
+    found_lanes = _lanes(evidence, filled, clean, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
-    clean = without_specks(evidence)
     found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
@@ -118,9 +119,9 @@ def _planting(
         rows,
         found_lanes,
         _gaps(evidence, ordered, rows, reach),
-        _headlands(fill_pinholes(clean, hole_m), ordered, areas, headland_m, reach),
+        _headlands(clean, ordered, areas, headland_m, reach),
         _blocks(ordered, areas, rows, found_lanes),
-        _obstacles(evidence, find_things(clean, ordered.rows), ordered, found_lanes, reach),
+        _obstacles(evidence, find_things(speckless, ordered.rows), ordered, found_lanes, reach),
     )
     stray = stray_cells(evidence, ordered.rows, list(areas.values()))
     return replace(found, doubts=find_doubts(found, stray, crop))
@@ -180,6 +181,7 @@ def _rows(ordered: Ordered, reach: Reach) -> tuple[Row, ...]:
 def _lanes(
     evidence: Evidence,
     filled: Evidence,
+    clean: Evidence,
     ordered: Ordered,
     lanes: list[LaneLine],
     rows: tuple[Row, ...],
@@ -192,7 +194,7 @@ def _lanes(
         block = ordered.block_of[lane.left]
         counts[block] = counts.get(block, 0) + 1
         half = ordered.rows[lane.left].half_width_m, ordered.rows[lane.right].half_width_m
-        ground = measure_lane(evidence, filled, lane, half)
+        ground = measure_lane(evidence, filled, clean, lane, half)
         line = shapely.LineString(lane.line)
         driven = False
         if drives is not None and len(drives.track_m):
@@ -216,6 +218,8 @@ def _lanes(
                 0.5 * (rows[lane.left].sigma_m + rows[lane.right].sigma_m),
                 ground.cells,
                 reach.of(lane.area).sessions,
+                ground.clear_m,
+                ground.clear_sigma_m,
             )
         )
     return tuple(found)

@@ -40,13 +40,29 @@ _SECTION_SEEN = 0.8
 its cross-sections have."""
 
 
+_SHOOTS_M = 0.07
+_WIDTH_SIGMA_M = 0.12
+"""Shoots that no cell shows reach so much into a lane from both sides together, and how much that
+differs from metre to metre: of the rendered drives, `python -m benchmarks.rows drives`."""
+
+_WHOLE = 0.5
+"""A metre has a clear width when so many of its cross-sections do not end where ground was not
+seen: such a width is a bound, and no width."""
+
+
 class LaneGround(NamedTuple):
     """Of a lane: the least free width in every metre along its line, NaN in one that was not seen,
-    the share of its ground that was, and how many cells these are."""
+    the share of its ground that was, and how many cells these are.
+
+    `clear_m` is the least width that is likely, NaN where too little was seen to tell, and
+    `clear_sigma_m` its standard deviation.
+    """
 
     widths_m: Float64
     known: float
     cells: int
+    clear_m: float = math.nan
+    clear_sigma_m: float = math.nan
 
 
 def without_specks(evidence: Evidence) -> Evidence:
@@ -65,33 +81,60 @@ def without_specks(evidence: Evidence) -> Evidence:
 
 
 def measure_lane(
-    evidence: Evidence, filled: Evidence, lane: LaneLine, half_m: tuple[float, float]
+    evidence: Evidence,
+    filled: Evidence,
+    clean: Evidence,
+    lane: LaneLine,
+    half_m: tuple[float, float],
 ) -> LaneGround:
     """The widest free stretch across a lane, between the middles of its rows, all along it.
 
     Every obstacle cell narrows it. `filled` is the evidence with its pinholes taken for free; what
-    is still unseen is not free, and pinholes were not seen.
+    is still unseen is not free, and pinholes were not seen. `clean` is the same without lone
+    obstacle cells, for the width that is likely.
     """
     reach, step_m = 0.5 * lane.distance_m, evidence.cell_m / _PER_CELL
     strip = evidence.strip(lane.line, reach, reach, step_m, step_m)
-    free = filled.strip(lane.line, reach, reach, step_m, step_m).cells == FREE
-    run = np.zeros(len(free))
-    widest = np.zeros(len(free))
-    for column in range(free.shape[1]):
-        run = (run + 1.0) * free[:, column]
-        np.maximum(widest, run, out=widest)
     inner = (strip.across_m < reach - half_m[0]) & (strip.across_m > half_m[1] - reach)
     metre = strip.along_m.astype(np.int64)
     widths = np.full(int(metre[-1]) + 1, np.inf)
-    if not inner.any():
+    if not inner.any():  # rows that nearly touch
         return LaneGround(np.full(len(widths), np.nan), 0.0, 0)
+    widest, _ = _widest(filled.strip(lane.line, reach, reach, step_m, step_m).cells)
     is_known = strip.cells[:, inner] != UNSEEN
     cells = round(np.count_nonzero(is_known) / _PER_CELL**2)
     seen = is_known.mean(axis=1)
     is_seen = seen >= _SECTION_SEEN
     np.minimum.at(widths, metre[is_seen], widest[is_seen] * step_m)
     enough = np.bincount(metre, is_seen) >= _SECTION_SEEN * np.bincount(metre)
-    return LaneGround(np.where(enough, widths, np.nan), float(seen.mean()), cells)
+    clear, is_whole = _widest(clean.strip(lane.line, reach, reach, step_m, step_m).cells)
+    told = is_seen & is_whole
+    least = np.full(len(widths), np.inf)
+    np.minimum.at(least, metre[told], clear[told] * step_m)
+    least = least[np.bincount(metre, told) >= _WHOLE * np.bincount(metre)]
+    sigma_m = math.hypot(_WIDTH_SIGMA_M, evidence.cell_m / math.sqrt(6.0))
+    return LaneGround(
+        np.where(enough, widths, np.nan),
+        float(seen.mean()),
+        cells,
+        *((max(float(least.min()) - _SHOOTS_M, 0.0), sigma_m) if len(least) else ()),
+    )
+
+
+def _widest(cells: UInt8) -> tuple[Float64, Bool]:
+    """The most samples in a row that are free, of each cross-section of [n, m], and whether none of
+    their ends is one of what was seen only."""
+    run, widest = np.zeros(len(cells)), np.zeros(len(cells))
+    last = np.zeros(len(cells), dtype=np.int64)
+    for column in range(cells.shape[1]):
+        run = (run + 1.0) * (cells[:, column] == FREE)
+        last[run > widest] = column
+        np.maximum(widest, run, out=widest)
+    # A border of free ground: in a gap what reaches the middle of a row ends at nothing unseen.
+    framed = np.pad(cells, ((0, 0), (1, 1)), constant_values=FREE)
+    at, first = np.arange(len(cells)), last - widest.astype(np.int64) + 1
+    is_whole: Bool = (framed[at, last + 2] != UNSEEN) & (framed[at, first] != UNSEEN)
+    return widest, is_whole & (widest > 0.0)
 
 
 def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> int:

@@ -42,6 +42,7 @@ def planting_features(planting: Planting) -> list[Feature]:
                 {
                     "id": lane.id, "block": lane.block, "rows": lane.rows,
                     "length_m": lane.length_m, "free_width_m": lane.free_width_m,
+                    "clear_width_m": lane.clear_width_m, "clear_sigma_m": lane.clear_sigma_m,
                     "known": lane.known, "driven": lane.driven, **_rests_on(lane),
                 },
             )

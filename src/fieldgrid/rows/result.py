@@ -56,6 +56,10 @@ class Lane(NamedTuple):
     free width in each metre along the line, NaN where too little was seen to tell, and
     `free_width_m` the least of them. `known` is the share of its ground that was seen, pinholes
     not counted. `driven` says whether a vehicle went through it.
+
+    `clear_width_m` with `clear_sigma_m` is the least width that is likely: every obstacle cell
+    narrows `free_width_m`, and this one only those that are not alone; shoots of canopies that no
+    cell shows are taken off. It counts where canopies were seen on both sides; NaN where nowhere.
     """
 
     id: str
@@ -71,6 +75,8 @@ class Lane(NamedTuple):
     sigma_m: float = math.nan
     cells: int = 0
     sessions: tuple[str, ...] = ()
+    clear_width_m: float = math.nan
+    clear_sigma_m: float = math.nan
 
 
 class Gap(NamedTuple):
