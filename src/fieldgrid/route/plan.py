@@ -204,17 +204,13 @@ def find_way(
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
-        searched = (
-            "there is none among the poses searched"
-            if found.exhausted
-            else ("none was found in time")
-        )
+        searched = "the search ended without a way" if found.exhausted else "none was found in time"
         raise NoRouteError(
-            f"Ground that a disc in the vehicle may pass leads {what}, but of ways for all "
-            f"{vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m of it, with "
-            f"{vehicle.clearance_m:g} m beside it, a turning radius of "
-            f"{vehicle.turning_radius_m:g} m{'' if vehicle.reverse else ' and no reverse'}, "
-            f"{searched}; the search came nearest",
+            f"Ground that a disc in the vehicle may pass leads {what}, but {searched} that all "
+            f"{vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m of it can drive, "
+            f"with {vehicle.clearance_m:g} m beside it and a turning radius of "
+            f"{vehicle.turning_radius_m:g} m{'' if vehicle.reverse else ', and no reverse'}; the "
+            "search came nearest",
             found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, REMEDY,
         )  # fmt: skip
     return found.samples

@@ -86,11 +86,14 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     def is_more(k: int, hole: int, beyond: slice) -> bool:
         """Whether what is beyond so long a hole is more of the row: plants over half of its length,
         a metre at least, within one and a half times its length from part k on."""
+        least = max(1.0 / step_m, 0.5 * hole)
         if hole * step_m > crop.max_bridge_m:
             return False
+        if parts[k][1] - parts[k][0] >= least:
+            return True
         reach = max(_REACH * hole, _REACH_M / step_m)
         near = [min(b, parts[k][0] + reach) - max(a, parts[k][1] - reach) for a, b in parts[beyond]]
-        return sum(max(m, 0.0) for m in near) * step_m >= max(1.0, 0.5 * hole * step_m)
+        return sum(max(plants, 0.0) for plants in near) >= least
 
     # A speck in a hole is passed over.
     for k in range(first - 1, -1, -1):
