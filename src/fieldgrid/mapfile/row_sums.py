@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -55,8 +55,11 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
 
 def sum_of(connection: sqlite3.Connection, table: str) -> str:
     """The sum of a table as its rows give it now."""
-    columns = ", ".join(map(_hashable, _columns(connection, [table])[table]))
-    return _written(sum(map(_of_row, connection.execute(f"SELECT {columns} FROM {table}"))))
+    as_usual, connection.text_factory = connection.text_factory, _digits
+    try:
+        return _written(sum(map(_of_row, connection.execute(f"SELECT * FROM {table}"))))
+    finally:
+        connection.text_factory = as_usual
 
 
 def create_sums(connection: sqlite3.Connection) -> None:
@@ -166,24 +169,29 @@ def _columns(connection: sqlite3.Connection, tables: Sequence[str]) -> Mapping[s
 
 
 def _hashable(column: str) -> str:
-    """A value as it is hashed: text as the digits of its bytes, which need be no UTF-8."""
+    """A value as it is hashed: text as :func:`_digits` gives it."""
     return f"CASE typeof({column}) WHEN 'text' THEN 'x' || hex({column}) ELSE {column} END"
 
 
-def _of_row(row: Iterable[Any]) -> int:
+def _digits(text: bytes) -> str:
+    """Text as the digits of its bytes, which need be no UTF-8."""
+    return f"x{text.hex().upper()}"
+
+
+_AS_WRITTEN: Mapping[type, Callable[[Any], str]] = {
+    bytes: lambda blob: f"[{len(blob)}]",
+    str: lambda digits: f'"{digits}"',
+    int: repr,
+    float: repr,
+    type(None): lambda _: "null",
+}
+
+
+def _of_row(row: Sequence[Any]) -> int:
     """The SHA-256 of a row: a line of values, a blob as a list of its length, then the blobs."""
-    line, blobs = list[str](), list[bytes]()
-    for value in row:
-        if isinstance(value, bytes):
-            line.append(f"[{len(value)}]")
-            blobs.append(value)
-        elif isinstance(value, str):
-            line.append(f'"{value}"')  # of digits alone
-        else:
-            line.append("null" if value is None else repr(value))
-    hashed = hashlib.sha256(f"[{','.join(line)}]\n".encode())
-    for blob in blobs:
-        hashed.update(blob)
+    line = ",".join([_AS_WRITTEN[type(value)](value) for value in row])
+    blobs = [value for value in row if type(value) is bytes]
+    hashed = hashlib.sha256(b"".join((b"[", line.encode(), b"]\n", *blobs)))
     return int.from_bytes(hashed.digest(), "big")
 
 
