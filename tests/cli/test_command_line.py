@@ -222,6 +222,14 @@ def test_what_nobody_foresaw_is_one_sentence_with_a_file_to_send(
     text = file.read_text()
     assert "$ fieldgrid verify x.gpkg" in text
     assert "Traceback" in text
+
+    def cut(*_: object, **__: object) -> None:
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr("fieldgrid.mapfile.open_map", cut)
+    ended = fieldgrid("verify", "x.gpkg")
+    assert (ended.status, "EOFError: marshal data too short" in ended.err) == (70, True)
+    monkeypatch.setattr("fieldgrid.mapfile.open_map", broken)
     monkeypatch.setattr(defect.tempfile, "tempdir", str(tmp_path / "nowhere"))
     assert "please report it with the command" in fieldgrid("verify", "x.gpkg").err
 

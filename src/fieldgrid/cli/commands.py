@@ -91,6 +91,14 @@ class Commands(TyperGroup):
             self.commands[cmd_name] = load(cmd_name)
         return self.commands.get(cmd_name)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. Typer answers the end of what is read with "Aborted!" and status 1, as
+        if a user had ended a question; here nothing asks, so that it is an error as any other."""
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise RuntimeError(f"EOFError: {error}") from error
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """A name that is none is answered with those that are like it."""
         if args[0] not in COMMANDS and not args[0].startswith("-"):
