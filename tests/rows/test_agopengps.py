@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,10 @@ import shapely
 from benchmarks.planting import DATUM
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.geodesy import Datum
 from fieldgrid.rows import Planting, rows_of_view
 from fieldgrid.rows.agopengps import write_agopengps
+from fieldgrid.rows.output import write_planting
 from tests.rows.fields import straight, view_of
 
 
@@ -35,7 +38,7 @@ class Field(NamedTuple):
     tracks: dict[str, Track]
 
 
-def read_field(folder: Path) -> Field:
+def read_field(folder: Path, datum: Datum = DATUM) -> Field:
     """By the readers of AgOpenGPS: the eighth line is followed by the origin; a flag, a count and
     so many `east,north,heading` make a ring."""
     lines = (folder / "Field.txt").read_text().splitlines()
@@ -52,7 +55,7 @@ def read_field(folder: Path) -> Field:
             len(rows), -1
         )
         lat, lon = lat0 + values[:, 1] / north_m, lon0 + values[:, 0] / east_m
-        east, north, _ = DATUM.to_enu(lat, lon, DATUM.height_m)
+        east, north, _ = datum.to_enu(lat, lon, datum.height_m)
         return np.column_stack([east, north, values[:, 2:]])
 
     lines = (folder / "Boundary.txt").read_text().splitlines()
@@ -117,6 +120,29 @@ def test_tracks_are_the_lanes_from_left_to_right(planting: Planting, tmp_path: P
     # The field is not its own mirror image: the last lane is the shortest.
     sizes = [float(np.hypot(*(t.ends[1] - t.ends[0]))) for t in tracks.values()]
     assert sizes[2] < 0.8 * sizes[1]
+
+
+@pytest.mark.parametrize(
+    ("lat_deg", "lon_deg"), [(-37.8, 145.0), (-33.4, -70.6), (-0.0005, 179.9995), (68.0, -150.0)]
+)
+def test_fields_lie_where_they_are_in_every_quarter_of_the_earth(
+    planting: Planting, tmp_path: Path, lat_deg: float, lon_deg: float
+) -> None:
+    """The third one lies across the equator and the date line."""
+    datum = Datum(lat_deg, lon_deg, 80.0)
+    elsewhere = replace(planting, datum=datum)
+    write_agopengps(elsewhere, tmp_path / "field")
+    tracks = read_field(tmp_path / "field", datum).tracks
+    write_planting(elsewhere, tmp_path / "rows.geojson")
+    content = json.loads((tmp_path / "rows.geojson").read_text())
+    drawn = {f["properties"]["id"]: f["geometry"]["coordinates"] for f in content["features"]}
+    for lane in elsewhere.lanes:
+        line = np.asarray(lane.line.coords)
+        assert np.abs(tracks[lane.id].ends - line[[0, -1]]).max() < 0.01
+        lon, lat = np.array(drawn[lane.id]).T
+        assert np.abs(lon).max() <= 180.0
+        east, north, _ = datum.to_enu(lat, lon, datum.height_m)
+        assert np.abs(np.column_stack([east, north]) - line).max() < 0.01
 
 
 def test_boundaries_enclose_lanes_and_keep_what_stands_inside(
