@@ -123,6 +123,19 @@ def test_the_course_is_no_heading() -> None:
     assert not few.course
 
 
+def test_who_only_backs_up_is_compared_too() -> None:
+    heading, sigma, gear = drive()
+    gear[:] = -1
+    nose = compare(np.asarray(wrap_deg(heading + 3.0)), heading, sigma, gear)
+    assert nose is not None
+    assert nose.offset_deg == pytest.approx(3.0, abs=1e-9)
+    # The course of who backs up, and the nose where a camera that looks back takes ahead for back.
+    other = compare(np.asarray(wrap_deg(heading + 180.0)), heading, sigma, gear)
+    assert other is not None
+    assert not other.course
+    assert "only backs up" in other.diagnosis()
+
+
 def test_a_straight_drive_leaves_the_sign_open() -> None:
     heading = np.full(N, 30.0) + np.random.default_rng(0).normal(0.0, 1.0, N)
     found = compare(wrap_deg(-heading + 60.0), heading, np.full(N, 1.0), np.ones(N, np.int64))

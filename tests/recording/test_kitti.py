@@ -219,6 +219,15 @@ def test_oxts_rows_that_cannot_be(text: str, date_folder: Path) -> None:
     fails(date_folder, r"0000000003\.txt has \d+ numbers, not 30 finite ones")
 
 
+@pytest.mark.parametrize(("number", "name"), [(3, "roll"), (4, "pitch"), (5, "yaw")])
+def test_angles_in_degrees_are_refused(number: int, name: str, date_folder: Path) -> None:
+    path = date_folder / DRIVE / "oxts" / "data" / "0000000003.txt"
+    values = path.read_text().split()
+    values[number] = "-7.5"
+    path.write_text(" ".join(values))
+    fails(date_folder, rf"Row 4 of oxts has a {name} of -7\.5, which is no angle")
+
+
 def test_oxts_rows_that_are_no_numbers(date_folder: Path) -> None:
     (date_folder / DRIVE / "oxts" / "data" / "0000000003.txt").write_text("here " * 30)
     fails(date_folder, r"0000000003\.txt is damaged: could not convert")

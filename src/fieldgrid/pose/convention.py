@@ -31,7 +31,8 @@ TELLING_TURN_DEG = 10.0
 class Comparison(NamedTuple):
     """What a heading has more than the nose: `offset_deg` ± `offset_sigma_deg`, and its scatter
     about that; `mirrored` when it turns the other way; `course` when it turns around in reverse,
-    so that it is the direction of travel and no heading. `compared` instants were compared."""
+    so that it is the direction of travel and no heading. `compared` instants were compared, all of
+    them in reverse where `backing`."""
 
     offset_deg: float
     offset_sigma_deg: float
@@ -39,6 +40,7 @@ class Comparison(NamedTuple):
     mirrored: bool
     course: bool
     compared: int
+    backing: bool = False
 
     def correction(self, rig: Vehicle | None) -> str:
         """What to declare in the mounting instead of what the rig does, as a clause."""
@@ -57,6 +59,12 @@ class Comparison(NamedTuple):
         """What is wrong, as a clause."""
         if self.mirrored:
             return "turns the other way: it is counted counter-clockwise"
+        if abs(wrap_deg(self.offset_deg - 180.0)) < 15.0 and self.backing:
+            return (
+                f"is {self.offset_deg:.1f}° off the nose of a vehicle that by its motion only backs "
+                "up, so it is the course, or the camera looks backwards, or the images or the gyro "
+                "are in a wrong order or sign"
+            )
         if abs(wrap_deg(self.offset_deg - 180.0)) < 15.0:
             return f"points backwards: it is {self.offset_deg:.1f}° off the nose"
         return f"is {self.offset_deg:.1f}° off the nose throughout"
@@ -72,6 +80,9 @@ def compare(
     sure. All length n; NaN where nothing is recorded, gear 0 at rest."""
     sure = np.isfinite(recorded_deg) & (sigma_deg < SURE_DEG)
     use, back = sure & (gear > 0), sure & (gear < 0)
+    backing = bool(use.sum() < FEWEST <= back.sum())
+    if backing:
+        use, back = back, np.zeros_like(back)
     if use.sum() < FEWEST:
         return None
     recorded, heading = recorded_deg[use], heading_deg[use]
@@ -86,7 +97,7 @@ def compare(
     sign = -1.0 if mirrored else 1.0
     behind = np.abs(wrap_deg(recorded_deg[back] - sign * heading_deg[back] - offset))
     course = bool(back.sum() >= FEWEST_BACK and np.median(behind) > 90.0)
-    return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()))
+    return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()), backing)
 
 
 def _circular(angles_deg: Float64) -> tuple[float, float]:

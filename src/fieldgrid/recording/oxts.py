@@ -6,6 +6,7 @@ import numpy as np
 
 from fieldgrid.angles import heading_from_yaw_rad
 from fieldgrid.array_types import Float32, Float64, Int64
+from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import NOT_SAID, FixColumns
 from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt
 from fieldgrid.quality import Quality
@@ -18,6 +19,9 @@ FIELDS = (
 """The names of a row's numbers, in their order: degrees, metres, radians, seconds."""
 
 _MOST_SATELLITES = 1000
+_MOST_RAD = {"roll": 1.0, "pitch": 1.0, "yaw": 6.3}
+"""Beyond these an angle is in degrees, or damaged: vehicles lean by less than 57°."""
+
 _HEADING_SIGMA_DEG, _TILT_SIGMA_DEG = 0.1, 0.03  # of the RT3003 by its data sheet
 
 # Qualities of OXTS's position modes. -1 is a row that KITTI interpolated for a packet that
@@ -37,8 +41,19 @@ _QUALITY_OF_POSMODE = {
 
 
 def oxts_fixes(time_ns: Int64, rows: Float64) -> FixColumns:
-    """A fix for each row of `rows` (n x 30, :data:`FIELDS`) at its UTC time."""
+    """A fix for each row of `rows` (n x 30, :data:`FIELDS`) at its UTC time.
+
+    Raises RecordingError for angles that cannot be in radians.
+    """
     value = {name: rows[:, k] for k, name in enumerate(FIELDS)}
+    for name, most_rad in _MOST_RAD.items():
+        beyond = np.flatnonzero(np.abs(value[name]) > most_rad)
+        if beyond.size:
+            raise RecordingError(
+                f"Row {beyond[0] + 1} of oxts has a {name} of {value[name][beyond[0]]:g}, which is "
+                f"no angle of a vehicle in radians ({len(beyond)} of {len(rows)} rows); the rows "
+                "of KITTI are in radians, so convert degrees, or unpack the drive again."
+            )
     modes = [_QUALITY_OF_POSMODE.get(int(mode), Quality.NONE) for mode in value["posmode"]]
     return FixColumns.of(
         time_ns,
