@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import FixNoise, Gate, Verdicts, fix_noise, quantum_m
-from fieldgrid.pose.seams import SeamDoubt, seam_doubt
+from fieldgrid.pose.seams import SeamDoubt, SeenLeap, seam_doubt
 from fieldgrid.reasons import commonest_reason
 
 _BY_MOTION = (Gate.JUMP, Gate.ACCELERATION, Gate.TURN_RATE)
@@ -59,14 +60,16 @@ class AcceptedFixes(NamedTuple):
         return AcceptedFixes(noise=noise, **columns)
 
 
-def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> AcceptedFixes:
-    """The accepted ones of fixes in order of time."""
+def accepted_fixes(
+    fixes: FixColumns, verdicts: Verdicts, datum: Datum, seen: Sequence[SeenLeap] = ()
+) -> AcceptedFixes:
+    """The accepted ones of fixes in order of time; `seen` are leaps that something else saw."""
     used = fixes[verdicts.ok]
     east, north, up = datum.to_enu(used.lat_deg, used.lon_deg, used.height_m)
     stated_m = used.position_sigma_m()
     quantum = quantum_m(used.lat_deg, used.lon_deg)
     noise = fix_noise(east, north, used.time_ns, stated_m, used.quality, quantum)
-    doubt = _seam_doubt(fixes, verdicts, datum, noise)
+    doubt = _seam_doubt(fixes, verdicts, datum, noise, seen)
     # Digits that a log cuts off instead of rounding leave all fixes half a step south and west.
     cut_m = quantum / math.sqrt(12.0)
     heading_sigma = used.heading_sigma_deg
@@ -86,7 +89,13 @@ def accepted_fixes(fixes: FixColumns, verdicts: Verdicts, datum: Datum) -> Accep
     )
 
 
-def _seam_doubt(fixes: FixColumns, verdicts: Verdicts, datum: Datum, noise: FixNoise) -> SeamDoubt:
+def _seam_doubt(
+    fixes: FixColumns,
+    verdicts: Verdicts,
+    datum: Datum,
+    noise: FixNoise,
+    seen: Sequence[SeenLeap],
+) -> SeamDoubt:
     """What leaps of the solution say of the accepted fixes; those that were refused for how they
     lie are another solution."""
     denied = np.array([gate in _OF_ANOTHER for gate in verdicts.gate], dtype=np.bool_)
@@ -99,6 +108,7 @@ def _seam_doubt(fixes: FixColumns, verdicts: Verdicts, datum: Datum, noise: FixN
         fit.position_sigma_m(),
         float(np.median(noise.across_m)),
         denied[rows],
+        {int(np.searchsorted(fit.time_ns, leap.time_ns)): leap for leap in seen},
     )
     return found._replace(sigma_m=found.sigma_m[ok], lasting_s=_least_until(found.lasting_s, ok))
 

@@ -61,8 +61,8 @@ class Comparison(NamedTuple):
             return "turns the other way: it is counted counter-clockwise"
         if abs(wrap_deg(self.offset_deg - 180.0)) < 15.0 and self.backing:
             return (
-                f"is {self.offset_deg:.1f}° off the nose of a vehicle that by its motion only backs "
-                "up, so it is the course, or the camera looks backwards, or the images or the gyro "
+                f"is {self.offset_deg:.1f}° off the nose of a vehicle that by its motion only "
+                "backs up, so it is the course, or the camera looks backwards, or images or gyro "
                 "are in a wrong order or sign"
             )
         if abs(wrap_deg(self.offset_deg - 180.0)) < 15.0:

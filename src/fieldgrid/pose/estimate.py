@@ -37,6 +37,7 @@ from fieldgrid.pose.levelled import (
 )
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
+from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
@@ -117,6 +118,12 @@ def estimate_poses(
     if lean is not None:
         log = log._replace(accepted=levelled_fixes(log.accepted, lean))
         motion = levelled_motion(motion, lean)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # A solution that goes on elsewhere, as the camera sees.
+    if rig is not None and (seen := seen_leaps(log.accepted, drive, motion.steps, rig.antenna)):
+        log = log._replace(accepted=accepted_fixes(log.fixes, log.verdicts, log.datum, seen))
+        if lean is not None:
+            log = log._replace(accepted=levelled_fixes(log.accepted, lean))
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A recorded heading joins once the drive has shown what it means.
     recorded_deg, comparison, notes = _recorded(log, drive, rig, source, settings)

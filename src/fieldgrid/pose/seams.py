@@ -7,6 +7,8 @@ likelier it is the right one. A wrong one may have got there bit by bit.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +52,16 @@ class SeamDoubt(NamedTuple):
     lasting_s: Float64
 
 
+class SeenLeap(NamedTuple):
+    """A leap that something else than fixes saw: how far east and north of where the vehicle went
+    the fix of `time_ns` and what follows it lie, and the error of that along one axis."""
+
+    time_ns: int
+    east_m: float
+    north_m: float
+    sigma_m: float
+
+
 class _Stretch(NamedTuple):
     """Fixes of one solution, rows from `first` to before `stop`, and for how long it was followed;
     where it lies beside the first one (east and north), and how well that is known (variance).
@@ -73,14 +85,19 @@ class _Solutions(NamedTuple):
 
 
 def seam_doubt(
-    points_m: Float64, time_s: Float64, stated_m: Float64, noise_m: float, denied: Bool
+    points_m: Float64,
+    time_s: Float64,
+    stated_m: Float64,
+    noise_m: float,
+    denied: Bool,
+    seen: Mapping[int, SeenLeap] = MappingProxyType({}),
 ) -> SeamDoubt:
     """The doubt of n fixes in order of time that are fit but for how they lie. Those that were
     `denied` for it by conditioning, or are seams, tell of a solution like the others; where none
     was, a vehicle may have driven. `stated_m` is what each states, `noise_m` what is usual of one
-    to the next."""
+    to the next, `seen` are leaps that something else saw, by the row after them."""
     n = len(time_s)
-    found = _solutions(points_m, time_s, noise_m, denied)
+    found = _solutions(points_m, time_s, noise_m, denied, seen)
     first = found.first
     if len(first) < 2:
         return SeamDoubt(np.zeros(n), np.full(n, np.inf))
@@ -93,7 +110,13 @@ def seam_doubt(
     return SeamDoubt(np.repeat(away_m, count), lasting_s)
 
 
-def _solutions(points_m: Float64, time_s: Float64, noise_m: float, denied: Bool) -> _Solutions:
+def _solutions(
+    points_m: Float64,
+    time_s: Float64,
+    noise_m: float,
+    denied: Bool,
+    seen: Mapping[int, SeenLeap],
+) -> _Solutions:
     """The stretches between leaps."""
     disputed = denied.copy()
     disputed[1:] |= denied[:-1]
@@ -105,6 +128,10 @@ def _solutions(points_m: Float64, time_s: Float64, noise_m: float, denied: Bool)
     steps = leaps(mended, time_s, noise, disputed, LEAST_M)
     steps = steps._replace(off_m=steps.off_m + taken_m)
     torn = steps.torn & disputed[1:]
+    for row, leap in seen.items():
+        torn[row - 1] = True
+        steps.off_m[row - 1] = leap.east_m, leap.north_m
+        steps.free_m[row - 1] = FREE_SIGMAS * leap.sigma_m
     at = np.flatnonzero(torn | _returns(steps, torn, time_s))
     first, stop = np.concatenate([[0], at + 1]), np.append(at + 1, len(time_s))
     place_m = np.concatenate([[[0.0, 0.0]], np.cumsum(steps.off_m[at], axis=0)])
