@@ -141,5 +141,6 @@ def _at(fixes: AcceptedFixes, time_ns: Int64) -> Float64:
     after = np.clip(np.searchsorted(fixes.time_ns, time_ns), 1, len(fixes.time_ns) - 1)
     inside = (time_ns >= fixes.time_ns[0]) & (time_ns <= fixes.time_ns[-1])
     near = np.diff(fixes.time_ns)[after - 1] <= TORN_S * 1e9
+    near |= fixes.time_ns[after] == time_ns
     places = [np.interp(time_ns, fixes.time_ns, column) for column in fixes.points_m().T]
     return np.where((inside & near)[:, None], np.stack(places, axis=1), np.nan)
