@@ -171,6 +171,19 @@ def _multipath(share: float, epoch: int, fields: list[str]) -> list[str]:
     return fields
 
 
+def leapt(north_m: float, hole_share: float = 0.0) -> Damage:
+    """From the middle on all positions lie north; around it there are none for a share of the
+    log."""
+
+    def change(share: float, epoch: int, fields: list[str]) -> list[str] | None:
+        where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
+        if where is not None and fields[where] and share > 0.5:
+            fields[where] = f"{float(fields[where]) + north_m / 1852.0:012.7f}"
+        return None if abs(share - 0.5) < hole_share / 2.0 else fields
+
+    return received(change)
+
+
 def _coarse(share: float, epoch: int, fields: list[str]) -> list[str]:
     """Four digits of a minute: 19 cm."""
     where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
@@ -263,6 +276,9 @@ DAMAGES: dict[str, Damage] = {
     "receiver's clock set ahead 1 s": _clock_set(1.0),
     "receiver's clock set back 1 s": _clock_set(-1.0),
     "receiver 1.5 m off at times": received(_multipath),
+    "receiver 0.2 m off from the middle": leapt(0.2),
+    "receiver 0.6 m off after a hole": leapt(0.6, 0.1),
+    "receiver 1.5 m off from the middle": leapt(1.5),
     "receiver of four digits": received(_coarse),
     "IMU turned by 90 deg": sensed(lambda s: s[:, [1, 0, 2, 4, 3, 5]] * [1, -1, 1, 1, -1, 1]),
     "IMU upside down": sensed(lambda s: s * [1, -1, -1, 1, -1, -1]),

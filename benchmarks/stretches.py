@@ -34,7 +34,7 @@ def report() -> Iterator[str]:
     """A line for each denial, and their count."""
     random = np.random.default_rng(SEED)
     made = refused = denied = 0
-    by_camera = np.zeros(6, dtype=np.int64)
+    by_camera = np.zeros(7, dtype=np.int64)
     for name, logs in RENDERED:
         if not (DATA / name).exists():
             yield f"{name}: absent"
@@ -68,6 +68,7 @@ def report() -> Iterator[str]:
                     told.camera_yaw is not None and told.camera_yaw.moved is not None,
                     scale is not None and scale.is_off,
                     scale is not None and scale.stops,
+                    any("solution leaps" in note for note in told.notes),
                 )
                 by_camera += np.array(doubts)
                 for note in notes:
@@ -76,7 +77,15 @@ def report() -> Iterator[str]:
     yield "told falsely by the camera: " + ", ".join(
         f"{what} {count}"
         for what, count in zip(
-            ("clock-jump", "frames-misplaced", "camera-yaw", "camera-moved", "scale", "stops"),
+            (
+                "clock-jump",
+                "frames-misplaced",
+                "camera-yaw",
+                "camera-moved",
+                "scale",
+                "stops",
+                "leaps",
+            ),
             by_camera.tolist(),
             strict=True,
         )
