@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from fieldgrid.align.network import FREEDOM
+from fieldgrid.align.ridge import along_ridge
 from fieldgrid.align.score import Scores
 from fieldgrid.array_types import Float64
 
@@ -46,7 +47,8 @@ class Agreement(NamedTuple):
 
     `score` [n, n] is the log-posterior of shifts `shifts_m` along either axis, at the best turn of
     each, less its maximum; `rivals_m` [m, 2] are other shifts that are not ruled out, `alike_m`
-    those that only the stated errors of receivers rule out, as where rows repeat.
+    those that only the stated errors of receivers rule out, as where rows repeat. `along` [2] is
+    the unit vector of the way along which nothing is told, and the shift is 0; zero without any.
     """
 
     a: int
@@ -58,6 +60,7 @@ class Agreement(NamedTuple):
     shifts_m: Float64
     rivals_m: Float64
     alike_m: Float64
+    along: Float64
     doubt: str | None
 
 
@@ -106,9 +109,12 @@ def agree(
     score = posterior.max(axis=0) - posterior.max()
     rivals = _rivals(score, axis, shift)
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
+    along = along_ridge(found, shift)
+    shift = shift - along * (along @ shift)
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)
     return Agreement(
-        a, b, places_m.mean(axis=0), shift, float(turns[turn]), score, axis, rivals, alike, doubt,
+        a, b, places_m.mean(axis=0), shift, float(turns[turn]), score, axis, rivals, alike, along,
+        doubt,
     )  # fmt: skip
 
 

@@ -30,8 +30,10 @@ from fieldgrid.align.pairs import (
     thinned,
 )
 from fieldgrid.align.report import MapAlignment, summed_up
+from fieldgrid.align.ridge import across_alone
 from fieldgrid.align.score import PROBE_DEG, Against, TurnPeak, peak, turn_peak
 from fieldgrid.align.submaps import Picture, draw
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
@@ -93,7 +95,7 @@ def align_map(
     tell = progress or (lambda stage, done, count: None)
     run = _Run(drives, reach_m, tell, jobs)
     agreements, coarse = run.compare_as_wholes()
-    believed = {(one.a, one.b) for one in agreements if one.doubt is None}
+    believed = {(one.a, one.b): one.along for one in agreements if one.doubt is None}
     matched = np.bincount([n for m in coarse for n in (m.a, m.b)], minlength=len(drives)) > 0
     # Who matches nothing has nothing that could place it elsewhere.
     drives = [
@@ -149,6 +151,12 @@ def _as_poor_as_found(
             found[n] = replace(drives[n], sigma_m=sigma_m, wander_m=wander_m)
         apart = {pair: size for pair, size in apart.items() if not wrong & set(pair)}
     return found
+
+
+def _told(matches: Sequence[Match], along: Float64) -> list[Match]:
+    """The matches of two drives without what they say of the shift along a ridge."""
+    told = across_alone([one.information for one in matches], along)
+    return [one._replace(information=some) for one, some in zip(matches, told, strict=True)]
 
 
 def _roles(
@@ -243,15 +251,21 @@ class _Run:
             agreements.append(one)
             if one.doubt is None:
                 turn = np.radians(one.turn_deg)
+                own = list[Match]()
                 for (pair, score), away in zip(members, places - one.at_m, strict=True):
                     near = one.shift_m + turn * np.array([away[1], -away[0]])
-                    matches.append(Match(*pair, *peak(score, near)))
+                    own.append(Match(*pair, *peak(score, near)))
+                matches += _told(own, one.along)
         return agreements, matches
 
     def compare_finely(
-        self, transforms: Sequence[Transform], believed: set[tuple[int, int]], stage: str
+        self,
+        transforms: Sequence[Transform],
+        believed: Mapping[tuple[int, int], Float64],
+        stage: str,
     ) -> list[Match]:
-        """The matches of drives that agree, placed by transforms."""
+        """The matches of drives that agree, placed by transforms. `believed` are their pairs, with
+        the way along which nothing is told."""
         turns_deg = 0.0, -PROBE_DEG, PROBE_DEG
         pictures, less, more = self._draw(transforms, FINE_M, stage, turns_deg)
 
@@ -265,9 +279,17 @@ class _Run:
                 turned = turn_peak(against, less[p.b][p.l], score, more[p.b][p.l])
             return Match(*p, *peak(score, np.zeros(2)), *turned)
 
-        chosen = bounded(self._overlaps(pictures, believed))
+        chosen = bounded(self._overlaps(pictures, set(believed)))
         pairs = [placed(one, pictures) for one in chosen]
-        return [one for _, one in self._each(match, pairs, stage)]
+        by_pair = defaultdict[tuple[int, int], list[Match]](list)
+        for _, one in self._each(match, pairs, stage):
+            by_pair[one.a, one.b].append(one)
+        nothing = np.zeros(2)
+        return [
+            match
+            for pair, own in by_pair.items()
+            for match in _told(own, believed.get(pair, nothing))
+        ]
 
     def _draw(
         self,
