@@ -96,3 +96,20 @@ def test_of_two_pieces_the_nearer_one_counts() -> None:
     along, left = project(points, line)
     assert along == pytest.approx(lengths(line)[best] + at[rows, best])
     assert left == pytest.approx(beside)
+
+
+def test_points_that_repeat_have_the_normal_of_their_neighbours() -> None:
+    line = np.array([(0.0, 0.0), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0), (0.0, 2.0), (0.0, 2.0)])
+    assert normals(line) == pytest.approx(np.tile([-1.0, 0.0], (6, 1)))
+    assert not normals(np.ones((3, 2))).any()
+    # There and back again: the point at which it turns has that of the way back.
+    back = normals(np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 0.0)]))
+    assert back == pytest.approx(np.array([(0.0, 1.0), (0.0, -1.0), (0.0, -1.0)]))
+
+
+@given(_LINES)
+def test_normals_are_unit_vectors_to_the_left(line: np.ndarray) -> None:
+    left = normals(line)
+    assert np.hypot(*left.T) == pytest.approx(np.ones(len(line)))
+    step = np.gradient(line, axis=0)
+    assert (step[:, 0] * left[:, 1] - step[:, 1] * left[:, 0] > 0.0).all()

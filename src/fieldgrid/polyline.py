@@ -26,9 +26,18 @@ def resampled(line: Float64, step_m: float) -> Float64:
 
 
 def normals(line: Float64) -> Float64:
-    """Unit vectors [n, 2] to the left of the direction of travel at each point."""
+    """Unit vectors [n, 2] to the left of the direction of travel at each point.
+
+    A point between two that are the same, as where points repeat, has that of the next point that
+    has one, or of the last; a line that goes nowhere has none, and zeros.
+    """
     along = np.gradient(line, axis=0)
-    along /= np.hypot(along[:, 0], along[:, 1])[:, None]
+    size = np.hypot(along[:, 0], along[:, 1])
+    told = np.flatnonzero(size > 0.0)
+    if not len(told):
+        return np.zeros_like(along)
+    at = told[np.minimum(np.searchsorted(told, np.arange(len(line))), len(told) - 1)]
+    along = along[at] / size[at, None]
     return np.column_stack([-along[:, 1], along[:, 0]])
 
 
