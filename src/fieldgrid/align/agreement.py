@@ -6,6 +6,7 @@ submaps, and the best is believed only when nothing apart from it comes near.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -86,14 +87,17 @@ def agree(
     # Turns that move nothing by a quarter of a cell are one.
     extent_m = float(np.hypot(*away.T).max())
     turns = turns if np.radians(MOST_TURN_DEG) * extent_m > cell_m / 4.0 else np.zeros(1)
-    shape = (len(turns), len(axis), len(axis))
-    agreement, cells = np.zeros(shape), np.zeros(shape)
-    for n, turn in enumerate(np.radians(turns)):
-        for one, likelihood, (east, north) in zip(found, likelihoods, away, strict=True):
+
+    def together(of_pairs: Sequence[Float64], turn_deg: float) -> Float64:
+        total, turn = np.zeros((len(axis), len(axis))), math.radians(turn_deg)
+        for one, (east, north) in zip(of_pairs, away, strict=True):
             # A clockwise turn of b moves it there by turn · (north, -east).
-            by = (turn * east / cell_m, -turn * north / cell_m)
-            agreement[n] += ndimage.shift(likelihood, by, order=1)
-            cells[n] += ndimage.shift(one.independent, by, order=1)
+            total += ndimage.shift(one, (turn * east / cell_m, -turn * north / cell_m), order=1)
+        return total
+
+    independent = [one.independent for one in found]
+    agreement = np.array([together(likelihoods, turn) for turn in turns])
+    cells = np.array([together(independent, turn) for turn in turns])
     told = cells > LEAST_SHARE * cells.max()
     agreement = np.where(told, agreement / np.maximum(cells, 1.0), 0.0)
     # Less its own 1-sigma error: of few cells some agree by chance.
@@ -109,7 +113,8 @@ def agree(
     score = posterior.max(axis=0) - posterior.max()
     rivals = _rivals(score, axis, shift)
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
-    along = along_ridge(found, shift)
+    sharp = together([one.independent * one.by_cell for one in found], float(turns[turn]))
+    along = along_ridge(sharp / np.maximum(cells[turn], 1.0), axis, shift)
     shift = shift - along * (along @ shift)
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)
     return Agreement(

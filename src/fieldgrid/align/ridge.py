@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from fieldgrid.align.score import Scores
 from fieldgrid.array_types import Float64
 
 LEAST_TIMES = 4.0
@@ -48,16 +47,14 @@ class _Line(NamedTuple):
         return np.asarray(self.origin_m + along_m[:, None] * self.way)
 
 
-def along_ridge(found: Sequence[Scores], shift_m: Float64) -> Float64:
+def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Float64:
     """The unit vector [2] of the way along which the agreement of two drives tells nothing, by the
-    scores of their pairs of submaps around the best shift; zero where it tells the shift.
+    log-likelihoods a cell [n, n] of shifts `shifts_m` along either axis, around the best one; zero
+    where it tells the shift.
 
     Scores that reach too little beyond that tell their ridge no better, and are believed.
     """
-    axis, cell_m = found[0].shifts_m, found[0].cell_m
-    cells = np.sum([one.independent for one in found], axis=0)
-    agreement = np.sum([one.independent * one.by_cell for one in found], axis=0)
-    agreement = agreement / np.maximum(cells, 1.0)
+    axis, cell_m = shifts_m, float(shifts_m[1] - shifts_m[0])
 
     def at(shifts_m: Float64) -> Float64:
         index = (shifts_m[:, ::-1].T - axis[0]) / cell_m
