@@ -6,7 +6,6 @@ submaps, and the best is believed only when nothing apart from it comes near.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from scipy import ndimage
 from fieldgrid.align.network import FREEDOM
 from fieldgrid.align.ridge import along_ridge
 from fieldgrid.align.score import Scores
+from fieldgrid.align.shifting import shifted_sums
 from fieldgrid.array_types import Float64
 
 WEIGHT = 40.0
@@ -88,16 +88,14 @@ def agree(
     extent_m = float(np.hypot(*away.T).max())
     turns = turns if np.radians(MOST_TURN_DEG) * extent_m > cell_m / 4.0 else np.zeros(1)
 
-    def together(of_pairs: Sequence[Float64], turn_deg: float) -> Float64:
-        total, turn = np.zeros((len(axis), len(axis))), math.radians(turn_deg)
-        for one, (east, north) in zip(of_pairs, away, strict=True):
-            # A clockwise turn of b moves it there by turn · (north, -east).
-            total += ndimage.shift(one, (turn * east / cell_m, -turn * north / cell_m), order=1)
-        return total
+    # A clockwise turn of b moves it there by turn · (north, -east).
+    by = np.radians(turns)[:, None, None] * np.stack([away[:, 0], -away[:, 1]]) / cell_m
 
-    independent = [one.independent for one in found]
-    agreement = np.array([together(likelihoods, turn) for turn in turns])
-    cells = np.array([together(independent, turn) for turn in turns])
+    def together(of_pairs: Sequence[Float64], turns: slice = slice(None)) -> Float64:
+        return shifted_sums(np.array(of_pairs), *(by[turns, k] for k in (0, 1)))
+
+    agreement = together(likelihoods)
+    cells = together([one.independent for one in found])
     told = cells > LEAST_SHARE * cells.max()
     agreement = np.where(told, agreement / np.maximum(cells, 1.0), 0.0)
     # Less its own 1-sigma error: of few cells some agree by chance.
@@ -113,7 +111,7 @@ def agree(
     score = posterior.max(axis=0) - posterior.max()
     rivals = _rivals(score, axis, shift)
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
-    sharp = together([one.independent * one.by_cell for one in found], float(turns[turn]))
+    (sharp,) = together([one.independent * one.by_cell for one in found], slice(turn, turn + 1))
     along = along_ridge(sharp / np.maximum(cells[turn], 1.0), axis, shift)
     shift = shift - along * (along @ shift)
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)

@@ -8,8 +8,7 @@ the same ridge.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -34,19 +33,6 @@ STEP_M, DIRECTIONS, BESIDE_M = 0.1, 90, (0.0, -0.1, 0.1)
 a cell."""
 
 
-class _Line(NamedTuple):
-    """A line of shifts through `origin_m` along the unit vector `way`, and how far along it others
-    than the best lie."""
-
-    origin_m: Float64
-    way: Float64
-    others_m: Float64
-
-    def at(self, along_m: Float64) -> Float64:
-        """Shifts [n, 2] on it."""
-        return np.asarray(self.origin_m + along_m[:, None] * self.way)
-
-
 def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Float64:
     """The unit vector [2] of the way along which the agreement of two drives tells nothing, by the
     log-likelihoods a cell [n, n] of shifts `shifts_m` along either axis, around the best one; zero
@@ -54,36 +40,37 @@ def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Floa
 
     Scores that reach too little beyond that tell their ridge no better, and are believed.
     """
-    axis, cell_m = shifts_m, float(shifts_m[1] - shifts_m[0])
+    first_m, cell_m = shifts_m[0], float(shifts_m[1] - shifts_m[0])
 
-    def at(shifts_m: Float64) -> Float64:
-        index = (shifts_m[:, ::-1].T - axis[0]) / cell_m
+    def at(places_m: Float64) -> Float64:
+        index = (np.moveaxis(places_m, -1, 0)[::-1] - first_m) / cell_m
         return np.asarray(ndimage.map_coordinates(agreement, index, order=1, mode="nearest"))
 
-    def peaks(line: _Line, along_m: Float64) -> Float64:
-        sides = [at(line.at(along_m + side)) for by in SIDES_M for side in (-by, by)]
-        return np.asarray(at(line.at(along_m)) - np.mean(sides, axis=0))
-
-    lines = list(_lines(shift_m, axis[-1] - SIDES_M[-1]))
-    if not lines:
-        return np.zeros(2)
-    ridge = max(lines, key=lambda line: float(at(line.at(line.others_m)).mean()))
-    near = np.arange(-PEAK_M, PEAK_M + STEP_M / 2.0, STEP_M)
-    chance = float(np.sqrt(np.mean(peaks(ridge, ridge.others_m) ** 2)))
-    return np.zeros(2) if peaks(ridge, near).max() > LEAST_TIMES * chance else ridge.way
-
-
-def _lines(shift_m: Float64, reach_m: float) -> Iterator[_Line]:
-    """The lines through and beside a shift that have enough others within reach."""
+    # Lines through and beside the best shift; the ridge is that along which all agrees best.
+    reach_m = float(shifts_m[-1]) - SIDES_M[-1]
     along_m = np.arange(-2.0 * reach_m, 2.0 * reach_m, STEP_M)
     along_m = along_m[np.abs(along_m) >= OTHERS_FROM_M]
-    for turn in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-        way = np.array([np.sin(turn), np.cos(turn)])
-        for beside_m in BESIDE_M:
-            line = _Line(shift_m + beside_m * np.array([way[1], -way[0]]), way, along_m)
-            inside = np.abs(line.at(along_m)).max(axis=1) <= reach_m
-            if np.count_nonzero(inside) >= FEWEST_OTHERS:
-                yield line._replace(others_m=along_m[inside])
+    turns = np.repeat(np.pi * np.arange(DIRECTIONS) / DIRECTIONS, len(BESIDE_M))
+    ways = np.stack([np.sin(turns), np.cos(turns)], axis=1)
+    beside_m = np.tile(BESIDE_M, DIRECTIONS)[:, None] * np.stack([ways[:, 1], -ways[:, 0]], axis=1)
+    origins_m = shift_m + beside_m
+    places_m = origins_m[:, None] + along_m[:, None] * ways[:, None]
+    inside = np.abs(places_m).max(axis=2) <= reach_m
+    enough = np.count_nonzero(inside, axis=1) >= FEWEST_OTHERS
+    if not enough.any():
+        return np.zeros(2)
+    mean = np.where(inside, at(places_m), 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+    ridge = int(np.where(enough, mean, -1.0).argmax())
+
+    def peaks(along_m: Float64) -> Float64:
+        sides = np.concatenate([[0.0], SIDES_M, -np.asarray(SIDES_M)])
+        places_m = origins_m[ridge] + (along_m[:, None] + sides)[..., None] * ways[ridge]
+        values = at(places_m)
+        return np.asarray(values[:, 0] - values[:, 1:].mean(axis=1))
+
+    near = np.arange(-PEAK_M, PEAK_M + STEP_M / 2.0, STEP_M)
+    chance = float(np.sqrt(np.mean(peaks(along_m[inside[ridge]]) ** 2)))
+    return np.zeros(2) if peaks(near).max() > LEAST_TIMES * chance else ways[ridge]
 
 
 def across_alone(information: Sequence[Float64], along: Float64) -> list[Float64]:
