@@ -32,8 +32,8 @@ LEAST_STEP_M, FEWEST_STEPS, SCALE_SHARE = 0.015, 10, 0.005
 """Fixes and the camera's steps differ by this at least, and by what is usual of the drive, told by
 no fewer steps; and the camera's way may be off by this share."""
 
-MOST_WAY_M, MOST_AT_ONCE = 30.0, 200
-"""Over a longer way the camera tells nothing so small, and a drive with more leaps has none."""
+MOST_WAY_M = 30.0
+"""Over a longer way the camera tells nothing so small."""
 
 
 def seen_leaps(
@@ -47,7 +47,7 @@ def seen_leaps(
     if steps is None or len(fixes.time_ns) < 3:
         return ()
     at = _suspected(fixes)
-    if not len(at) or len(at) > MOST_AT_ONCE:
+    if not len(at):
         return ()
     path = _CameraPath(fixes, drive, steps, antenna)
     found = []
