@@ -11,6 +11,7 @@ import shapely
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import MapFile
 from fieldgrid.trajectory import Status
+from fieldgrid.transfer import to_universal
 
 
 class Drives(NamedTuple):
@@ -60,12 +61,9 @@ def drives_of(universal: MapFile, at: str | int | None) -> Drives:
         ]
         for frame in frames:
             pose, spec = frame.pose, frame.spec
-            phi = np.radians(pose.heading_deg)
             x = np.array([-0.5, 0.5, 0.5, -0.5]) * spec.width_m
             y = np.array([0.0, 0.0, 1.0, 1.0]) * spec.length_m
-            east = pose.east_m + x * np.cos(phi) + y * np.sin(phi)
-            north = pose.north_m - x * np.sin(phi) + y * np.cos(phi)
-            footprints.append(shapely.Polygon(np.column_stack([east, north])))
+            footprints.append(shapely.Polygon(np.column_stack(to_universal(x, y, pose))))
             sessions.append(name)
             sigmas.append(pose.position_sigma_m)
         tracks.append(np.array([(f.pose.east_m, f.pose.north_m) for f in frames]).reshape(-1, 2))
