@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.array_types import Bool
-from fieldgrid.build.agreement import agreement_notes, denied_share
+from fieldgrid.build.agreement import PAIRS, agreement_notes, denied_share
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import StagedFrame, stage
 from fieldgrid.trajectory import Pose
@@ -63,6 +63,26 @@ def test_a_pose_that_leaps_is_in_few_pairs() -> None:
     k, pose = placed[9]
     placed[9] = k, replace(pose, east_m=pose.east_m + 1.5)
     assert denied_share(frames, placed) == 0.0
+
+
+def test_of_a_long_drive_pairs_are_taken_from_all_along_it() -> None:
+    """However many frames there are, and where the vehicle stands for most of them, too."""
+    frames, placed = frames_past_a_wall(0.0, count=4)
+    asked = list[int]()
+
+    class Recorded:
+        def __getitem__(self, index: int) -> StagedFrame:
+            asked.append(index)
+            return frames[index % 4]
+
+    pose = placed[0][1]
+    long = [
+        (k, replace(pose, east_m=0.0, north_m=1.5 * max(k - 2000, 0) if k < 3000 else 1500.0))
+        for k in range(4000)
+    ]
+    denied_share(Recorded(), long)
+    assert max(asked) - min(asked) > 900
+    assert len(asked) == 2 * PAIRS
 
 
 @pytest.mark.parametrize(("apart_m", "count"), [(0.01, 16), (4.5, 16), (1.0, 4)])

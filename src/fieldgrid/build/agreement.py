@@ -29,9 +29,13 @@ NEAR_M = 0.2
 """An obstacle cell is not denied when anything but free ground is seen so near to it: what moves
 in the wind, and the noise of the range."""
 
-APART_M, FEWEST_CELLS, PAIRS, FEWEST_PAIRS = (0.7, 4.0), 30, 60, 8
+APART_M, FEWEST_CELLS, FEWEST_PAIRS = (0.7, 4.0), 30, 8
 """How far apart two frames are taken that are compared, how many obstacle cells of the one the
-other must have seen, and how many pairs, all over the drive, are looked at."""
+other must have seen, and how many such pairs tell anything."""
+
+TRIED, PAIRS = 240, 60
+"""All over the drive, so many frames are looked at for another beside them, and so many pairs of
+these are compared."""
 
 Placed = tuple[int, Pose]
 """The number of a staged frame, and its pose."""
@@ -68,23 +72,29 @@ def agreement_notes(share: float | None, rig: Rig) -> Iterator[str]:
 
 
 def _pairs(placed: Sequence[Placed]) -> Iterator[tuple[Placed, Placed]]:
-    """Frames all over the drive, each with the next that is far enough from it, and with the last
-    that was."""
-    near = [pair for k in range(len(placed)) for pair in _beside(placed, k)]
-    for at in np.unique(np.linspace(0, len(near) - 1, min(len(near), PAIRS)).round().astype(int)):
+    """Frames all over the drive, each with the next that is far enough from it: now as the one that
+    is asked, now as the one that denies."""
+    # By the way, so that a vehicle that stands for an hour is looked at there once.
+    at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
+    way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(at_m, axis=0).T)))
+    tried = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED)))
+    near = [pair for k in tried.tolist() if (pair := _beside(placed, k)) is not None]
+    chosen = np.unique(np.linspace(0, len(near) - 1, min(len(near), PAIRS)).round().astype(int))
+    for at in chosen.tolist():
         one, other = near[at]
         yield (one, other) if at % 2 else (other, one)
 
 
-def _beside(placed: Sequence[Placed], k: int) -> Iterator[tuple[Placed, Placed]]:
-    """The frame with the first after it that is `APART_M` away, if it is."""
+def _beside(placed: Sequence[Placed], k: int) -> tuple[Placed, Placed] | None:
+    """The frame with the first after it that is `APART_M` away; None where the drive ends or jumps
+    before."""
     here = placed[k][1]
-    for other in placed[k + 1 :]:
-        apart_m = math.hypot(other[1].east_m - here.east_m, other[1].north_m - here.north_m)
+    for later in range(k + 1, len(placed)):
+        pose = placed[later][1]
+        apart_m = math.hypot(pose.east_m - here.east_m, pose.north_m - here.north_m)
         if apart_m >= APART_M[0]:
-            if apart_m <= APART_M[1]:
-                yield placed[k], other
-            return
+            return (placed[k], placed[later]) if apart_m <= APART_M[1] else None
+    return None
 
 
 def _denied(grid: LocalGrid, pose: Pose, near: LocalGrid, near_pose: Pose) -> float | None:
