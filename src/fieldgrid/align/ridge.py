@@ -16,9 +16,9 @@ from scipy import ndimage
 from fieldgrid.array_types import Float64
 
 LEAST_TIMES = 4.0
-"""A peak that stands out less, in root mean squares of the others along its ridge, is chance. Even
-walls, made with noise, have up to 2.4; made plants 9.9 and more, rows of one vineyard in June and
-in August, whose canopies are closed, 8.2 and more."""
+"""A peak that stands out less, in root mean squares of the others along its ridge, is chance. Of 42
+made fields of even walls all have at most 2.4; of 42 of plants 8.0 and more; rendered rows, drives
+displaced at random, 2.7 to 45, four of 60 less than this, which are left to the receivers."""
 
 SIDES_M = (0.6, 0.8, 1.0, 1.2)
 """A peak is what is higher than the mean so far to either side of it: neither a slope nor what is
