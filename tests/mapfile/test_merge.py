@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
+from fieldgrid.mapfile.transform import Aligned, Beside, Transform, placing
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, track, write_map, write_session
@@ -118,6 +120,72 @@ def test_one_drive_in_two_places_is_not_merged(north: Path, tmp_path: Path) -> N
     with open_map(north, writable=True) as universal:
         universal.set_transform("1", 0.5, 0.0)
     assert [one.twin for one in merge_maps(maps, tmp_path / "farm.gpkg")] == [None, None, "0", "1"]
+
+
+def lie_beside(path: Path, sigma_m: float) -> None:
+    """As alignment leaves two sessions, each sure beside the other."""
+    with open_map(path, writable=True) as universal:
+        names = [info.name for info in universal.sessions()]
+        rigid = {name: Transform(0.1, -0.2 * k, 0.5) for k, name in enumerate(names)}
+        placings = {
+            name: placing(to, (f.driven for f in universal.frames(name) if f.accepted))
+            for name, to in rigid.items()
+        }
+        for name, other in (names, names[::-1]):
+            found = Aligned(0.4, 0.1, (other,), None, (Beside(other, sigma_m, placings[other]),))
+            rigid[name] = replace(rigid[name], aligned=found)
+        universal.set_transforms(rigid)
+
+
+def told_beside(path: Path) -> dict[str, tuple[tuple[str, ...], list[tuple[str, float, bool]]]]:
+    """Of each session those that it was aligned to, and how sure it lies beside others: their
+    names, sigmas, and whether they lie where they lay."""
+    found = {}
+    with open_map(path) as universal:
+        now = {
+            info.name: placing(
+                info.transform, (f.driven for f in universal.frames(info.name) if f.accepted)
+            )
+            for info in universal.sessions()
+        }
+        for info in universal.sessions():
+            aligned = info.transform.aligned
+            assert aligned is not None
+            beside = [(b.name, b.sigma_m, now[b.name] == b.placing) for b in aligned.beside]
+            found[info.name] = (aligned.to, beside)
+    return found
+
+
+@pytest.mark.parametrize("moved", [False, True], ids=["one datum", "another datum"])
+def test_sessions_stay_sure_beside_others_under_new_names(
+    north: Path, tmp_path: Path, moved: bool
+) -> None:
+    with create_map(tmp_path / "south.gpkg", DATUM, cell_m=0.1) as universal:
+        write_session(universal, "1", drive(4, heading_deg=-150.0))
+        write_session(universal, "0", drive(2, heading_deg=11.0))
+    lie_beside(north, 0.03)
+    lie_beside(tmp_path / "south.gpkg", 0.05)
+    out, datum = tmp_path / "farm.gpkg", FAR if moved else None
+    merge_maps([north, tmp_path / "south.gpkg"], out, datum=datum)
+    assert told_beside(out) == {
+        "0": (("1",), [("1", 0.03, True)]),
+        "1": (("0",), [("0", 0.03, True)]),
+        "1 (south)": (("0 (south)",), [("0 (south)", 0.05, True)]),
+        "0 (south)": (("1 (south)",), [("1 (south)", 0.05, True)]),
+    }
+
+
+def test_a_drive_that_was_aligned_again_is_the_same_drive_where_it_lies_alike(
+    north: Path, tmp_path: Path
+) -> None:
+    lie_beside(north, 0.03)
+    shutil.copy(north, tmp_path / "south.gpkg")
+    with open_map(tmp_path / "south.gpkg", writable=True) as universal:
+        universal.rename_session("0", "june")
+    lie_beside(tmp_path / "south.gpkg", 0.05)
+    merged = merge_maps([north, tmp_path / "south.gpkg"], tmp_path / "farm.gpkg")
+    assert [one.twin for one in merged] == [None, None, "0", "1"]
+    assert told_beside(tmp_path / "farm.gpkg") == told_beside(north)
 
 
 FAR = Datum(DATUM.lat_deg + 0.02, DATUM.lon_deg - 0.05, DATUM.height_m - 31.0)

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import SessionInfo
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.store import create_map, open_map
-from fieldgrid.mapfile.transform import Transform
+from fieldgrid.mapfile.transform import Transform, placing
 from fieldgrid.publish import refuse_input
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
@@ -91,9 +91,7 @@ def merge_maps(
         merged: list[Merged] = []
         taken: list[_Taken] = []
         for universal in maps:
-            for info in universal.sessions():
-                if info.active:
-                    merged.append(_take(universal, info, target, taken))
+            merged += _take_all(universal, target, taken)
         if not merged:
             raise ConfigError(f"{paths[0]} has no session to copy; restore or add one first.")
         marks = marks_together(maps, target.datum)
@@ -157,8 +155,8 @@ class _Taken(NamedTuple):
         return comparable and _apart_m(self.first, other.first) <= SAME_PLACE_M
 
     def lies_with(self, other: _Taken) -> bool:
-        """Whether the transforms put the same drive into the same place."""
-        if self.transform == other.transform:
+        """Whether the transforms put the same drive into the same place, whatever they rest on."""
+        if replace(self.transform, aligned=None) == replace(other.transform, aligned=None):
             return True
         if not (self.moved or other.moved) or self.first is None or other.first is None:
             return False
@@ -166,34 +164,76 @@ class _Taken(NamedTuple):
         return _apart_m(*placed) <= SAME_PLACE_M
 
 
-def _take(universal: MapFile, info: SessionInfo, target: MapFile, taken: list[_Taken]) -> Merged:
-    """Copy one session, unless it is among those of the new map."""
-    frames = list(universal.frames(info.name))
-    first = frames[0].driven if frames else None
-    metadata, moved = universal.metadata(info.name), None
+class _Coming(NamedTuple):
+    """A session of a map that is taken, what it is in the new one, and the session there that is
+    the same drive, if any; where it was placed, and is now, as `Beside` tells it."""
+
+    info: SessionInfo
+    new: _Taken
+    twin: _Taken | None
+    was_placed: str
+    placed: str
+
+    @property
+    def name(self) -> str:
+        """What it is called in the new map."""
+        return self.new.name if self.twin is None else self.twin.name
+
+
+def _take_all(universal: MapFile, target: MapFile, taken: list[_Taken]) -> list[Merged]:
+    """Copy the active sessions of a map, but for those that the new one has."""
+    moved = None
     if not universal.has_datum(target.datum):
         moved = Redatum(universal.datum, target.datum)
-        if first is not None:
-            metadata = moved.metadata(metadata, first)
-            first = moved.pose(first)
+    coming = list[_Coming]()
+    for info in universal.sessions():
+        if info.active:
+            before = [*taken, *(one.new for one in coming if one.twin is None)]
+            coming.append(_coming(universal, info, moved, before))
+    # All names first: alignments speak of sessions that come later, too.
+    names = {one.info.name: one.name for one in coming}
+    placings = {one.was_placed: one.placed for one in coming}
+    for one in coming:
+        if one.twin is not None:
+            continue
+        metadata = universal.metadata(one.info.name)
+        if moved is not None and one.new.first is not None:
+            metadata = moved.metadata(metadata, next(universal.frames(one.info.name)).driven)
+        transform = metadata.transform.speaking_of(names, placings)
+        metadata = metadata._replace(name=one.name, transform=transform)
+        with target.add_session_of(metadata) as session:
+            for frame in universal.frames(one.info.name, with_grid=True):
+                driven = frame.driven if moved is None else moved.pose(frame.driven)
+                session.add_staged(frame.staged(), driven, quality=frame.quality)
+        taken.append(one.new)
+    return [
+        Merged(universal.path, one.info.name, one.name, one.twin.name if one.twin else None)
+        for one in coming
+    ]
+
+
+def _coming(
+    universal: MapFile, info: SessionInfo, moved: Redatum | None, taken: Sequence[_Taken]
+) -> _Coming:
+    """A session as it comes into a map that has others."""
+    frames = list(universal.frames(info.name))
+    driven = [frame.driven for frame in frames if frame.accepted]
+    transform, first = info.transform, frames[0].driven if frames else None
+    was_placed = placed = placing(transform, driven)
+    if moved is not None and first is not None:
+        transform, first = moved.transform(transform, first), moved.pose(first)
+        placed = placing(transform, map(moved.pose, driven))
     seen = " ".join(f"{frame.pose.time_ns} {frame.cells_sha256}" for frame in frames)
     name = free_name(info.name, universal.path.stem, {one.name for one in taken})
-    new = _Taken(name, info.digest, seen, metadata.transform, first, moved is not None)
+    new = _Taken(name, info.digest, seen, transform, first, moved is not None)
     twin = next((one for one in taken if one.is_drive(new)), None)
-    if twin is not None:
-        if not twin.lies_with(new):
-            raise ConfigError(
-                f"Session {info.name!r} of {universal.path} is the same drive as {twin.name!r}, "
-                "which comes from before it, but it lies in another place; shift one of them with "
-                "`fieldgrid sessions --shift` to where the other is, or remove it, and merge again."
-            )
-        return Merged(universal.path, info.name, twin.name, twin=twin.name)
-    with target.add_session_of(metadata._replace(name=name)) as session:
-        for frame in universal.frames(info.name, with_grid=True):
-            driven = frame.driven if moved is None else moved.pose(frame.driven)
-            session.add_staged(frame.staged(), driven, quality=frame.quality)
-    taken.append(new)
-    return Merged(universal.path, info.name, name)
+    if twin is not None and not twin.lies_with(new):
+        raise ConfigError(
+            f"Session {info.name!r} of {universal.path} is the same drive as {twin.name!r}, "
+            "which comes from before it, but it lies in another place; shift one of them with "
+            "`fieldgrid sessions --shift` to where the other is, or remove it, and merge again."
+        )
+    return _Coming(info, new, twin, was_placed, placed)
 
 
 def _apart_m(one: Pose | None, other: Pose | None) -> float:

@@ -75,7 +75,7 @@ def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> No
     ).fetchall()
     for other_id, text in aligned:
         stored = transform_of(text)
-        other = stored.with_renamed(name, to)
+        other = stored.speaking_of({name: to})
         if other != stored:
             connection.execute(
                 "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",

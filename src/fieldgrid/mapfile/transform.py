@@ -211,13 +211,20 @@ class Transform:
             self.pivot_north_m + max(north) + _ROUNDING_M,
         )
 
-    def with_renamed(self, name: str, to: str) -> Transform:
-        """The same where another session that it speaks of has got another name."""
+    def speaking_of(
+        self, names: Mapping[str, str], placings: Mapping[str, str] | None = None
+    ) -> Transform:
+        """The same where other sessions that it speaks of have got other names, all at once, and
+        what tells where they lie has changed with the plane."""
         if self.aligned is None:
             return self
-        others = tuple(to if one == name else one for one in self.aligned.to)
+        others = tuple(names.get(one, one) for one in self.aligned.to)
         beside = tuple(
-            one._replace(name=to) if one.name == name else one for one in self.aligned.beside
+            one._replace(
+                name=names.get(one.name, one.name),
+                placing=(placings or {}).get(one.placing, one.placing),
+            )
+            for one in self.aligned.beside
         )
         return replace(self, aligned=replace(self.aligned, to=others, beside=beside))
 
