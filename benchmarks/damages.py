@@ -38,14 +38,20 @@ IMU, FRAMES, HALF = "imu/imu_100hz.csv", "frames.csv", slice(25, None)
 Damage = Callable[[Path], None]
 
 
-def _copy(folder: Path) -> Path:
-    """The drive; images are links."""
+def without_images(folder: Path) -> Path:
+    """The drive, but for its images."""
     (folder / "gnss").mkdir(parents=True)
     shutil.copy(DRIVE / "gnss" / LOG, folder / "gnss")
     for name in ("calibration", "imu"):
         shutil.copytree(DRIVE / name, folder / name)
     for name in ("frames.csv", "session.json"):
         shutil.copy(DRIVE / name, folder)
+    return folder
+
+
+def _copy(folder: Path) -> Path:
+    """The drive; images are links."""
+    without_images(folder)
     for side in ("left", "right"):
         (folder / side).mkdir()
         for image in (DRIVE / side).iterdir():
@@ -311,8 +317,14 @@ class Score(NamedTuple):
     precision: float
 
 
-def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -> Score:
-    """Poses are compared frame by frame, whatever their stamps."""
+def _place_m(pose: TruthPose, left_m: float) -> np.ndarray:
+    """East and north [2] of a point left of that of a true pose."""
+    phi = math.radians(pose.heading_deg)
+    return np.array([pose.east_m - left_m * math.cos(phi), pose.north_m + left_m * math.sin(phi)])
+
+
+def _score(path: Path, session: str, true_m: dict[str, np.ndarray], truth: Truth) -> Score:
+    """Positions [2] are compared frame by frame, whatever their stamps."""
     with open_map(path) as built:
         frames = list(built.frames(session))
         try:
@@ -323,10 +335,7 @@ def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -
     off_m, sigma_m = np.array(
         [
             (
-                math.hypot(
-                    frame.pose.east_m - true[frame.frame_id].east_m,
-                    frame.pose.north_m - true[frame.frame_id].north_m,
-                ),
+                math.dist((frame.pose.east_m, frame.pose.north_m), true_m[frame.frame_id]),
                 frame.pose.position_sigma_m,
             )
             for frame in used
@@ -337,23 +346,28 @@ def _score(path: Path, session: str, true: dict[str, TruthPose], truth: Truth) -
     return Score(len(used), len(frames), within, most_m, median_m, precision)
 
 
-def report() -> Iterator[str]:
-    """A line a damage."""
+def report(
+    damages: dict[str, Damage], copy: Callable[[Path], Path], left_m: float = 0.0
+) -> Iterator[str]:
+    """A line a damage of what `copy` makes in a folder; the poses of its map are of a point so far
+    left of those of the truth."""
     truth = read_truth(DRIVE / "truth")
     with (DRIVE / "frames.csv").open(newline="") as table:
         ids = [row["frame_id"] for row in csv.DictReader(table)]
-    true = dict(zip(ids, truth.poses, strict=True))
+    true_m = {
+        frame_id: _place_m(pose, left_m) for frame_id, pose in zip(ids, truth.poses, strict=True)
+    }
     yield f"{'':36}{'used':>7}{'3 sigma':>9}{'off most':>10}{'sigma':>9}{'prec 10cm':>11}  said"
-    for name, damage in DAMAGES.items():
+    for name, damage in damages.items():
         with tempfile.TemporaryDirectory() as place:
-            folder, out = _copy(Path(place) / "drive"), Path(place) / "map.gpkg"
+            folder, out = copy(Path(place) / "drive"), Path(place) / "map.gpkg"
             damage(folder)
             try:
                 (built,) = build_map([folder], out, BuildSettings(), DriveOptions(LOG))
             except FieldgridError as problem:
                 yield f"{name:36}{'refused':>7}  {problem}"
                 continue
-            score = _score(out, built.session, true, truth)
+            score = _score(out, built.session, true_m, truth)
         yield (
             f"{name:36}{score.used:4d}/{score.frames}{score.within:6d}/{score.used}"
             f"{score.most_m:8.2f} m{score.sigma_m:7.3f} m{100 * score.precision:9.1f} %  "
@@ -362,5 +376,5 @@ def report() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    for line in report():
+    for line in report(DAMAGES, _copy):
         print(line, flush=True)

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build.agreement import Placed, agreement_notes, denied_share
+from fieldgrid.build.agreement import agreement_notes, denied_share
 from fieldgrid.build.camera_scale import (
     camera_scale,
     doubted_scale,
     scale_notes,
     tells_heights,
 )
+from fieldgrid.build.denial import Placed
 from fieldgrid.build.doubt import (
     camera_notes,
     doubted_cameras,
@@ -33,6 +34,7 @@ from fieldgrid.build.doubt import (
     sensor_notes,
     sweep_notes,
 )
+from fieldgrid.build.facing import doubted_facing, facing, facing_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
@@ -237,6 +239,10 @@ class NewSession:
             accepted = _place(staged, session, trajectory, recording.rig, report)
             report.denied_share = denied_share(staged.frames, accepted)
             report.notes += tuple(agreement_notes(report.denied_share, recording.rig))
+            if not report.camera_steps:  # which tell it better
+                looks = facing(staged.frames, accepted)
+                report.notes += settle(doubted_facing(looks, recording.rig), settings)
+                report.notes += tuple(facing_notes(looks, recording.rig))
             report.notes += tuple(camera_notes(recording, report))
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
