@@ -15,7 +15,7 @@ from fieldgrid.evidence import FREE, OBSTACLE, Evidence, fill_pinholes
 from fieldgrid.rows import ground, segments
 from fieldgrid.rows.blocks import LaneLine
 from fieldgrid.rows.extent import Extent
-from fieldgrid.rows.ground import find_headlands, find_things, measure_lane, polygons_of
+from fieldgrid.rows.ground import canopies, find_headlands, find_things, measure_lane, polygons_of
 from fieldgrid.rows.segments import thinned
 from tests.rows.fields import QUIET, straight, view_of
 
@@ -84,7 +84,7 @@ def test_what_hangs_together_with_a_canopy_is_a_thing_where_it_sticks_out(
     grid = np.full(cells.cells.shape, FREE, np.uint8)
     grid[-j0 : 100 - j0, -5 - i0 : 5 - i0] = OBSTACLE
     grid[40 - j0 : 50 - j0, 4 - i0 : 5 + aside - i0] = OBSTACLE
-    found = find_things(cells._replace(cells=grid), [row])  # type: ignore[list-item]
+    found = find_things(cells._replace(cells=grid), canopies(cells, [row]))  # type: ignore[list-item]
     assert len(found) == things
 
 

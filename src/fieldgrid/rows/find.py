@@ -22,7 +22,9 @@ from fieldgrid.rows.crops import Crop, crop_named
 from fieldgrid.rows.doubts import find_doubts
 from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
 from fieldgrid.rows.ground import (
+    Stray,
     Thing,
+    canopies,
     find_headlands,
     find_things,
     measure_lane,
@@ -112,6 +114,7 @@ def _planting(
     clean = fill_pinholes(speckless, hole_m)
     found_lanes = _lanes(evidence, filled, clean, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
+    things, stray = _off_rows(evidence, speckless, ordered, areas)
     found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
@@ -121,9 +124,8 @@ def _planting(
         _gaps(evidence, ordered, rows, reach),
         _headlands(clean, ordered, areas, headland_m, reach),
         _blocks(ordered, areas, rows, found_lanes),
-        _obstacles(evidence, find_things(speckless, ordered.rows), ordered, found_lanes, reach),
+        _obstacles(evidence, things, ordered, found_lanes, reach),
     )
-    stray = stray_cells(evidence, ordered.rows, list(areas.values()))
     return replace(found, doubts=find_doubts(found, stray, crop))
 
 
@@ -285,6 +287,17 @@ def _blocks(
             )
         )
     return tuple(found)
+
+
+def _off_rows(
+    evidence: Evidence,
+    speckless: Evidence,
+    ordered: Ordered,
+    areas: dict[str, shapely.Polygon],
+) -> tuple[list[Thing], Stray]:
+    """What stands off the canopies: things, and cells of blocks."""
+    canopy = canopies(evidence, ordered.rows)
+    return find_things(speckless, canopy), stray_cells(evidence, canopy, list(areas.values()))
 
 
 def _headlands(

@@ -124,17 +124,17 @@ def measure_lane(
 def _widest(cells: UInt8) -> tuple[Float64, Bool]:
     """The most samples in a row that are free, of each cross-section of [n, m], and whether none of
     their ends is one of what was seen only."""
-    run, widest = np.zeros(len(cells)), np.zeros(len(cells))
-    last = np.zeros(len(cells), dtype=np.int64)
-    for column in range(cells.shape[1]):
-        run = (run + 1.0) * (cells[:, column] == FREE)
-        last[run > widest] = column
-        np.maximum(widest, run, out=widest)
+    run, longest, last = (np.zeros(len(cells), dtype=np.int64) for _ in range(3))
+    for column, is_free in enumerate(np.ascontiguousarray((cells == FREE).T)):
+        run += 1
+        run *= is_free
+        np.copyto(last, column, where=run > longest)
+        np.maximum(longest, run, out=longest)
     # A border of free ground: in a gap what reaches the middle of a row ends at nothing unseen.
     framed = np.pad(cells, ((0, 0), (1, 1)), constant_values=FREE)
-    at, first = np.arange(len(cells)), last - widest.astype(np.int64) + 1
+    at, first = np.arange(len(cells)), last - longest + 1
     is_whole: Bool = (framed[at, last + 2] != UNSEEN) & (framed[at, first] != UNSEEN)
-    return widest, is_whole & (widest > 0.0)
+    return longest.astype(np.float64), is_whole & (longest > 0)
 
 
 def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> int:
@@ -151,10 +151,9 @@ class Thing(NamedTuple):
     area_m2: float
 
 
-def find_things(evidence: Evidence, rows: list[Measured]) -> list[Thing]:
-    """What stands in lanes, in gaps and beside the rows."""
+def find_things(evidence: Evidence, canopy: UInt8) -> list[Thing]:
+    """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells."""
     obstacle = (evidence.cells == OBSTACLE).astype(np.uint8)
-    canopy = _canopies(evidence, rows)
     size = max(1, round(_JOIN_M / evidence.cell_m)) | 1
     beside = cv2.morphologyEx(
         obstacle & ~canopy & 1, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8)
@@ -185,14 +184,14 @@ class Stray(NamedTuple):
     share: float
 
 
-def stray_cells(evidence: Evidence, rows: list[Measured], blocks: list[shapely.Polygon]) -> Stray:
-    """The obstacle cells of blocks beside their rows, of which gaps are no part."""
+def stray_cells(evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]) -> Stray:
+    """The obstacle cells of blocks beside the canopies of their rows, of which gaps are no part."""
     inside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
         _fill(inside, evidence, block)
     inside &= evidence.cells == OBSTACLE
     every = int(np.count_nonzero(inside))
-    inside &= ~_canopies(evidence, rows)
+    inside &= ~canopy
     stray = int(np.count_nonzero(inside))
     return Stray(stray, stray / max(every, 1))
 
@@ -209,7 +208,7 @@ def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], 
     return bool(depth[inside][mine].max() * evidence.cell_m >= _PROTRUSION_M)
 
 
-def _canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
+def canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
     """A mask of the ground that rows cover, their gaps left out."""
     mask = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for row in rows:

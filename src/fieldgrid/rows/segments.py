@@ -71,9 +71,15 @@ def thinned(evidence: Evidence, cell_m: float) -> Float64:
     for first, last in zip(edges, [*edges[1:], len(up)], strict=True):
         j, i = np.nonzero(evidence.cells[first:last] == OBSTACLE)
         flat = (up[first:last][j] - up[0]) * width + (across[i] - across[0])
-        squares, place, count = np.unique(flat, return_inverse=True, return_counts=True)
-        sums = (np.bincount(place, at, len(count)) for at in (east_m[i], north_m[first:last][j]))
-        found.append(np.column_stack([squares % width, squares // width, *sums, count]))
+        # Counted square by square, for which nothing is sorted.
+        start = int(up[first] - up[0]) * width
+        every = np.bincount(flat - start)
+        squares = np.flatnonzero(every)
+        sums = (
+            np.bincount(flat - start, at)[squares] for at in (east_m[i], north_m[first:last][j])
+        )
+        places = squares + start
+        found.append(np.column_stack([places % width, places // width, *sums, every[squares]]))
     parts = np.concatenate(found)
     parts = parts[np.lexsort((parts[:, 1], parts[:, 0]))]
     return np.asarray(parts[:, 2:4] / parts[:, 4:])
@@ -107,7 +113,12 @@ def find_segments(points_m: Float64, crop: Crop) -> Segments:
 def _patches(points_m: Float64, side_m: float, step_m: float) -> _Patches:
     """Squares of `side_m` about every lattice point of `step_m` that has a point near it."""
     tree = cKDTree(points_m)
-    keys = np.unique(np.floor(points_m / step_m).astype(np.int64), axis=0)
+    places = np.floor(points_m / step_m).astype(np.int64)
+    low, high = places.min(axis=0), places.max(axis=0)
+    size = high - low + 1
+    # Sorted as numbers: pairs take twenty times as long.
+    numbers = np.unique((places[:, 0] - low[0]) * size[1] + (places[:, 1] - low[1]))
+    keys = np.column_stack([numbers // size[1], numbers % size[1]]) + low
     middle = np.asarray((keys + 0.5) * step_m, dtype=np.float64)
     members = tree.query_ball_point(middle, side_m / 2.0, p=np.inf, return_sorted=False)
     return _Patches(middle, [np.asarray(m, dtype=np.int64) for m in members])
