@@ -18,7 +18,6 @@ import pytest
 from hypothesis import settings
 
 from fieldgrid.recording import DriveOptions
-from tests.matching import matched_once
 from tests.once import made_once
 
 if TYPE_CHECKING:
@@ -185,9 +184,12 @@ def make_drive(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def pairs_matched_once() -> Iterator[None]:
-    """For tests that are not about the matching of images: this process matches a pair once."""
-    with matched_once():
+def worked_out_once() -> Iterator[None]:
+    """For tests that are about neither what pairs show nor where drives went: this process works
+    each of that out once."""
+    from tests.remembered import worked_out_once
+
+    with worked_out_once():
         yield
 
 

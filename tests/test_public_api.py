@@ -24,7 +24,7 @@ from fieldgrid.build.repose import repose_map
 from fieldgrid.settings import BuildSettings, resolve
 from tests.conftest import TWO_LANES
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 MakeDrive = Callable[..., Path]
 

@@ -34,7 +34,7 @@ from tests.build.making import (
     no_image_is_read,
 )
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
 def swap_sides(drive: Path) -> None:

@@ -31,7 +31,7 @@ from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
 from tests.mounting.drives import START_NS, Memory, in_memory, swept
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 MakeDrive = Callable[..., Path]
 DATUM = "[datum]\nlat_deg = 41.65\nlon_deg = -4.72\nheight_m = 780.0\n"

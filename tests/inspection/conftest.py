@@ -36,5 +36,5 @@ def serious(found: Inspection) -> set[str]:
 
 
 @pytest.fixture(autouse=True)
-def _no_pair_is_matched_twice(pairs_matched_once: None) -> None:
-    """How pairs are matched is tested elsewhere."""
+def _nothing_is_worked_out_twice(worked_out_once: None) -> None:
+    """What pairs show and where drives went is tested elsewhere."""

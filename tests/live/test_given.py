@@ -23,7 +23,7 @@ from fieldgrid.trajectory import Status
 from tests.build.making import content
 from tests.live.making import Told, begin, slam, with_poses
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
 @pytest.fixture(scope="module")

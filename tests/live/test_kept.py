@@ -27,7 +27,7 @@ from tests.build.making import content
 from tests.cli.conftest import in_a_process
 from tests.live.making import begin
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
 def test_a_journal_that_is_cut_off_has_every_record_before(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ from tests.build.making import content
 from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import Told, begin, drive_live
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
 def some_frames(drive: Path, folder: Path, frames: Iterable[int]) -> Path:

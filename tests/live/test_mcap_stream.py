@@ -34,7 +34,7 @@ from tests.live.making import begin, slam
 from tests.live.sources import QUICK, Heard, running
 from tests.recording.bags import Maker
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 Written = tuple[int, str, str, str, bytes, bytes]
 """When a message was written, its topic, encoding, type with its definition, and its data."""

@@ -22,7 +22,7 @@ from tests.conftest import make_small_drive
 from tests.live.making import Told, cut_log, drive_live
 from tests.live.test_posing import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 STUCK, AGAIN = "to the last bit", "something new again"
 

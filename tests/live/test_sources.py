@@ -29,7 +29,7 @@ from tests.live.sources import (
 )
 from tests.scenes import paper_rig
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
 def test_the_map_through_a_socket_and_a_folder_is_that_of_a_build(

@@ -26,7 +26,7 @@ from tests.conftest import TWO_LANES
 from tests.recording import bags
 from tests.recording.bags import CONTAINERS, Container, Maker, Said
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 SharedData = Callable[[str], Path]
 

@@ -24,7 +24,7 @@ from fieldgrid.rig import Mount
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 Float64 = npt.NDArray[np.float64]
 MakeDrive = Callable[..., Path]

@@ -49,7 +49,7 @@ from tests.recording import bags
 from tests.recording.bags import Maker
 from tests.recording.test_bag import said_of, settle
 
-pytestmark = pytest.mark.usefixtures("pairs_matched_once")
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 MakeDrive = Callable[..., Path]
 
