@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.missing_plants import outcome
 from benchmarks.planting import Planting as Stand
 from benchmarks.planting import Sight, seen_view
 from benchmarks.rows import match
@@ -95,3 +96,42 @@ def test_a_road_and_gaps_are_no_doubt() -> None:
     found = rows_of_view(view_of(rows, missing=[(1, 5.0, 9.0), (6, 10.0, 12.0)]))
     assert len(found.rows) == 10
     assert kinds(found) == []
+
+
+def test_plants_that_four_rows_lack_side_by_side_are_told() -> None:
+    """Their edges are ragged, as those of a road are not."""
+    rows = straight(4, 40.0)
+    missing = [(0, 15.0, 19.0), (1, 16.6, 22.0), (2, 14.2, 18.4), (3, 16.4, 21.0)]
+    found = rows_of_view(view_of(rows, missing=missing))
+    assert kinds(found) == ["road"]
+    assert sorted(found.doubts[0].rows) == sorted(row.id for row in found.rows)
+    assert len(found.rows) == 8
+    assert "4 holes lie side by side near " in found.doubts[0].text
+    assert "taken for a road" in found.doubts[0].text
+
+
+def test_a_road_with_straight_edges_is_no_doubt_in_four_rows() -> None:
+    rows = straight(4, 40.0)
+    missing = [(k, 15.0 + k, 19.0 + k) for k in range(4)]
+    found = rows_of_view(view_of(rows, missing=missing))
+    assert len(found.rows) == 8
+    assert kinds(found) == []
+
+
+def test_holes_side_by_side_by_chance_are_no_road() -> None:
+    """Where 40 % of the plants are missing, some are in all of a few rows."""
+    found = outcome(0.4, 14)
+    assert found.rows == (4, 0, 0)
+    assert found.told == ("road",)
+
+
+def test_holes_that_may_be_a_road_are_told_where_rows_go_on() -> None:
+    rows = straight(4, 60.0)
+    holes = [(15.0, 6.0), (21.5, 24.0, 33.0), (12.0, 36.0), (9.0, 45.0)]
+    missing = [(k, at, at + 3.0) for k, starts in enumerate(holes) for at in starts]
+    missing += [(0, 26.0, 30.0), (1, 26.4, 31.4), (2, 28.6, 31.8), (3, 26.6, 30.6)]
+    found = rows_of_view(view_of(rows, missing=sorted(missing)))
+    assert len(found.rows) == 4
+    assert kinds(found) == ["road"]
+    assert len(found.doubts[0].rows) == 4
+    assert "may be a road" in found.doubts[0].text

@@ -5,7 +5,10 @@ A row is tested against noise on its own; whether all of them make a field is se
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64
@@ -13,6 +16,7 @@ from fieldgrid.polyline import project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.ground import Stray
 from fieldgrid.rows.result import Doubt, Planting
+from fieldgrid.rows.roads import DoubtfulRoad
 
 _IN_LINE = np.cos(np.radians(25.0))
 _RADIUS_M = 65.0
@@ -31,14 +35,21 @@ _STRAY_SHARE = 0.05
 
 _LEAST_STRAY = 30
 
+_ON_ROW_M = 0.05
+"""Rows on either side of a hole end at it, and one that goes on leads over it."""
 
-def find_doubts(planting: Planting, stray: Stray, crop: Crop) -> tuple[Doubt, ...]:
-    """The doubts of a planting, of which so many obstacle cells are on no row."""
+
+def find_doubts(
+    planting: Planting, stray: Stray, roads: Sequence[DoubtfulRoad], crop: Crop
+) -> tuple[Doubt, ...]:
+    """The doubts of a planting, of which so many obstacle cells are on no row, and which such roads
+    cross or do not."""
     if not planting.rows:
         return ()
     return (
         *_bent(planting),
         *_in_pieces(planting, crop),
+        *_at_roads(planting, roads),
         *_uneven(planting),
         *_stray(planting, stray),
     )
@@ -103,6 +114,29 @@ def _in_pieces(planting: Planting, crop: Crop) -> list[Doubt]:
             "helps where rows are near to each other",
         )
     ]
+
+
+def _at_roads(planting: Planting, roads: Sequence[DoubtfulRoad]) -> list[Doubt]:
+    """Holes side by side of which nobody can say whether they are a road."""
+    found = []
+    for road in roads:
+        holes = shapely.MultiLineString(road.holes)
+        names = tuple(row.id for row in planting.rows if row.line.distance(holes) < _ON_ROW_M)
+        middle = holes.centroid
+        taken = (
+            "they are taken for a road, at which rows end, and may lack plants"
+            if road.is_road
+            else "they are taken for missing plants, and may be a road"
+        )
+        found.append(
+            Doubt(
+                "road",
+                names,
+                f"{len(road.holes)} holes lie side by side near {middle.x:.1f} m east and "
+                f"{middle.y:.1f} m north: {taken}",
+            )
+        )
+    return found
 
 
 def _tip(line: Float64) -> tuple[Float64, Float64]:

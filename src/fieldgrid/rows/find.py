@@ -32,10 +32,10 @@ from fieldgrid.rows.ground import (
     stray_cells,
     without_specks,
 )
-from fieldgrid.rows.measure import Measured, measure_rows
+from fieldgrid.rows.measure import measure_rows
 from fieldgrid.rows.neighbours import oriented
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
-from fieldgrid.rows.roads import split_at_roads
+from fieldgrid.rows.roads import Split, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
 
 MAX_CELLS = 100_000_000
@@ -104,8 +104,8 @@ def _planting(
     headland_m: float,
 ) -> Planting:
     crop = crop if isinstance(crop, Crop) else crop_named(crop)
-    measured = _measured(evidence, crop)
-    ordered = order_rows(measured, crop)
+    split = _measured(evidence, crop)
+    ordered = order_rows(split.rows, crop)
     reach = Reach(drives)
     rows = _rows(ordered, reach)
     lanes = lane_lines(ordered)
@@ -126,7 +126,7 @@ def _planting(
         _blocks(ordered, areas, rows, found_lanes),
         _obstacles(evidence, things, ordered, found_lanes, reach),
     )
-    return replace(found, doubts=find_doubts(found, stray, crop))
+    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop))
 
 
 def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
@@ -138,13 +138,13 @@ def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
     return cell_m
 
 
-def _measured(evidence: Evidence, crop: Crop) -> list[Measured]:
+def _measured(evidence: Evidence, crop: Crop) -> Split:
     if np.count_nonzero(evidence.cells == OBSTACLE) < 20:
-        return []
+        return Split([], [])
     points = thinned(evidence, max(evidence.cell_m, crop.min_spacing_m / 4.0))
     segments = find_segments(points, crop)
     if not len(segments.half_m):
-        return []
+        return Split([], [])
     lines = oriented(reference_lines(segments, link(segments, crop), crop))
     return split_at_roads(measure_rows(evidence, lines, crop), crop)
 

@@ -1,7 +1,8 @@
 """Roads across rows: where all rows of a block have a hole side by side, they end and others begin.
 
 Rows on both sides of a road often stand in line, and a hole in one row says nothing: plants are
-missing. A hole in every row from the first to the last is a way through.
+missing. A hole in every row from the first to the last is a way through, unless rows lack so many
+plants that some of their holes lie side by side by chance.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, Span
@@ -31,6 +34,34 @@ _PIECE = 0.6
 """A piece of a row is a row when it has this share of the shortest one."""
 
 
+_BY_CHANCE = 0.01
+"""Of holes that lie wherever they like, so few sets are as much in line as those of a road."""
+
+_IN_LINE_M = 0.5
+"""The holes of a road are in line to so much, and no better: rows end where plants do."""
+
+_RAGGED_M = 0.6
+"""The edges of a road are straighter than this, root mean square: half a vine's place."""
+
+_SURE_ROWS = 8
+"""In so many rows the edges of a road may be ragged."""
+
+
+class DoubtfulRoad(NamedTuple):
+    """Holes side by side, a line each, that may be a road or lack plants, and which it was taken
+    for."""
+
+    holes: tuple[shapely.LineString, ...]
+    is_road: bool
+
+
+class Split(NamedTuple):
+    """Rows, those that a road crosses as one on each side of it, and roads that are in doubt."""
+
+    rows: list[Measured]
+    doubtful: list[DoubtfulRoad]
+
+
 class _Hole(NamedTuple):
     """A hole of a row, by its number, from and to along it, and whether its ground was seen."""
 
@@ -39,8 +70,8 @@ class _Hole(NamedTuple):
     is_seen: bool
 
 
-def split_at_roads(rows: list[Measured], crop: Crop) -> list[Measured]:
-    """The rows, those that a road crosses as one on each side of it."""
+def split_at_roads(rows: list[Measured], crop: Crop) -> Split:
+    """The rows, those that a road crosses as one on each side of it, and what is in doubt."""
     holes = [
         _Hole(k, span, is_seen)
         for k, row in enumerate(rows)
@@ -49,16 +80,72 @@ def split_at_roads(rows: list[Measured], crop: Crop) -> list[Measured]:
         if span[1] - span[0] >= _ROAD_M
     ]
     if sum(hole.is_seen for hole in holes) < _LEAST_ROWS:
-        return rows
+        return Split(rows, [])
     pairs, _ = neighbour_pairs([row.line for row in rows], crop)
     cuts: dict[int, list[Span]] = {}
-    for road in _roads(rows, holes, pairs):
-        for hole in road:
-            cuts.setdefault(hole.row, []).append(hole.span_m)
+    doubtful = []
+    # The one in most rows first: holes of a road are no missing plants.
+    missing = set(holes)
+    for road in sorted(_roads(rows, holes, pairs), key=lambda one: -_row_count(one)):
+        others = missing - set(road)
+        edges_m = _edges(rows, road)
+        is_road = _chance(rows, road, edges_m, others) <= _BY_CHANCE
+        if is_road:
+            missing = others
+            for hole in road:
+                cuts.setdefault(hole.row, []).append(hole.span_m)
+        if not is_road or (_row_count(road) < _SURE_ROWS and _is_ragged(edges_m)):
+            lines = tuple(
+                shapely.LineString(part(rows[hole.row].line, *hole.span_m)) for hole in road
+            )
+            doubtful.append(DoubtfulRoad(lines, is_road))
     found = []
     for k, row in enumerate(rows):
         found += _pieces(row, sorted(cuts.get(k, [])), crop)
+    return Split(found, doubtful)
+
+
+def _row_count(road: list[_Hole]) -> int:
+    return len({hole.row for hole in road})
+
+
+def _edges(rows: list[Measured], road: list[_Hole]) -> Float64:
+    """Where holes begin and end beside the straight edges that fit them, metres [n, 2]."""
+    first = rows[road[0].row].line
+    along = (first[-1] - first[0]) / np.hypot(*(first[-1] - first[0]))
+    left = np.array([-along[1], along[0]])
+    ends = np.array([part(rows[hole.row].line, *hole.span_m)[[0, -1]] for hole in road])
+    s, across = (ends - first[0]) @ along, (ends - first[0]) @ left
+    s.sort(axis=1)
+    found: Float64 = np.empty(s.shape)
+    for edge in (0, 1):
+        design = np.column_stack([np.ones(len(s)), across[:, edge]])
+        found[:, edge] = s[:, edge] - design @ np.linalg.lstsq(design, s[:, edge], rcond=None)[0]
     return found
+
+
+def _is_ragged(edges_m: Float64) -> bool:
+    # Of each edge two numbers were fitted.
+    freedom = max(len(edges_m) - 2, 1)
+    return bool(np.sqrt((edges_m**2).sum(axis=0) / freedom).min() > _RAGGED_M)
+
+
+def _chance(rows: list[Measured], road: list[_Hole], edges_m: Float64, others: set[_Hole]) -> float:
+    """How many sets of holes are expected by chance to be in line as those of a road, where the
+    other holes of its rows lie wherever they like: some begin one, the second row gives it any
+    direction, and those of each further one have to lie on its line."""
+    own = {hole.row for hole in road}
+    total_m = sum(rows[k].extent.stop_m for k in own)
+    sizes = [hole.span_m[1] - hole.span_m[0] for hole in others if hole.row in own]
+    if not sizes:
+        return 0.0
+    per_m = len(sizes) / total_m
+    road_m = float(np.mean([hole.span_m[1] - hole.span_m[0] for hole in road]))
+    middles_m = edges_m.mean(axis=1)
+    off_m = max(float(np.sqrt((middles_m**2).sum() / max(len(road) - 2, 1))), _IN_LINE_M)
+    any_way = min(per_m * (road_m + float(np.mean(sizes))), 1.0)
+    in_line = min(per_m * 4.0 * off_m, 1.0)
+    return len(sizes) / len(own) * any_way * in_line ** (len(own) - 2)
 
 
 def _roads(rows: list[Measured], holes: list[_Hole], pairs: list[Pair]) -> list[list[_Hole]]:
