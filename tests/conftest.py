@@ -193,6 +193,12 @@ def worked_out_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def worked_out_afresh() -> None:
+    """For tests of threads, processes and memory in a folder where the others share what was worked
+    out: nothing is remembered for them."""
+
+
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """Debian's Chromium, headless; the test is skipped where it or Playwright is not there."""

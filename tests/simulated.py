@@ -7,6 +7,7 @@ a standstill and turns begin gradually. Of the package only its records are used
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -68,14 +69,20 @@ class Drive(NamedTuple):
 def simulate(
     commands: Sequence[Command], heading_deg: float = 0.0, *, speed_mps: float = 0.0
 ) -> Drive:
-    """The drive that some commands lead to, from the origin."""
+    """The drive that some commands lead to, from the origin; its columns cannot be written."""
+    return _simulated(tuple(commands), heading_deg, speed_mps)
+
+
+@lru_cache(maxsize=100)
+def _simulated(commands: tuple[Command, ...], heading_deg: float, speed_mps: float) -> Drive:
     rows = [(0.0, 0.0, 0.0, np.radians(heading_deg), speed_mps, commands[0].curvature_per_m)]
     for command in commands:
         for _ in range(round(command.seconds / STEP_S)):
             time, east, north, phi, v, kappa = rows[-1]
             most_v, most_kappa = ACCELERATION_MPS2 * STEP_S, STEERING_PER_M_S * STEP_S
-            new_v = v + float(np.clip(command.speed_mps - v, -most_v, most_v))
-            change = float(np.clip(command.curvature_per_m - kappa, -most_kappa, most_kappa))
+            # np.clip takes longer than all the rest.
+            new_v = v + min(max(command.speed_mps - v, -most_v), most_v)
+            change = min(max(command.curvature_per_m - kappa, -most_kappa), most_kappa)
             way, bend = STEP_S * (v + new_v) / 2.0, kappa + change / 2.0
             middle = phi + way * bend / 2.0
             rows.append(
@@ -88,7 +95,9 @@ def simulate(
                     kappa + change,
                 )
             )
-    return Drive(*np.array(rows).T)
+    columns = np.array(rows).T
+    columns.setflags(write=False)
+    return Drive(*columns)
 
 
 CIRCLE = [Command(40.0, 1.5, 0.2)]

@@ -42,8 +42,6 @@ from tests.build.making import (
 )
 from tests.conftest import TWO_LANES
 
-pytestmark = pytest.mark.usefixtures("worked_out_once")
-
 
 def test_a_drive_that_fails_half_way_leaves_no_file(make_drive: MakeDrive, tmp_path: Path) -> None:
     drive = make_drive(frames=range(3, 11))

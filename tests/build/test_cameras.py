@@ -34,8 +34,6 @@ from tests.build.making import (
     no_image_is_read,
 )
 
-pytestmark = pytest.mark.usefixtures("worked_out_once")
-
 
 def swap_sides(drive: Path) -> None:
     left, right = drive / "left", drive / "right"

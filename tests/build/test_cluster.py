@@ -30,6 +30,7 @@ distributed = pytest.importorskip("distributed")
 
 # Sockets and loops of Dask's own, which it closes in its own time.
 pytestmark = [
+    pytest.mark.usefixtures("worked_out_afresh"),
     pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
 ]
 

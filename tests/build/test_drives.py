@@ -58,6 +58,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
 
 
 @pytest.mark.usefixtures("processes")
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_processes_give_the_same_bits_also_when_one_is_killed(
     two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -160,6 +161,7 @@ def _is_alive(pid: int) -> bool:
     ("parts_done", "how"),
     [pytest.param(4, signal.SIGKILL, marks=pytest.mark.long), (1, signal.SIGINT)],
 )
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_an_ended_build_goes_on_to_the_same_bits(
     parts_done: int,
     how: signal.Signals,

@@ -17,8 +17,6 @@ from fieldgrid.settings import resolve
 from tests.build.making import MakeDrive
 from tests.recording.test_given_poses import Truth, truth, tum
 
-pytestmark = pytest.mark.usefixtures("worked_out_once")
-
 __all__ = ["truth"]
 
 

@@ -129,6 +129,7 @@ class LongDrive:
         for follows in (True, False)
     ],
 )
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_few_frames_are_in_memory_however_long_the_drive(
     jobs: int, odometry: bool, tmp_path: Path
 ) -> None:
@@ -158,6 +159,7 @@ def test_few_frames_are_in_memory_however_long_the_drive(
 
 
 @pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_a_slow_reader_of_perceived_frames_is_waited_for(jobs: int) -> None:
     drive, grids = LongDrive(10), Alive()
     order: list[str] = []

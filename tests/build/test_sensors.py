@@ -35,6 +35,7 @@ from fieldgrid.recording import DepthFrame, DriveOptions, Recording, open_record
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings, resolve
 from tests.conftest import TWO_LANES
+from tests.remembered import worked_out_once
 from tests.scenes import depth_rig, lidar_rig, paper_rig
 
 SharedData = Callable[[str], Path]
@@ -50,7 +51,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The example as depths in millimetres and as disparities in 1/256 px, by our own matcher."""
     folders = {kind: tmp_path_factory.mktemp(kind) for kind in ("depth", "disparity")}
     rows = []
-    with open_recording(TWO_LANES, RTK) as recording:
+    with open_recording(TWO_LANES, RTK) as recording, worked_out_once():
         gridder, camera = LocalGridder(recording.rig), recording.rig.camera
         for frame in recording.frames():
             values, row_start = gridder.matcher.disparity(*frame.images())

@@ -36,6 +36,7 @@ from tests.build.making import (
 from tests.conftest import TWO_LANES
 
 
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_a_map_has_the_same_bits_whatever_the_number_of_threads(
     make_drive: MakeDrive, tmp_path: Path
 ) -> None:
@@ -91,6 +92,7 @@ def test_every_nth_frame(make_drive: MakeDrive, tmp_path: Path) -> None:
     assert report.distance_m == pytest.approx(11.3, abs=1.0)
 
 
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_the_distance_in_progress_is_that_of_the_camera(
     make_drive: MakeDrive, tmp_path: Path
 ) -> None:
@@ -165,6 +167,7 @@ def test_a_second_drive_is_added_in_the_datum_of_the_map(
     assert same[0].pose.north_m == pytest.approx(same[1].pose.north_m, abs=0.05)
 
 
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_two_drives_at_once_are_the_same_as_one_after_the_other(
     make_drive: MakeDrive, tmp_path: Path
 ) -> None:

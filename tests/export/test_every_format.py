@@ -30,6 +30,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, open_map
 from tests.conftest import TWO_LANES
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
+from tests.once import made_once
 
 # A file may grow to so many bytes only: a disk that fills up, for every library alike.
 FULL = """
@@ -98,16 +99,19 @@ def universal(path: Path) -> MapFile:
 @pytest.fixture(scope="module")
 def on_a_full_disk(path: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     names = {key: name_of(key) for key in formats()}
-    folder = tmp_path_factory.mktemp("disk")
-    done = subprocess.run(
-        [sys.executable, "-c", FULL, str(path), str(folder), "700", json.dumps(names)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    found: dict[str, list[Any]] = json.loads(done.stdout)
-    return found
+
+    def fill(folder: Path) -> dict[str, list[Any]]:
+        done = subprocess.run(
+            [sys.executable, "-c", FULL, str(path), str(folder), "700", json.dumps(names)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        found: dict[str, list[Any]] = json.loads(done.stdout)
+        return found
+
+    return made_once(tmp_path_factory, "full_disk", fill)[1]
 
 
 @pytest.mark.parametrize("key", formats())

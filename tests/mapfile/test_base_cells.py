@@ -97,7 +97,9 @@ def highest_touched(own: MapView, coarse: MapView, name: str) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("cell_m", [0.13, 0.25, 0.37, 1.05])
+@pytest.mark.parametrize(
+    "cell_m", [0.25, 0.37, *(pytest.param(one, marks=pytest.mark.long) for one in (0.13, 1.05))]
+)
 @pytest.mark.parametrize("choice", ["all", "sessions", "filter", "area"])
 def test_maxima_are_those_of_the_maps_own_cells(
     universal: MapFile, cell_m: float, choice: str

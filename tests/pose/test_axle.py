@@ -30,7 +30,7 @@ def off_deg(found: Estimate, drive: Drive) -> np.ndarray:
 
 
 @pytest.mark.parametrize("ahead_m", [-1.0, 0.4, 2.0])
-@pytest.mark.parametrize("commands", [SLALOM, K_TURN])
+@pytest.mark.parametrize("commands", [pytest.param(SLALOM, marks=pytest.mark.long), K_TURN])
 def test_a_camera_tells_the_axle(commands: list[Command], ahead_m: float) -> None:
     """The camera is where the antenna is, so what it sees tells where both are."""
     drive = simulate(commands, 35.0)

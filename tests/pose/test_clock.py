@@ -70,7 +70,9 @@ def test_an_even_or_short_drive_tells_no_offset(commands: list[Command]) -> None
     assert report(simulate(commands, 20.0, speed_mps=1.5), 0.3).clock is None
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(one, marks=pytest.mark.long) for one in range(2, 6))]
+)
 def test_noise_on_an_even_drive_tells_no_offset(seed: int) -> None:
     even = simulate([Command(40.0, 1.5)], 20.0, speed_mps=1.5)
     assert report(even, 0.0, seed=seed, noise_m=0.02).clock is None
@@ -176,7 +178,7 @@ def test_a_gyro_that_turns_as_the_images_do_blames_the_fixes() -> None:
     assert found.gyro_too
 
 
-@pytest.mark.parametrize("noise_m", [0.02, 0.3])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.02, marks=pytest.mark.long), 0.3])
 @pytest.mark.parametrize("scale", [1.0, 1.08])
 def test_images_of_their_moments_do_not_contradict(noise_m: float, scale: float) -> None:
     """However poor the fixes are, and with a calibration that is somewhat off."""

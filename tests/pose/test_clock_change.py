@@ -57,7 +57,7 @@ def set_within(steps: Steps, gyro: Gyro, by_s: float) -> tuple[Steps, Gyro, int]
 
 
 @pytest.mark.parametrize("by_s", [1.0, -1.0])
-@pytest.mark.parametrize("noise_m", [0.02, 0.1])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.02, marks=pytest.mark.long), 0.1])
 def test_a_clock_that_is_set_within_a_drive_is_found(by_s: float, noise_m: float) -> None:
     drive = simulate(MOVING, 20.0, speed_mps=1.2)
     steps, gyro, from_ns = set_within(steps_of(drive, 1.4, noise=1.0, seed=2), gyro_of(drive), by_s)

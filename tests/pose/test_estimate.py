@@ -106,7 +106,9 @@ def poses(fixes: Sequence[Fix] | FixColumns, rig: Rig | None, heading: str) -> T
 # --- the lever arm
 
 
-@pytest.mark.parametrize("heading", [0.0, 100.0, 200.0, 300.0])
+@pytest.mark.parametrize(
+    "heading", [0.0, 200.0, *(pytest.param(one, marks=pytest.mark.long) for one in (100.0, 300.0))]
+)
 @pytest.mark.parametrize("antenna", [LeverArm(0.4, -1.2, 2.6), LeverArm(-0.7, 1.5, 3.0)])
 def test_the_antenna_is_carried_to_the_grid_origin(heading: float, antenna: LeverArm) -> None:
     path = drive(TURNING, heading)
@@ -465,7 +467,7 @@ def off_deg(found: Trajectory, simulated: Drive) -> _Float64:
     return np.abs(wrap_deg(found.heading_deg - np.degrees(truth.heading_rad)))
 
 
-@pytest.mark.parametrize("commands", [SLALOM, K_TURN, STOP])
+@pytest.mark.parametrize("commands", [pytest.param(SLALOM, marks=pytest.mark.long), K_TURN, STOP])
 @pytest.mark.parametrize("aids", ["nothing", "gyro", "steps", "heading", "all"])
 def test_every_sensor_helps(commands: list[Command], aids: str) -> None:
     simulated = simulate(commands, 35.0)

@@ -76,7 +76,9 @@ def test_a_scale_is_taken_out(commands: list[Command], size: float) -> None:
 
 @pytest.mark.parametrize("with_steps", [False, True])
 @pytest.mark.parametrize("size", [-1.0, 180.0 / np.pi, 0.3])
-@pytest.mark.parametrize("commands", [SLALOM, K_TURN, pytest.param(ROWS, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "commands", [K_TURN, *(pytest.param(one, marks=pytest.mark.long) for one in (SLALOM, ROWS))]
+)
 def test_a_gyro_with_wrong_axes_or_units_is_not_used(
     commands: list[Command], size: float, with_steps: bool
 ) -> None:
@@ -147,7 +149,9 @@ def wandering(drive: Drive, slow_m: float, seed: int = 4) -> FixColumns:
     return fixes.replace(lat_deg=lat, lon_deg=lon, height_m=height)
 
 
-@pytest.mark.parametrize("seed", range(4, 14))
+@pytest.mark.parametrize(
+    "seed", [4, 5, 6, *(pytest.param(one, marks=pytest.mark.long) for one in range(7, 14))]
+)
 def test_what_wandering_fixes_make_of_a_gyro_is_in_the_sigma(seed: int) -> None:
     """Nothing says how good the receiver is: be the gyro corrected or left out by it, headings are
     as unsure as with and without it are apart."""

@@ -51,7 +51,7 @@ def test_level_ground_is_level(noise_m: float) -> None:
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0])
-@pytest.mark.parametrize("noise_m", [0.0, 0.02, 0.06])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.0, marks=pytest.mark.long), 0.02, 0.06])
 def test_a_slope_is_seen_whichever_way_the_lanes_lie(heading_deg: float, noise_m: float) -> None:
     """Along the fall line a vehicle climbs, across it only its lanes lie at other heights."""
     drive = simulate(LANES, heading_deg)
