@@ -221,7 +221,7 @@ def test_parts_that_are_there_are_told(left: tuple[Path, Path]) -> None:
     assert list(out.parent.iterdir()) == [out]
 
 
-@pytest.mark.parametrize("change", ["settings", "image"])
+@pytest.mark.parametrize("change", ["settings", "image", "how images are read"])
 def test_parts_of_other_inputs_or_settings_are_refused(
     change: str, left: tuple[Path, Path]
 ) -> None:
@@ -232,6 +232,8 @@ def test_parts_of_other_inputs_or_settings_are_refused(
         data = image.read_bytes()
         image.unlink()  # it is a link
         image.write_bytes(data)
+    if change == "how images are read":
+        (drive / "recording.toml").write_text("[images]\nbits = 8\n")
     settings = {"settings": COURSE} if change == "settings" else {}
     with pytest.raises(ConfigError, match=r"parts of drive in .* are of other inputs or settings"):
         build([drive], out, resume=True, **settings)

@@ -22,6 +22,7 @@ from fieldgrid.build import (
     perceive,
     visual_odometry,
 )
+from fieldgrid.build.other_readings import other_readings
 from fieldgrid.build.poses import no_ground
 from fieldgrid.build.repose import repose_map
 from fieldgrid.build.rig_config import rig_to_config
@@ -223,6 +224,83 @@ def test_a_drive_without_ground_names_the_mounting(drives: dict[str, Path], tmp_
         cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))
     with pytest.raises(GnssError, match=r"no ground was found in the image.*camera's height"):
         built(folder, tmp_path / "map.gpkg", {})
+
+
+@pytest.mark.parametrize(
+    ("kind", "times", "says"),
+    [
+        ("depth", 0.1, r"\[depth\] scale_m = 0\.01"),
+        ("disparity", 1.0 / 16.0, r"\[disparity\] scale_px = 0\.0625"),
+    ],
+)
+def test_depths_in_another_unit_are_told_with_it(
+    kind: str, times: float, says: str, drives: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(drives[kind], folder)
+    table = (folder / "frames.csv").read_text().splitlines(keepends=True)
+    (folder / "frames.csv").write_text("".join(table[:7]))
+    for path in (folder / kind).glob("*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float64)
+        cv2.imwrite(str(path), np.rint(times * image).astype(np.uint16))
+    out = tmp_path / "map.gpkg"
+    with pytest.raises(CalibrationError, match=rf"No ground was found .* With {says} in record"):
+        built(folder, out, {})
+    assert not out.exists()
+    with open_recording(folder, RTK) as recording:
+        (reading,) = other_readings(recording, LocalGridder(recording.rig), 1)
+    (folder / "recording.toml").write_text(reading.replace("] ", "]\n"))
+    assert built(folder, out, {}).used > 0
+
+
+@pytest.mark.parametrize(
+    ("axes", "times", "says"),
+    [
+        ("rfu", 1.0, '[cloud] axes = "rfu"'),
+        ("rdf", 1.0, '[cloud] axes = "rdf"'),
+        ("flu", 1000.0, "[cloud] scale_m = 0.001"),
+        ("flu", 10.0, "[cloud] scale_m = 0.1"),
+    ],
+)
+def test_clouds_of_other_axes_or_units_are_told_with_them(
+    axes: str, times: float, says: str, drives: dict[str, Path], tmp_path: Path
+) -> None:
+    with open_recording(drives["depth"], RTK) as recording:
+        camera, frames = recording.rig.sensor, list(recording.frames(8, 12))
+    assert isinstance(camera, DepthCamera)
+    folder = tmp_path / "drive"
+    (folder / "clouds").mkdir(parents=True)
+    for name in ("calibration", "gnss"):
+        shutil.copytree(drives["depth"] / name, folder / name)
+    for frame in frames:
+        assert isinstance(frame, DepthFrame)
+        z = frame.source.read()[::2, ::2]
+        v, u = np.nonzero(np.isfinite(z))
+        z = z[v, u]
+        x = (2 * u - camera.cx_px) * z / camera.fx_px
+        y = (2 * v - camera.cy_px) * z / camera.fy_px
+        along = {"f": z, "l": -x, "u": -y, "r": x, "d": y}
+        points = times * np.column_stack([along[axis] for axis in axes])
+        np.save(folder / "clouds" / f"{frame.time_ns}.npy", points.astype(np.float32))
+    with open_recording(folder, RTK) as recording:
+        gridder = LocalGridder(recording.rig)
+        assert other_readings(recording, gridder, 1) == [says]
+    (folder / "recording.toml").write_text(says.replace("] ", "]\n"))
+    with open_recording(folder, RTK) as recording:
+        assert all(
+            gridder.from_cloud(frame.source.read())[1].refined for frame in recording.frames()
+        )
+
+
+def test_of_frames_without_ground_no_reading_is_told(
+    drives: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = tmp_path / "drive"
+    shutil.copytree(drives["depth"], folder)
+    for path in (folder / "depth").glob("*.png"):  # a wall across the way
+        cv2.imwrite(str(path), np.full((480, 640), 6000, np.uint16))
+    with open_recording(folder, RTK) as recording:
+        assert other_readings(recording, LocalGridder(recording.rig), 1) == []
 
 
 def test_why_a_frame_without_ground_is_rejected() -> None:

@@ -175,12 +175,12 @@ def test_clouds(tmp_path: Path) -> None:
 
 
 def test_what_is_told_of_clouds(tmp_path: Path) -> None:
-    settings = '[cloud]\naxes = "rdf"\npoints_per_sr = 12345\n'
+    settings = '[cloud]\naxes = "rdf"\nscale_m = 0.5\npoints_per_sr = 12345\n'
     recording = open_recording(folder(tmp_path, ("clouds",), settings=settings))
     assert recording.rig.sensor == Lidar(12345.0)
     frame = next(recording.frames())
     assert isinstance(frame, CloudFrame)
-    assert np.array_equal(frame.source.read(), cloud().astype(np.float32))
+    assert np.array_equal(frame.source.read(), 0.5 * cloud().astype(np.float32))
     assert not any("steradian" in note for note in recording.notes)
 
 

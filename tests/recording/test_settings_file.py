@@ -76,6 +76,7 @@ def test_nothing_need_be_said(tmp_path: Path) -> None:
         ("[depth]\nscale_m = 0", "scale_m is 0; give a number above 0"),
         ("[depth]\nscale_px = 1", "'scale_px' is not a setting; known are scale_m, baseline_m"),
         ("[depth]\n[disparity]", r"has both \[depth\] and \[disparity\]"),
+        ("[cloud]\nscale_m = 0", "scale_m is 0; give a number above 0"),
         ("[cloud]\naxes = 'fru'", "axes is 'fru'.*; give where x, y and z of the clouds point"),
         (f"name = '{'x' * 9999}'\nnam = 3", "'nam' is not a setting; known are name, image_time"),
         (f"frames = ['{'x' * 9999}']", r"frames is \['xxx.*\.\.\..*\]; give a path"),

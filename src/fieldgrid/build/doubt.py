@@ -76,7 +76,7 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
     camera = recording.rig.sensor
     frames = len(range(0, recording.frame_count, every))
     shifts = []
-    for frame in _probes(recording, frames, every):
+    for frame in probes(recording, frames, every):
         try:
             shifts.append(vertical_shifts(*frame.images(), camera))
         except FieldgridError:
@@ -139,7 +139,7 @@ def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterat
     """What becomes of the motion within a sweep, by one of the clouds that can be read."""
     if not has_sweeps(recording):
         return
-    for frame in _probes(recording, len(range(0, recording.frame_count, every)), every):
+    for frame in probes(recording, len(range(0, recording.frame_count, every)), every):
         assert isinstance(frame, CloudFrame)
         try:
             points_m, after_s = frame.source.sweep()
@@ -171,7 +171,7 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
     """Whether some frames of a drive, over all of it, show more with left and right exchanged."""
     camera = recording.rig.camera
     as_is, exchanged = [], []
-    for frame in _probes(recording, frames, every):
+    for frame in probes(recording, frames, every):
         try:
             left, right = frame.images()
         except RecordingError:  # it was left out of the drive, too
@@ -182,7 +182,7 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
     return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
 
 
-def _probes(recording: Recording, frames: int, every: int) -> Iterator[Frame]:
+def probes(recording: Recording, frames: int, every: int) -> Iterator[Frame]:
     """Some frames from all over a drive, of `frames` that are every so many-th."""
     for k in np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist():
         yield from recording.frames(k * every, k * every + 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,11 @@ def part_key(session: NewSession, datum: Datum) -> str:
     time, what was read of it, the settings and the version of this package. Not of the bound on
     bad frames: a part that is done without it has none."""
     recording = session.recording
-    source = recording.source
+    source, kind = recording.source, b""
     if isinstance(source, StoredFrames):
         files = [source.folder / name for shot in source.shots for name in shot.files]
+        # How these are read: in which unit, with which axes, colours and lenses.
+        kind = pickle.dumps(source.kind)
     elif recording.path.is_dir():
         files = sorted(path for path in recording.path.iterdir() if path.is_file())
     else:
@@ -37,6 +40,7 @@ def part_key(session: NewSession, datum: Datum) -> str:
         "datum": repr(datum),
         "frames": [session.total, session.every, SHARE_FRAMES],
         "files": [_state(file) for file in files],
+        "kind": hashlib.sha256(kind).hexdigest(),
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     times_ns = recording.frame_times_ns()

@@ -37,6 +37,7 @@ from fieldgrid.build.doubt import (
 from fieldgrid.build.facing import doubted_facing, facing, facing_notes
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.mirrored import doubted_mirror
+from fieldgrid.build.other_readings import other_readings, say_instead
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_poses,
@@ -55,7 +56,7 @@ from fieldgrid.build.report import BadFrame, Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
 from fieldgrid.build.stuck import StuckCamera
-from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile
@@ -213,6 +214,11 @@ class NewSession:
             report.camera_steps = len(steps.start_ns)
             report.camera_refusals = report.camera_refusal_reasons.total()
         found = sum(entry.ground_found for entry in staged.entries)
+        if not found and (readings := other_readings(recording, self._gridder, self.every)):
+            raise CalibrationError(
+                f"No ground was found in the {len(staged.entries)} frames of {self.name}, so "
+                f"heights above it are not known. {say_instead(readings)}"
+            )
         report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
         trajectory = self._trajectory
         if trajectory is None:

@@ -18,6 +18,7 @@ from fieldgrid.build.camera_scale import (
 )
 from fieldgrid.build.doubt import doubted_cameras
 from fieldgrid.build.mirrored import doubted_mirror
+from fieldgrid.build.other_readings import other_readings, say_instead
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_images,
@@ -155,7 +156,7 @@ def _looked(
         )
         findings += misalignment_findings(rows)
     if not seen.unread and looked:
-        findings += _camera_findings(recording, seen, every)
+        findings += _camera_findings(recording, gridder, seen, every)
     return seen, replace(
         found,
         looked=looked,
@@ -167,7 +168,9 @@ def _looked(
     )
 
 
-def _camera_findings(recording: Recording, seen: Seen, every: int) -> Iterator[Finding]:
+def _camera_findings(
+    recording: Recording, gridder: LocalGridder, seen: Seen, every: int
+) -> Iterator[Finding]:
     """What a build would refuse these cameras for, were all frames like those looked at."""
     ground = sum(one.refined for one in seen.grounds)
     steps = 0 if seen.steps is None else len(seen.steps.start_ns)
@@ -177,11 +180,14 @@ def _camera_findings(recording: Recording, seen: Seen, every: int) -> Iterator[F
         yield refusal(doubted.error, doubted.doubt)
         return
     if ground == 0:
+        readings = other_readings(recording, gridder, every)
         yield error(
             "no-ground",
             f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
             "heights above it are not known.",
-            "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
+            say_instead(readings)
+            if readings
+            else "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
         )
     elif ground < GROUND_SHARE * len(seen.grounds):
         mount = recording.rig.mount

@@ -51,14 +51,15 @@ CLOUDS = Layout(("cloud",), ("clouds",), SUFFIXES, "cloud", "cloud", _time_ns)
 @dataclass(frozen=True, slots=True)
 class CloudFile:
     """A PLY, PCD, LAS or LAZ, a NumPy array [n, 3 or more], or a .bin of KITTI (x, y, z and
-    reflectance as float32). `axes` are where x, y and z point, like flu or rdf. `stamp_ns` is the
-    time of the frame; points that are `corrected` for the motion within their sweep have no times
-    any more."""
+    reflectance as float32). `axes` are where x, y and z point, like flu or rdf, and `scale_m` is
+    what one of their units is. `stamp_ns` is the time of the frame; points that are `corrected` for
+    the motion within their sweep have no times any more."""
 
     path: Path
     axes: str = AXES
     stamp_ns: int = 0
     corrected: bool = False
+    scale_m: float = 1.0
 
     @property
     def name(self) -> str:
@@ -74,14 +75,15 @@ class CloudFile:
         """The points, with their times where the file has any."""
         points, times = _points(self.path)
         with np.errstate(over="ignore", invalid="ignore"):
-            own = points.astype(np.float32)
+            own = points.astype(np.float32) * np.float32(self.scale_m)
             near = (np.abs(own) < _FARTHEST_M).all(axis=1)  # false for NaN, too
             finite = np.isfinite(own).all(axis=1)
         if finite.any() and not near.any():
             raise RecordingError(
                 f"The points of {self.path} lie over {_FARTHEST_M / 1000.0:g} km from "
                 "their origin, so they are a map's and not a sensor's; give clouds in the sensor's "
-                "frame."
+                "frame, or, if they are not in metres, what a unit is: [cloud] scale_m in "
+                "recording.toml."
             )
         after_s = None
         if times is not None and not self.corrected:
@@ -95,10 +97,12 @@ class CloudFile:
 
 @dataclass(frozen=True, slots=True)
 class CloudKind:
-    """Clouds with axes that point as `axes` say; whether they are `corrected` already."""
+    """Clouds with axes that point as `axes` say, in units of `scale_m` metres; whether they are
+    `corrected` already."""
 
     axes: str = AXES
     corrected: bool = False
+    scale_m: float = 1.0
 
     @property
     def roles(self) -> tuple[str, ...]:
@@ -108,7 +112,7 @@ class CloudKind:
     def frame(self, folder: Path, shot: Shot) -> Frame:
         """The cloud, unread."""
         (name,) = shot.files
-        source = CloudFile(folder / name, self.axes, shot.time_ns, self.corrected)
+        source = CloudFile(folder / name, self.axes, shot.time_ns, self.corrected, self.scale_m)
         return CloudFrame(shot.frame_id, shot.time_ns, source)
 
 

@@ -166,8 +166,7 @@ def _clouds(
     path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
 ) -> Seen:
     shots, notes = read_frames(path, settings.frames, layout)
-    axes = settings.axes or AXES
-    kind = CloudKind(axes, bool(settings.corrected))
+    kind = CloudKind(settings.axes or AXES, bool(settings.corrected), settings.cloud_scale_m)
     if settings.points_per_sr is not None:
         return Seen(mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes)
     if layout.growing:
@@ -175,18 +174,18 @@ def _clouds(
             f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
             "add it to recording.toml: [cloud] points_per_sr."
         )
-    density, name = _measured_density(path, shots, axes)
+    density, name = _measured_density(path, shots, kind)
     note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
     return Seen(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
 
 
-def _measured_density(path: Path, shots: tuple[Shot, ...], axes: str) -> tuple[float, str]:
+def _measured_density(path: Path, shots: tuple[Shot, ...], kind: CloudKind) -> tuple[float, str]:
     """Points per steradian of the middle cloud, or of another where that one is next to empty;
     and the name of its file."""
     refusal: CalibrationError | None = None
     for part in _MEASURED_AT:
         (name,) = shots[int(part * len(shots))].files
-        source = CloudFile(path / name, axes)
+        source = CloudFile(path / name, kind.axes, scale_m=kind.scale_m)
         try:
             return points_per_sr(source.read()), name
         except CalibrationError as problem:

@@ -51,9 +51,9 @@ class Settings:
     that are a Bayer mosaic, like "rggb"; `bits` how many of 16 bits the camera fills.
     `sensor` is which frames to take where there are several kinds. Of depths and disparities,
     `scale` is what one unit of their files is, metres or px, and `baseline_m` that of the pair
-    they come from. Of clouds, `axes` are where x, y and z point, `points_per_sr` how dense
-    they are, and `corrected` whether their points were carried to one instant. `poses` says where
-    poses of another program are.
+    they come from. Of clouds, `axes` are where x, y and z point, `cloud_scale_m` what one unit of
+    their files is, `points_per_sr` how dense they are, and `corrected` whether their points were
+    carried to one instant. `poses` says where poses of another program are.
     """
 
     name: str = ""
@@ -71,6 +71,7 @@ class Settings:
     scale: float | None = None
     baseline_m: float | None = None
     axes: str | None = None
+    cloud_scale_m: float = 1.0
     points_per_sr: float | None = None
     corrected: bool | None = None
     poses: PoseSource | None = None
@@ -156,6 +157,7 @@ class _Cloud(Table):
         "like flu or rdf",
         None,
     )
+    scale_m: Positive = entry(_ABOVE, 1.0)
     points_per_sr: Positive | None = entry(_ABOVE, None)
     corrected: bool | None = entry("give true or false", None)
 
@@ -258,6 +260,7 @@ def read_settings(path: Path) -> Settings:
         scale=depth.scale_m or disparity.scale_px,
         baseline_m=depth.baseline_m or disparity.baseline_m,
         axes=said.cloud.axes,
+        cloud_scale_m=said.cloud.scale_m,
         points_per_sr=said.cloud.points_per_sr,
         corrected=said.cloud.corrected,
         poses=None if said.poses is None else said.poses.source(path.parent),
