@@ -24,6 +24,10 @@ FREE_UP_TO = 50
 50/255 is the 0.196 that map servers use as their free threshold.
 """
 
+HIDDEN_FROM = 0.8
+"""A free look is hidden where an obstacle stands in its line of sight between this share of its
+distance and the cell: the ray passes it at less than a fifth of the camera's height."""
+
 GROUND_CHANNEL, NO_GROUND_CM = "ground_cm", -32768
 """The channel of a frame that says how high the ground of its cells lies, int16 [n_y, n_x],
 centimetres above the ground on which its vehicle stands; and what stands where none was seen."""

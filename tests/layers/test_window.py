@@ -47,6 +47,7 @@ def test_a_cell_says_how_often_how_much_and_how_high() -> None:
         "height_mm": 700 - 1250,
         "height_frames": 2,
         "log_odds": 17 - 2 * 8,
+        "moved_drives": 0,
         # No frame says anything of the ground itself.
         **{
             c.name: 0

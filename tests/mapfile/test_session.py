@@ -100,7 +100,8 @@ def tiles_of(path: Path) -> list[tuple[object, ...]]:
     rows = [
         *database.execute(
             "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile "
-            "WHERE channels NOT IN ('sessions', 'lasting') ORDER BY 1, 2, 3, 4"
+            "WHERE channels NOT IN ('sessions', 'lasting', 'moved', 'remaining') "
+            "ORDER BY 1, 2, 3, 4"
         ),
         *database.execute(
             "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3"

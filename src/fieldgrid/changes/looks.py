@@ -19,15 +19,11 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Index
 from fieldgrid.errors import ConfigError, FieldgridError
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid
+from fieldgrid.grids import FREE_UP_TO, HIDDEN_FROM, OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import FrameRecord, SessionInfo
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.transfer import Transfer, footprint, land
-
-HIDDEN_FROM = 0.8
-"""A free look is hidden where an obstacle stands in its line of sight between this share of its
-distance and the cell: the ray passes it at less than a fifth of the camera's height."""
 
 APART_M = 0.5
 """Frames from one stretch of the path of this length count as one look together."""

@@ -40,7 +40,7 @@ def _passing(cells: Cells) -> UInt64:
     return _flags((stood == 1) & (seen >= _LEAST))
 
 
-def _lasting(cells: Cells) -> UInt64:
+def lasting_density(cells: Cells) -> UInt64:
     """The density, 0 where most drives, or half of them, saw no obstacle, and that of an obstacle
     where most saw one: the mean over all is less where some saw far more of a cell."""
     stood, seen, density = cells["obstacle_sessions"], cells["seen_sessions"], mean(cells)
@@ -61,7 +61,7 @@ GROUP = ChannelGroup(
         OverviewChannel("static", Combine.MAX, _static),
         OverviewChannel("seasonal", Combine.MAX, _seasonal),
         OverviewChannel("passing", Combine.MAX, _passing),
-        OverviewChannel("lasting_peak", Combine.MAX, _lasting),
+        OverviewChannel("lasting_peak", Combine.MAX, lasting_density),
     ),
 )
 

@@ -14,6 +14,7 @@ from fieldgrid.layers import (
     height,
     highest,
     lasting,
+    moved,
     occupancy,
     relief,
     sessions,
@@ -116,6 +117,8 @@ for _group in (
     occupancy.GROUP,
     drop.GROUP,
     standing.GROUP,
+    moved.GROUP,
+    moved.LEFT,
 ):
     register_group(_group)
 
@@ -130,6 +133,8 @@ for _layer in (
     lasting.SEASONAL,
     lasting.PASSING,
     lasting.LASTING,
+    moved.MOVED,
+    moved.REMAINING,
     height.HEIGHT,
     ground.GROUND,
     ground.SIGMA,

@@ -47,7 +47,10 @@ class WindowFold:
         self._frames = 0
 
     def add(self, cells: FrameCells, pose: Pose) -> None:
-        """Carry one frame into the window; what falls outside is left out."""
+        """Carry one frame into the window; what falls outside is left out.
+
+        Frames come in the order of their time, those of one time in any.
+        """
         self._frames += 1
         landing = land(cells.grid, pose, self._lattice, self._window, self._transfer)
         frame = FrameInPlace(cells, pose, self._lattice, landing, self._touched)

@@ -79,7 +79,9 @@ class Squares:
         self._rule = lattice, transfer, groups
         self._footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
         self._inside: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-        for k, window in enumerate(self._footprints):
+        # What moved is told by what was seen first, in whatever order frames were added.
+        for k in sorted(range(len(frames)), key=lambda k: frames[k].pose.time_ns):
+            window = self._footprints[k]
             for y in range(window.j0 // _SIDE, (window.j0 + window.height - 1) // _SIDE + 1):
                 for x in range(window.i0 // _SIDE, (window.i0 + window.width - 1) // _SIDE + 1):
                     self._inside[y, x].append(k)

@@ -95,7 +95,13 @@ class FoldedFrames:
     ) -> None:
         self._lattice, self._transfer, self._groups = lattice, transfer, groups
         self._sessions = [
-            (name, [(frame, footprint(frame.spec, frame.pose, lattice)) for frame in frames])
+            (
+                name,
+                [
+                    (frame, footprint(frame.spec, frame.pose, lattice))
+                    for frame in sorted(frames, key=lambda frame: frame.pose.time_ns)
+                ],
+            )
             for name, frames in sessions
         ]
 

@@ -1,0 +1,206 @@
+"""What moved while a drive went on: seen as an obstacle, later as free ground from as near.
+
+A person who walks away leaves a trail of obstacles in the mean of a drive. A frame's *look* at a
+cell is an obstacle where a local cell above 100 lands in it. It is clear where all are free, the
+line of sight passes no obstacle shortly before, and neither an obstacle nor much unseen ground lies
+within a margin: what was seen from afar was seen elsewhere by the error of its range, and is no
+thing that moved. Clear looks from farther than the obstacle was seen from do not count, nor do
+those from so near that what hangs there is out of the picture.
+
+A cell has *moved* in a drive where the latest looks at it are clear. It is evidence of its own:
+density and all other layers are as ever, but for `remaining`, from which it is left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid import palette
+from fieldgrid.array_types import Float32, Int64, UInt8, UInt64
+from fieldgrid.grids import FREE_UP_TO, HIDDEN_FROM, OBSTACLE_ABOVE
+from fieldgrid.kernel import kernel
+from fieldgrid.lattice import Lattice
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+    nothing,
+)
+from fieldgrid.layers.density import DENSITIES
+from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.layers.lasting import lasting_density
+
+LEAST_CLEAR, LEAST_LOOKS = 2, 4
+"""Clear looks since the latest obstacle, and looks of both kinds, that tell of a thing that moved.
+One that walks stands in a cell for a look; what flickers is not clear three times running."""
+
+APART_NS = 500_000_000
+"""Looks that are not so far apart in time count as one: they share the errors of their images."""
+
+AS_NEAR = 1.1
+"""A clear look is from as near up to so many times the least distance of the obstacle's looks."""
+
+NEAREST_M = 2.0
+"""Clear looks from nearer do not count: a branch that hangs there may be above the picture."""
+
+MARGIN_M, MARGIN_SHARE = 0.5, 0.05
+"""What a clear look is clear of, and the share of its distance by which that grows."""
+
+SEEN_SHARE = 0.75
+"""How much of that was seen."""
+
+
+class _Moved:
+    """Of each cell how many looks saw an obstacle, from how near, and how many since were clear.
+
+    Frames come in the order of their time; those of one time in any. Pages of the arrays that no
+    obstacle touches are never taken from the system.
+    """
+
+    def __init__(self, cells: int, _: Lattice) -> None:
+        self._looks: UInt8 = np.zeros((cells, 2), dtype=np.uint8)
+        self._near_m: Float32 = np.zeros(cells, dtype=np.float32)
+        self._when_ns: Int64 = np.zeros((cells, 3), dtype=np.int64)
+
+    def add(self, frame: FrameInPlace) -> None:
+        grid, landing = frame.cells.grid, frame.landing
+        add_looks(
+            *(grid.density, grid.observed, landing.cell, landing.shift),
+            *(grid.spec.cell_m, frame.pose.time_ns),
+            *(self._looks, self._near_m, self._when_ns),
+        )
+
+    def channels(self) -> UInt64:
+        stood, clear = self._looks[:, 0], self._looks[:, 1]
+        moved = clear >= LEAST_CLEAR
+        if not moved.any():
+            return nothing((1, moved.size))
+        moved &= clear.astype(np.int64) + stood >= LEAST_LOOKS
+        return moved.astype(np.uint64)[None]
+
+
+@kernel
+def add_looks(  # type: ignore[no-untyped-def]
+    density, observed, cell, shift, cell_m, time_ns, looks, near_m, when_ns
+):
+    """Add what a frame [n_y, n_x] says of the cells that it lands in.
+
+    `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
+    `near_m` is the least distance of the obstacles; `when_ns` [cells, 3] is when anything was last
+    seen standing, and when a look of either kind last counted.
+    """
+    n_y, n_x = density.shape
+    half = 0.5 * n_x
+    for r in range(cell.shape[0]):
+        row = r >> shift
+        for c in range(cell.shape[1]):
+            value = density[row, c >> shift]
+            if cell[r, c] < 0 or value <= FREE_UP_TO:
+                continue
+            k = np.uint32(cell[r, c])
+            if looks[k, 1] > (1 if when_ns[k, 2] == time_ns else 0):
+                looks[k, 0] = 0  # it was clear before, and something has come
+            looks[k, 1], when_ns[k, 0] = 0, time_ns
+            if value > OBSTACLE_ABOVE:
+                away_m = np.float32(
+                    cell_m * np.sqrt((row + 0.5) ** 2 + ((c >> shift) + 0.5 - half) ** 2)
+                )
+                if looks[k, 0] == 0 or away_m < near_m[k]:
+                    near_m[k] = away_m
+                if looks[k, 0] == 0 or time_ns - when_ns[k, 1] >= APART_NS:
+                    looks[k, 0], when_ns[k, 1] = min(looks[k, 0] + 1, 255), time_ns
+    for r in range(cell.shape[0]):
+        row = r >> shift
+        for c in range(cell.shape[1]):
+            if cell[r, c] < 0:
+                continue
+            k = np.uint32(cell[r, c])
+            if looks[k, 0] == 0 or when_ns[k, 0] == time_ns:
+                continue
+            if looks[k, 1] > 0 and time_ns - when_ns[k, 2] < APART_NS:
+                continue
+            column = c >> shift
+            y, x = row + 0.5, column + 0.5 - half
+            away_m = cell_m * np.sqrt(y * y + x * x)
+            if away_m < NEAREST_M or away_m > AS_NEAR * near_m[k]:
+                continue
+            # The line of sight, in steps of half a cell.
+            steps = int(2.0 * (1.0 - HIDDEN_FROM) * away_m / cell_m) + 1
+            clear = True
+            for n in range(1, steps + 1):
+                share = 1.0 - (1.0 - HIDDEN_FROM) * n / steps
+                j, i = int(y * share), int(np.floor(x * share + half))
+                if observed[j, i] and density[j, i] > OBSTACLE_ABOVE:
+                    clear = False
+                    break
+            reach = (MARGIN_M + MARGIN_SHARE * away_m) / cell_m
+            whole, seen, places = int(reach), 0, 0
+            for dj in range(-whole, whole + 1):
+                if not clear:
+                    break
+                j = row + dj
+                for di in range(-whole, whole + 1):
+                    if di * di + dj * dj > reach * reach:
+                        continue
+                    i = column + di
+                    places += 1
+                    if j >= 0 and j < n_y and i >= 0 and i < n_x and observed[j, i]:
+                        seen += 1
+                        if density[j, i] > FREE_UP_TO:
+                            clear = False
+                            break
+            if clear and seen >= SEEN_SHARE * places:
+                looks[k, 1], when_ns[k, 2] = min(looks[k, 1] + 1, 255), time_ns
+
+
+def _remaining(cells: Cells) -> UInt64:
+    """`lasting`, and 0 where something moved unless most drives saw an obstacle all the same.
+
+    Whether a drive in which it moved has an obstacle in the mean is not kept: drives that stood are
+    then as many as they can be, so that in doubt an obstacle remains.
+    """
+    moved, seen = cells["moved_drives"], cells["seen_sessions"]
+    stood = np.minimum(cells["obstacle_sessions"], seen - moved)
+    gone = (moved > 0) & (np.uint64(2) * stood <= seen)
+    return np.where(gone, 0, lasting_density(cells)).astype(np.uint64)
+
+
+GROUP = ChannelGroup(
+    "moved",
+    (Channel("moved_drives", coarser=Combine.MAX),),
+    fold=_Moved,
+)
+
+LEFT = ChannelGroup(
+    "remaining",
+    (),
+    follows_from=("density", "sessions", GROUP.name),
+    overview=(OverviewChannel("remaining_peak", Combine.MAX, _remaining),),
+)
+
+MOVED = Layer(
+    "moved",
+    "uint8",
+    "",
+    "1: something stood there that had moved away later in the same drive; of a larger cell, in "
+    "any of its base cells",
+    ("density", GROUP.name),
+    lambda cells: cells["moved_drives"] > 0,
+    None,
+    Colours((palette.DENSITY[0].colour, palette.DENSITY[-1].colour), 0.0, 1.0),
+)
+
+REMAINING = Layer(
+    "remaining",
+    "uint8",
+    "",
+    "as lasting, and 0 where what stood moved away within a drive",
+    ("density", "sessions", GROUP.name, LEFT.name),
+    lambda cells: cells["remaining_peak"],
+    None,
+    DENSITIES,
+)
