@@ -68,13 +68,13 @@ def score(path: Path, what: str) -> Iterator[str]:
     )
     clear_m = ndimage.distance_transform_edt(~stands) * lattice.cell_m - CRATE_M / 2.0
     random = np.random.default_rng(7)
-    found: dict[str, list[float]] = {"beyond 1 m": [], "0.5 to 1 m": []}
+    found: dict[str, list[float]] = {"beyond 1 m": [], "0.4 to 1 m": []}
     beside_m2 = 0.0
-    for j, i in random.permutation(np.argwhere(seen & (clear_m > 0.5)))[:TRIED]:
+    for j, i in random.permutation(np.argwhere(seen & (clear_m > 0.4)))[:TRIED]:
         place = (i + window.i0 + 0.5) * lattice.cell_m, (j + window.j0 + 0.5) * lattice.cell_m
         one = with_crate(frames, place, lattice, transfer)
         if one is not None:
-            found["beyond 1 m" if clear_m[j, i] > 1.0 else "0.5 to 1 m"].append(one[0])
+            found["beyond 1 m" if clear_m[j, i] > 1.0 else "0.4 to 1 m"].append(one[0])
             beside_m2 = max(beside_m2, one[1])
     for name, shares in found.items():
         if shares:
@@ -118,7 +118,7 @@ def with_crate(
         if np.hypot(pose.east_m - place[0], pose.north_m - place[1]) > grid.spec.reach_m:
             continue
         inside = crate_in(grid, pose, place)
-        if inside.any() and grid.observed[inside].mean() > 0.9:
+        if inside.any() and grid.observed[inside].mean() > 0.5:
             if (grid.density[inside] > 50).any():
                 return None
             sees.append(k)

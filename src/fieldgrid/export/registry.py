@@ -66,7 +66,7 @@ class Holds(StrEnum):
 
     ANY = "any layer"
     GREY = "layers of whole numbers from 0 to 255"
-    OCCUPANCY = "the layers density, lasting and max"
+    OCCUPANCY = "the layers density, lasting, remaining and max"
     SHAPES = "what is traced from the density"
     MAP = "the density of the map as it is"
 

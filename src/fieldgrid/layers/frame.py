@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from fieldgrid.array_types import AnyArray, Int32
 from fieldgrid.grids import LocalGrid
-from fieldgrid.lattice import Lattice
+from fieldgrid.lattice import Lattice, Window
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Landing
 
@@ -23,11 +23,12 @@ class FrameCells(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameInPlace:
-    """One frame at its pose in the map; `landing` says where each local cell lands."""
+    """One frame at its pose in the map; `landing` says where each local cell lands in `window`."""
 
     cells: FrameCells
     pose: Pose
     lattice: Lattice
+    window: Window
     landing: Landing
     touch: Callable[[Landing], Int32] = field(repr=False)
 

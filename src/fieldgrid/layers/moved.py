@@ -1,11 +1,12 @@
 """What moved while a drive went on: seen as an obstacle, later as free ground from as near.
 
 A person who walks away leaves a trail of obstacles in the mean of a drive. A frame's *look* at a
-cell is an obstacle where a local cell above 100 lands in it. It is clear where all are free, the
-line of sight passes no obstacle shortly before, and neither an obstacle nor much unseen ground lies
-within a margin: what was seen from afar was seen elsewhere by the error of its range, and is no
-thing that moved. Clear looks from farther than the obstacle was seen from do not count, nor do
-those from so near that what hangs there is out of the picture.
+cell is an obstacle where a local cell above 100 lies there. It is clear where the line of sight
+passes no obstacle shortly before, and neither an obstacle nor much unseen ground lies within a
+margin: what was seen from afar was seen elsewhere by the error of its range, and is no thing that
+moved. Clear looks from farther than the obstacle was seen from do not count, nor do those from so
+near that what hangs there is out of the picture. A frame leaves pinholes, so a look is at what lies
+around the middle of a cell, whether or not that very cell was seen.
 
 A cell has *moved* in a drive where the latest looks at it are clear. It is evidence of its own:
 density and all other layers are as ever, but for `remaining`, from which it is left out.
@@ -13,10 +14,12 @@ density and all other layers are as ever, but for `remaining`, from which it is 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fieldgrid import palette
-from fieldgrid.array_types import Float32, Int64, UInt8, UInt64
+from fieldgrid.array_types import Bool, Float32, Int64, UInt8, UInt64
 from fieldgrid.grids import FREE_UP_TO, HIDDEN_FROM, OBSTACLE_ABOVE
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
@@ -33,10 +36,14 @@ from fieldgrid.layers.declaration import (
 from fieldgrid.layers.density import DENSITIES
 from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.lasting import lasting_density
+from fieldgrid.transfer import footprint
 
 LEAST_CLEAR, LEAST_LOOKS = 2, 4
 """Clear looks since the latest obstacle, and looks of both kinds, that tell of a thing that moved.
 One that walks stands in a cell for a look; what flickers is not clear three times running."""
+
+LEAST_HITS = 3
+"""Local cells above 100, around the middle of a cell, that are an obstacle: a lone one is noise."""
 
 APART_NS = 500_000_000
 """Looks that are not so far apart in time count as one: they share the errors of their images."""
@@ -47,11 +54,11 @@ AS_NEAR = 1.1
 NEAREST_M = 2.0
 """Clear looks from nearer do not count: a branch that hangs there may be above the picture."""
 
-MARGIN_M, MARGIN_SHARE = 0.5, 0.05
+MARGIN_M, MARGIN_SHARE = 0.3, 0.05
 """What a clear look is clear of, and the share of its distance by which that grows."""
 
-SEEN_SHARE = 0.75
-"""How much of that was seen."""
+SEEN_SHARE = 0.5
+"""How much of that was seen: a frame leaves pinholes, in a tenth to a third of the ground."""
 
 
 class _Moved:
@@ -61,22 +68,30 @@ class _Moved:
     obstacle touches are never taken from the system.
     """
 
-    def __init__(self, cells: int, _: Lattice) -> None:
+    def __init__(self, cells: int, lattice: Lattice) -> None:
+        self._per_m = lattice.cells_per_m
         self._looks: UInt8 = np.zeros((cells, 2), dtype=np.uint8)
         self._near_m: Float32 = np.zeros(cells, dtype=np.float32)
         self._when_ns: Int64 = np.zeros((cells, 3), dtype=np.int64)
+        self._seen: Bool = np.zeros(cells, dtype=np.bool_)
 
     def add(self, frame: FrameInPlace) -> None:
-        grid, landing = frame.cells.grid, frame.landing
+        grid, pose = frame.cells.grid, frame.pose
+        self._seen[frame.touched] = True
+        place = footprint(grid.spec, pose, frame.lattice).intersect(frame.window)
+        if place is None:
+            return
+        phi = math.radians(pose.heading_deg)
         add_looks(
-            *(grid.density, grid.observed, landing.cell, landing.shift),
-            *(grid.spec.cell_m, frame.pose.time_ns),
+            *(grid.density, grid.observed, grid.spec.cell_m, self._per_m),
+            *(pose.east_m, pose.north_m, math.cos(phi), math.sin(phi), pose.time_ns),
+            *(*place, frame.window.i0, frame.window.j0, frame.window.width),
             *(self._looks, self._near_m, self._when_ns),
         )
 
     def channels(self) -> UInt64:
         stood, clear = self._looks[:, 0], self._looks[:, 1]
-        moved = clear >= LEAST_CLEAR
+        moved = self._seen & (clear >= LEAST_CLEAR)
         if not moved.any():
             return nothing((1, moved.size))
         moved &= clear.astype(np.int64) + stood >= LEAST_LOOKS
@@ -85,51 +100,58 @@ class _Moved:
 
 @kernel
 def add_looks(  # type: ignore[no-untyped-def]
-    density, observed, cell, shift, cell_m, time_ns, looks, near_m, when_ns
-):
-    """Add what a frame [n_y, n_x] says of the cells that it lands in.
+    density, observed, local_m, per_m, east_m, north_m, cos, sin, time_ns,
+    i0, j0, width, height, window_i0, window_j0, window_width, looks, near_m, when_ns,
+):  # fmt: skip
+    """Add what a frame [n_y, n_x] says of the cells of a place in the window.
 
     `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
     `near_m` is the least distance of the obstacles; `when_ns` [cells, 3] is when anything was last
     seen standing, and when a look of either kind last counted.
     """
     n_y, n_x = density.shape
-    half = 0.5 * n_x
-    for r in range(cell.shape[0]):
-        row = r >> shift
-        for c in range(cell.shape[1]):
-            value = density[row, c >> shift]
-            if cell[r, c] < 0 or value <= FREE_UP_TO:
+    half, around = 0.5 * n_x, int(0.71 / (per_m * local_m) + 0.5)
+    # What stands by its local cell and those around, as far as a cell of the window reaches.
+    stands, hits = np.zeros((n_y, n_x), dtype=np.bool_), np.zeros((n_y, n_x), dtype=np.uint8)
+    for r in range(n_y):
+        for c in range(n_x):
+            value = density[r, c]
+            if not observed[r, c] or value <= FREE_UP_TO:
                 continue
-            k = np.uint32(cell[r, c])
-            if looks[k, 1] > (1 if when_ns[k, 2] == time_ns else 0):
-                looks[k, 0] = 0  # it was clear before, and something has come
-            looks[k, 1], when_ns[k, 0] = 0, time_ns
-            if value > OBSTACLE_ABOVE:
-                away_m = np.float32(
-                    cell_m * np.sqrt((row + 0.5) ** 2 + ((c >> shift) + 0.5 - half) ** 2)
-                )
-                if looks[k, 0] == 0 or away_m < near_m[k]:
-                    near_m[k] = away_m
-                if looks[k, 0] == 0 or time_ns - when_ns[k, 1] >= APART_NS:
-                    looks[k, 0], when_ns[k, 1] = min(looks[k, 0] + 1, 255), time_ns
-    for r in range(cell.shape[0]):
-        row = r >> shift
-        for c in range(cell.shape[1]):
-            if cell[r, c] < 0:
+            for j in range(max(r - around, 0), min(r + around + 1, n_y)):
+                for i in range(max(c - around, 0), min(c + around + 1, n_x)):
+                    stands[j, i] = True
+                    if value > OBSTACLE_ABOVE:
+                        hits[j, i] = min(hits[j, i] + 1, 255)
+    for cell_j in range(j0, j0 + height):
+        for cell_i in range(i0, i0 + width):
+            away_e, away_n = (cell_i + 0.5) / per_m - east_m, (cell_j + 0.5) / per_m - north_m
+            x = (away_e * cos - away_n * sin) / local_m
+            y = (away_e * sin + away_n * cos) / local_m
+            r, c = int(np.floor(y)), int(np.floor(x + half))
+            if r < 0 or c < 0 or r >= n_y or c >= n_x:
                 continue
-            k = np.uint32(cell[r, c])
+            k = (cell_j - window_j0) * window_width + cell_i - window_i0
+            if stands[r, c]:
+                if looks[k, 1] > (1 if when_ns[k, 2] == time_ns else 0):
+                    looks[k, 0] = 0  # it was clear before, and something has come
+                looks[k, 1], when_ns[k, 0] = 0, time_ns
+                if hits[r, c] >= LEAST_HITS:
+                    away_m = np.float32(local_m * np.sqrt(x * x + y * y))
+                    if looks[k, 0] == 0 or away_m < near_m[k]:
+                        near_m[k] = away_m
+                    if looks[k, 0] == 0 or time_ns - when_ns[k, 1] >= APART_NS:
+                        looks[k, 0], when_ns[k, 1] = min(looks[k, 0] + 1, 255), time_ns
+                continue
             if looks[k, 0] == 0 or when_ns[k, 0] == time_ns:
                 continue
             if looks[k, 1] > 0 and time_ns - when_ns[k, 2] < APART_NS:
                 continue
-            column = c >> shift
-            y, x = row + 0.5, column + 0.5 - half
-            away_m = cell_m * np.sqrt(y * y + x * x)
+            away_m = local_m * np.sqrt(x * x + y * y)
             if away_m < NEAREST_M or away_m > AS_NEAR * near_m[k]:
                 continue
             # The line of sight, in steps of half a cell.
-            steps = int(2.0 * (1.0 - HIDDEN_FROM) * away_m / cell_m) + 1
+            steps = int(2.0 * (1.0 - HIDDEN_FROM) * away_m / local_m) + 1
             clear = True
             for n in range(1, steps + 1):
                 share = 1.0 - (1.0 - HIDDEN_FROM) * n / steps
@@ -137,16 +159,15 @@ def add_looks(  # type: ignore[no-untyped-def]
                 if observed[j, i] and density[j, i] > OBSTACLE_ABOVE:
                     clear = False
                     break
-            reach = (MARGIN_M + MARGIN_SHARE * away_m) / cell_m
+            reach = (MARGIN_M + MARGIN_SHARE * away_m) / local_m
             whole, seen, places = int(reach), 0, 0
             for dj in range(-whole, whole + 1):
                 if not clear:
                     break
-                j = row + dj
                 for di in range(-whole, whole + 1):
                     if di * di + dj * dj > reach * reach:
                         continue
-                    i = column + di
+                    j, i = r + dj, c + di
                     places += 1
                     if j >= 0 and j < n_y and i >= 0 and i < n_x and observed[j, i]:
                         seen += 1

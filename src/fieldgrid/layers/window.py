@@ -53,7 +53,7 @@ class WindowFold:
         """
         self._frames += 1
         landing = land(cells.grid, pose, self._lattice, self._window, self._transfer)
-        frame = FrameInPlace(cells, pose, self._lattice, landing, self._touched)
+        frame = FrameInPlace(cells, pose, self._lattice, self._window, landing, self._touched)
         for fold in self._folds.values():
             fold.add(frame)
 
