@@ -87,6 +87,7 @@ accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, align
 	$(PY) -m benchmarks.poor_receivers
 	$(PY) -m benchmarks.good_receivers
 	$(PY) -m benchmarks.changes
+	$(PY) -m benchmarks.moved
 
 fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each); counts go on from run to run
 	$(PY) -m fuzz --seconds $(or $(SECONDS),30)

@@ -120,7 +120,7 @@ class Costmap:
     ) -> Self:
         """The costs of a part of a map, or of a `Farm`; `bounds`, `cell_m` and `at` as in
         `MapFile.read`. `layer` is the density; `lasting`, without what stood in half of the drives
-        or fewer; or `max`.
+        or fewer; `remaining`, without what moved within a drive, too; or `max`.
 
         Raises ConfigError for settings that cannot be and for a part of more than 100 million
         cells or 40000 along a side.
