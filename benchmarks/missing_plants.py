@@ -132,12 +132,14 @@ def main() -> None:
         sums = np.array([o[:4] for o in found]).sum(axis=0)
         rows = np.array([o.rows for o in found]).sum(axis=0)
         ends = np.array([o.ends for o in found]).sum(axis=0)
+        wrong = [o for o in found if o.rows[1] or o.rows[2]]
         print(
             f"{share:.0%} missing: {sums[1]} true gaps, recall {sums[3] / max(sums[1], 1):.3f}; "
             f"{sums[0]} found, precision {sums[2] / max(sums[0], 1):.3f}; rows {rows[0]} right, "
             f"{rows[1]} false, {rows[2]} missed; of {ends[0]} ends {ends[1]} over 1 m too short, "
-            f"{ends[2]} too long; fields with a doubt "
-            f"{sum(bool(o.told) for o in found)} of {len(found)}",
+            f"{ends[2]} too long; fields with a doubt {sum(bool(o.told) for o in found)} of "
+            f"{len(found)}, of {len(wrong)} that are not all right "
+            f"{sum(bool(o.told) for o in wrong)}",
             flush=True,
         )
 
