@@ -146,7 +146,7 @@ def judge_drive(path: Path, name: str) -> str:
     right, listed, known = _gaps(planting, on_seen)
     for lane in planting.lanes:
         if lane.driven:
-            true_m = _true_widths(truth.occupied, lane.line)
+            true_m = true_widths(truth.occupied, lane.line)
             widths.append(lane.free_width_m - true_m.min())
             clear.append(lane.clear_width_m - true_m.min())
             metres.append(lane.widths_m - true_m[: len(lane.widths_m)])
@@ -192,7 +192,7 @@ def _gaps(found: Found, true: list[shapely.LineString]) -> tuple[int, int, int]:
     return right, len(listed), len(true)
 
 
-def _true_widths(truth: Evidence, line: shapely.LineString) -> Array:
+def true_widths(truth: Evidence, line: shapely.LineString) -> Array:
     """The least free width in each metre of a line on the true raster, as wide as 1.5 m to either
     side."""
     step_m = truth.cell_m / 1.5

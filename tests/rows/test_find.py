@@ -182,19 +182,45 @@ def test_one_obstacle_cell_narrows_its_metre_of_a_lane(heading_deg: float) -> No
     assert narrowed.tolist() == [12]
 
 
-def test_a_lone_cell_and_unseen_ground_narrow_the_free_width_and_not_the_clear_one() -> None:
+@pytest.mark.parametrize("cell_m", [0.05, 0.1])
+def test_a_lone_cell_and_unseen_ground_narrow_the_free_width_and_not_the_clear_one(
+    cell_m: float,
+) -> None:
     rows = straight(3, 30.0)
     quiet = dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0)
-    before = rows_of_view(view_of(rows, quiet, cell_m=0.05)).lanes[0]
+    before = rows_of_view(view_of(rows, quiet, cell_m=cell_m)).lanes[0]
     assert before.clear_width_m == pytest.approx(before.free_width_m - 0.07, abs=0.04)
     wedge = dataclasses.replace(quiet, unseen=[Bounds(1.9, 20.0, 2.1, 20.4)])
-    view = view_of(rows, wedge, cell_m=0.05)
+    view = view_of(rows, wedge, cell_m=cell_m)
     i, j = view.lattice.index(*np.atleast_2d(before.line.interpolate(12.4).coords[0]).T)
     view.density[j - view.window.j0, i - view.window.i0] = 255
     lane = rows_of_view(view, hole_m=0.0).lanes[0]
     assert lane.free_width_m < 1.1
     assert lane.clear_width_m == pytest.approx(before.clear_width_m, abs=0.06)
     assert 0.1 < lane.clear_sigma_m < 0.15
+
+
+def test_a_lone_cell_that_is_large_is_noise_or_a_thing_and_the_clear_width_says_so() -> None:
+    rows = straight(3, 30.0)
+    quiet = dataclasses.replace(QUIET, hole_share=0.0, noise_per_m2=0.0)
+    view = view_of(rows, quiet, cell_m=0.2)
+    before = rows_of_view(view).lanes[0]
+    i, j = view.lattice.index(*np.atleast_2d(before.line.interpolate(12.4).coords[0]).T)
+    view.density[j - view.window.j0, i - view.window.i0] = 255
+    lane = rows_of_view(view).lanes[0]
+    assert lane.clear_width_m < before.clear_width_m - 0.4
+    assert 0.1 < before.clear_sigma_m < 0.2
+    assert before.clear_width_m - lane.clear_width_m < 2.0 * lane.clear_sigma_m
+
+
+def test_a_thing_in_a_metre_that_was_hardly_seen_narrows_the_clear_width() -> None:
+    rows = straight(3, 30.0)
+    sight = dataclasses.replace(
+        QUIET, hole_share=0.0, noise_per_m2=0.0, unseen=[Bounds(1.9, 11.5, 2.1, 13.5)]
+    )
+    view = view_of(rows, sight, things=[(1.35, 12.4, 0.2)], cell_m=0.05)
+    lane = rows_of_view(view, hole_m=0.0).lanes[0]
+    assert lane.clear_width_m < 1.2
 
 
 def test_a_lane_of_which_a_side_was_not_seen_has_no_clear_width() -> None:

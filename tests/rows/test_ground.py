@@ -106,7 +106,7 @@ def test_a_lane_between_rows_that_touch_has_no_width() -> None:
     seen = Evidence.of(view_of(straight(2, 10.0)), 100)
     line = np.array([[1.25, 1.0], [1.25, 9.0]])
     area = shapely.LineString(line).buffer(0.01)
-    told = measure_lane(seen, seen, seen, LaneLine(0, 1, line, area, 0.01), (0.3, 0.3))
+    told = measure_lane(seen, seen, seen, seen, LaneLine(0, 1, line, area, 0.01), (0.3, 0.3))
     assert np.isnan(told.widths_m).all()
     assert math.isnan(told.clear_m)
     assert told.known == 0.0

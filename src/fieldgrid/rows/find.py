@@ -112,7 +112,9 @@ def _planting(
     filled = fill_pinholes(evidence, hole_m)
     speckless = without_specks(evidence)
     clean = fill_pinholes(speckless, hole_m)
-    found_lanes = _lanes(evidence, filled, clean, ordered, lanes, rows, drives, reach)
+    coarse = speckless is evidence
+    bare = fill_pinholes(without_specks(evidence, of_any_size=True), hole_m) if coarse else clean
+    found_lanes = _lanes(evidence, filled, clean, bare, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
     things, stray = _off_rows(evidence, speckless, ordered, areas)
     found = Planting(
@@ -184,6 +186,7 @@ def _lanes(
     evidence: Evidence,
     filled: Evidence,
     clean: Evidence,
+    bare: Evidence,
     ordered: Ordered,
     lanes: list[LaneLine],
     rows: tuple[Row, ...],
@@ -196,7 +199,7 @@ def _lanes(
         block = ordered.block_of[lane.left]
         counts[block] = counts.get(block, 0) + 1
         half = ordered.rows[lane.left].half_width_m, ordered.rows[lane.right].half_width_m
-        ground = measure_lane(evidence, filled, clean, lane, half)
+        ground = measure_lane(evidence, filled, clean, bare, lane, half)
         line = shapely.LineString(lane.line)
         driven = False
         if drives is not None and len(drives.track_m):

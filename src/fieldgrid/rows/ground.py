@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import shapely
 
-from fieldgrid.array_types import Bool, Float64, UInt8
-from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence
+from fieldgrid.array_types import Bool, Float64, Int64, UInt8
+from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence, Strip
 from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine
 from fieldgrid.rows.measure import Measured
@@ -65,12 +65,15 @@ class LaneGround(NamedTuple):
     clear_sigma_m: float = math.nan
 
 
-def without_specks(evidence: Evidence) -> Evidence:
-    """The evidence with lone obstacle cells taken for free ground."""
-    mask = (evidence.cells == OBSTACLE).astype(np.uint8)
-    few = int(_SPECK_M2 / evidence.cell_m**2)
-    if few < 2:
+def without_specks(evidence: Evidence, *, of_any_size: bool = False) -> Evidence:
+    """The evidence with lone obstacle cells taken for free ground: on less than 0.02 m², or of any
+    size. The same evidence where no cells are so small."""
+    # A hundredth of a square metre is not quite 0.1², of which there are two.
+    few = int(_SPECK_M2 / evidence.cell_m**2 + 1e-9)
+    if few < 2 and not of_any_size:
         return evidence
+    few = max(few, 2)
+    mask = (evidence.cells == OBSTACLE).astype(np.uint8)
     joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     small = stats[:, cv2.CC_STAT_AREA] < few
@@ -84,6 +87,7 @@ def measure_lane(
     evidence: Evidence,
     filled: Evidence,
     clean: Evidence,
+    bare: Evidence,
     lane: LaneLine,
     half_m: tuple[float, float],
 ) -> LaneGround:
@@ -91,7 +95,7 @@ def measure_lane(
 
     Every obstacle cell narrows it. `filled` is the evidence with its pinholes taken for free; what
     is still unseen is not free, and pinholes were not seen. `clean` is the same without lone
-    obstacle cells, for the width that is likely.
+    obstacle cells, for the width that is likely, and `bare` without those either that are large.
     """
     reach, step_m = 0.5 * lane.distance_m, evidence.cell_m / _PER_CELL
     strip = evidence.strip(lane.line, reach, reach, step_m, step_m)
@@ -107,18 +111,38 @@ def measure_lane(
     is_seen = seen >= _SECTION_SEEN
     np.minimum.at(widths, metre[is_seen], widest[is_seen] * step_m)
     enough = np.bincount(metre, is_seen) >= _SECTION_SEEN * np.bincount(metre)
-    clear, is_whole = _widest(clean.strip(lane.line, reach, reach, step_m, step_m).cells)
-    told = is_seen & is_whole
-    least = np.full(len(widths), np.inf)
-    np.minimum.at(least, metre[told], clear[told] * step_m)
-    least = least[np.bincount(metre, told) >= _WHOLE * np.bincount(metre)]
-    sigma_m = math.hypot(_WIDTH_SIGMA_M, evidence.cell_m / math.sqrt(6.0))
+    told_m = [
+        _clear(one.strip(lane.line, reach, reach, step_m, step_m), metre, is_seen)
+        for one in (clean, bare)[: 1 if bare is clean else 2]
+    ]
+    # A lone cell is noise or a thing: where it narrows a lane, the width is one or the other, and
+    # the narrower one, which is told, is off by nothing or by all that is between them.
+    sigma_m = math.hypot(
+        _WIDTH_SIGMA_M, evidence.cell_m / math.sqrt(6.0), math.sqrt(0.5) * (told_m[-1] - told_m[0])
+    )
+    is_clear = math.isfinite(sigma_m)
     return LaneGround(
         np.where(enough, widths, np.nan),
         float(seen.mean()),
         cells,
-        *((max(float(least.min()) - _SHOOTS_M, 0.0), sigma_m) if len(least) else ()),
+        *((max(told_m[0] - _SHOOTS_M, 0.0), sigma_m) if is_clear else ()),
     )
+
+
+def _clear(strip: Strip, metre: Int64, is_seen: Bool) -> float:
+    """The least width of cross-sections that were seen and end at something, metres, of the metres
+    that have enough of them; NaN where none has. What was seen to stand in any other narrows the
+    lane as well, whatever of its ground was not."""
+    clear, is_whole = _widest(strip.cells)
+    told = is_seen & is_whole
+    least = np.full(int(metre[-1]) + 1, np.inf)
+    step_m = float(strip.across_m[1] - strip.across_m[0])
+    np.minimum.at(least, metre[told], clear[told] * step_m)
+    least = least[np.bincount(metre, told) >= _WHOLE * np.bincount(metre)]
+    if not len(least):
+        return math.nan
+    most, _ = _widest(np.where(strip.cells == UNSEEN, FREE, strip.cells))
+    return min(float(least.min()), float(most.min()) * step_m)
 
 
 def _widest(cells: UInt8) -> tuple[Float64, Bool]:
