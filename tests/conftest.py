@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import csv
 import gc
 import os
@@ -59,6 +60,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
         os.environ.pop(name, None)
 
 
+def _remove(folder: str, owner: int) -> None:
+    """At the end of the process that made a folder, and of no copy of it."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 # Files of tests lie in memory where there is room for them: a test waits for no disk when what it
 # tests asks for its files to be kept, of which maps are many. Kills and cuts of power do not depend
 # on what is below: the first lose nothing of a system that goes on, the second are modelled.
@@ -69,8 +76,11 @@ if (
     and os.access(IN_MEMORY, os.W_OK)
     and shutil.disk_usage(IN_MEMORY).free >= ROOM_BYTES
 ):
-    os.environ["TMPDIR"] = str(IN_MEMORY)
+    os.environ["PYTEST_DEBUG_TEMPROOT"] = str(IN_MEMORY)  # where folders of failed tests stay
+    os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="fieldgrid-tests-", dir=IN_MEMORY)
     tempfile.tempdir = None  # asked for again
+    # Programs that tests kill leave their folders. Processes of the run have inherited both.
+    atexit.register(_remove, os.environ["TMPDIR"], os.getpid())
 
 
 @pytest.hookimpl(optionalhook=True)
