@@ -13,8 +13,9 @@ from fuzz.targets import TARGETS
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_hostile_input_does_no_harm(target: Target) -> None:
-    run_mutants(target, seed=1, most=200)
+@pytest.mark.parametrize("most", [60, pytest.param(200, marks=pytest.mark.long)])
+def test_hostile_input_does_no_harm(target: Target, most: int) -> None:
+    run_mutants(target, seed=1, most=most)
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

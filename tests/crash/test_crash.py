@@ -24,9 +24,12 @@ from tests.mapfile.content import ANONYMOUS, content
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 
 
-def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
-    hit = run_kills(12, seed=5, folder=tmp_path)
-    assert hit.total() == 12
+@pytest.mark.parametrize("kills", [6, pytest.param(12, marks=pytest.mark.long)])
+def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(
+    tmp_path: Path, kills: int
+) -> None:
+    hit = run_kills(kills, seed=5, folder=tmp_path)
+    assert hit.total() == kills
 
 
 @pytest.mark.long
@@ -88,12 +91,13 @@ def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path
         assert len(universal.sessions()) == 13
 
 
-def test_damaged_maps_are_found_or_say_what_they_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damages", [10, pytest.param(20, marks=pytest.mark.long)])
+def test_damaged_maps_are_found_or_say_what_they_said(tmp_path: Path, damages: int) -> None:
     trial = Trial(tmp_path)
-    total = run_random(trial, 20, seed=4)
+    total = run_random(trial, damages, seed=4)
     assert trial.failures == []
-    assert total.total() >= 18
-    cells = islice(in_cells(trial.whole), 0, 10_000, 1999)
+    assert total.total() >= 0.9 * damages
+    cells = islice(in_cells(trial.whole), 0, 10_000, 40_000 // damages - 1)
     assert all(trial.try_one(damaged) != "NOT AS ASKED" for damaged in cells)
 
 
