@@ -72,7 +72,7 @@ def test_what_stood_in_the_first_frames_and_went_is_left_out(tmp_path: Path) -> 
 
 
 AFAR = Box(CRATE.west_m, CRATE.south_m + 0.4, CRATE.east_m, CRATE.north_m + 0.4)
-SCREEN = Box(-2.02, 6.03, 2.03, 6.28)
+SCREEN = Box(-2.02, 7.23, 2.03, 7.43)
 FORTH = lane(0.0, count=7)
 HALF_S = 500_000_000
 
