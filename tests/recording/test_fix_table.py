@@ -76,6 +76,8 @@ def test_times_are_read_as_they_are_written(
         ("time=x,time_units=gps_ms", f"{START_S - 315_964_800 + 18}000"),
         ("time=x,time_zone=-04:00", "2024-06-01 08:00:00"),
         ("time=x,time_zone=+2", "2024-06-01T14:00:00"),
+        ("time=x,time_zone=utc", "2024-06-01T12:00:00"),
+        ("time=x,time_zone=-11:30", "2024-06-01 12:30:00.000 AM"),
         ("time=x,time_zone=+2", "2024-06-01T12:00:00Z"),
         ("time=x,time_epoch=2024-06-01T12:00:00Z", "0"),
         ("time=x,time_epoch=2024-06-01 11:59:00", "60.0"),
@@ -91,6 +93,30 @@ def test_a_date_may_stand_beside_the_time_of_day(tmp_path: Path) -> None:
     log = read(tmp_path, "date;time;lat;lon\n2024-06-01;12:00:00,5;41,5;-4\n")
     assert log.fixes[0].time_ns == START_NS + 500_000_000
     assert "time from 'time' and 'date' (date and time, no zone: taken as UTC)" in log.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("cell", "clock"),
+    [
+        ("2024-06-01 02:30:15 PM", "14:30:15"),
+        ("2024-06-01T2:30:15.25pm", "14:30:15.25"),
+        ("2024/06/01 12:00:00 AM", "00:00:00"),
+        ("2024-06-01 12:00:01 p.m.", "12:00:01"),
+        ("01.06.2024 11:59:59 AM", "11:59:59"),
+    ],
+)
+def test_hours_of_half_a_day_are_told_by_am_and_pm(cell: str, clock: str, tmp_path: Path) -> None:
+    written = only(tmp_path, f"time,lat,lon\n{cell},41,-4\n").time_ns
+    assert written == only(tmp_path, f"time,lat,lon\n2024-06-01T{clock},41,-4\n").time_ns
+
+
+@pytest.mark.parametrize("cell", ["2024-06-01 13:30:15 PM", "2024-06-01 0:30:15 AM"])
+def test_an_hour_that_no_clock_of_half_a_day_shows_is_no_time(cell: str, tmp_path: Path) -> None:
+    fails(tmp_path, f"time,lat,lon\n{cell},41,-4\n", "time")
+
+
+def test_a_date_whose_day_could_be_its_month_is_refused(tmp_path: Path) -> None:
+    fails(tmp_path, "time,lat,lon\n6/1/2024 2:30:15 PM,41,-4\n", "time")
 
 
 @pytest.mark.parametrize(("tow", "cell"), [("tow", "561618.25"), ("iTOW_ms", "561618250")])
@@ -265,7 +291,7 @@ def test_a_column_that_is_not_there_is_named(columns: str, match: str, tmp_path:
         ("latt=a", "'latt' cannot be mapped; known are time, lat"),
         ("lat=a,lat=b", "lat is given twice"),
         ("lat=a,speed_units=furlongs", "speed_units is 'furlongs'; give one of mps"),
-        ("lat=a,time_zone=CET", "'CET' is no time zone like"),
+        ("lat=a,time_zone=CET", r"'CET' is no time zone like \+02:00 \(how far .* or UTC; correct"),
         ("lat=a,time_epoch=noon", "time_epoch is 'noon'; give a moment of UTC"),
         ("lat=a,time_epoch=1970-01-01", "time_epoch is '1970-01-01'; give a moment of UTC"),
         ("time_epoch=2024-06-01,time_zone=+2", "leave time_zone and the GPS scale out"),

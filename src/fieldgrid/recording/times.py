@@ -33,6 +33,9 @@ _CIVIL = re.compile(
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})[.,T ]\s*(\d:)?", re.ASCII)
 _CLOCK = re.compile(r"\s*(\d\d?):(\d\d):(\d\d)((?:\.\d*)?)\s*", re.ASCII)
+_HALF_DAY = re.compile(
+    r"(.*[T _-])(\d\d?)([:.-]\d\d[:.-]\d\d(?:[.,]\d{1,12})?)\s*([AP])\.?M\.?", re.I | re.A
+)
 _REST = re.compile(
     r"(?:[.,:](\d{1,12}))?\s*(?:Z|UTC|GMT)?\s*([+-](?:0\d|1[0-5]):?(?:\d\d)?)?", re.I | re.A
 )
@@ -83,7 +86,7 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
         unit = next((unit for size, unit in sizes if size <= value < 1e20), None)
         if not _is_compact_date(cell):
             return None if unit is None else TimeScale(UNITS[unit])
-    cell = _year_first(cell)
+    cell = _as_of_a_day(cell)
     match = _CIVIL.match(cell)
     if match is None:
         return None
@@ -103,6 +106,18 @@ def _year_first(cell: str) -> str:
     day, month, year, hour = match.groups()
     rest = cell.lstrip()[match.end() :]
     return f"{year}-{month:>02}-{day:>02} {'0' + hour if hour else ''}{rest}"
+
+
+def _as_of_a_day(cell: str) -> str:
+    """A date and time with its year first, and with the hours of a whole day: 02:30:15 PM is
+    14:30:15. An hour that no clock of half a day shows leaves the cell as it is, which then is no
+    time."""
+    cell = _year_first(cell)
+    match = _HALF_DAY.fullmatch(cell.strip()) if cell.rstrip()[-1:] in ("M", "m", ".") else None
+    if match is None or not 1 <= int(match[2]) <= 12:
+        return cell
+    hour = int(match[2]) % 12 + (12 if match[4] in "Pp" else 0)
+    return f"{match[1]}{hour:02}{match[3]}"
 
 
 def _since_midnight(cell: str, places: int) -> str:
@@ -127,7 +142,7 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
     A cell that cannot be read raises :class:`UnreadableTimeError`, which has its place.
     """
     if scale.places is None:
-        return _valid(_civil_ns([_year_first(cell) for cell in cells], scale))
+        return _valid(_civil_ns([_as_of_a_day(cell) for cell in cells], scale))
     if decimal_comma:
         cells = [cell.replace(",", ".") for cell in cells]
     if scale.declared:
@@ -286,9 +301,16 @@ def _end_ns(text: str, scale: TimeScale) -> int | None:
 
 
 def zone_s(text: str) -> int:
-    """Seconds that +02:00, -0430 or +2 is ahead of UTC; ValueError for what is no zone."""
+    """Seconds that +02:00, -0430, +2 or UTC is ahead of UTC; ValueError for what is no zone.
+
+    Names as CET are none: who writes them may mean the hour of winter, or that of the clocks.
+    """
+    if text.upper() in ("UTC", "GMT", "Z"):
+        return 0
     match = re.fullmatch(r"([+-])(\d\d?):?(\d\d)?", text, re.ASCII)
     if match is None or int(match[2]) > 15:
-        raise ValueError(f"{text!r} is no time zone like +02:00")
+        raise ValueError(
+            f"{text!r} is no time zone like +02:00 (how far that clock was ahead of UTC) or UTC"
+        )
     seconds = int(match[2]) * 3600 + int(match[3] or 0) * 60
     return -seconds if match[1] == "-" else seconds
