@@ -277,6 +277,7 @@ DAMAGES: dict[str, Damage] = {
     "camera tilted 3 deg less": mounted("camera_tilt_down_deg", -3.0),
     "camera 0.3 m lower": mounted("camera_height_above_ground_m", -0.3),
     "antenna 0.9 m aside": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, -0.92, 0.0)),
+    "antenna 0.4 m to the left": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, 0.4, 0.0)),
     "antenna 0.9 m ahead": mounted("gnss_antenna_from_camera_mid_flu_m", (0.9, 0.0, 0.0)),
     "antenna 1 m higher": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, 0.0, 1.0)),
     "receiver's clock set ahead 1 s": _clock_set(1.0),

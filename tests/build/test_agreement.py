@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,18 @@ import numpy as np
 import pytest
 
 from fieldgrid.array_types import Bool
-from fieldgrid.build.agreement import PAIRS, agreement_notes, denied_share
+from fieldgrid.build.agreement import (
+    PAIRS,
+    agreement_notes,
+    denied_share,
+    opposed_notes,
+    opposed_share,
+)
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import StagedFrame, stage
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import to_universal
-from tests.build.making import MakeDrive, build
+from tests.build.making import WITHOUT_CAMERA, MakeDrive, build
 from tests.scenes import depth_rig, lidar_rig
 
 SPEC = GridSpec(8.0, 10.0, 0.1)
@@ -63,6 +70,72 @@ def test_a_pose_that_leaps_is_in_few_pairs() -> None:
     k, pose = placed[9]
     placed[9] = k, replace(pose, east_m=pose.east_m + 1.5)
     assert denied_share(frames, placed) == 0.0
+
+
+def frames_of_two_lanes(
+    aside_m: float, thick_m: float = 0.4, count: int = 20
+) -> tuple[list[StagedFrame], list[tuple[int, Pose]]]:
+    """Up one side of a wall and down the other, 1.5 m from it, which hides what is behind; all
+    poses lie so far to the right of the vehicle."""
+    frames, placed = [], []
+    right_m, ahead_m = np.meshgrid(*SPEC.centres_m())
+    for k in range(2 * count):
+        back = k >= count
+        heading_deg, sign = (180.0, -1.0) if back else (0.0, 1.0)
+        north_m = float(2 * count - k if back else k)
+        true = Pose(k * 10**9, -1.5 * sign, north_m, 0.0, heading_deg, 0.02, 0.3, 1.0)
+        east, _ = to_universal(right_m, ahead_m, true)
+        wall = np.abs(east) < thick_m / 2.0
+        density = np.where(wall, 200, 0).astype(np.uint8)
+        seen: Bool = sign * east < thick_m / 2.0 - 0.1  # into the wall, not through it
+        frames.append(stage(LocalGrid(SPEC, density, seen), f"{k}", 0))
+        placed.append((k, replace(true, east_m=true.east_m + sign * aside_m)))
+    return frames, placed
+
+
+@pytest.mark.parametrize(("aside_m", "least", "most"), [(0.0, 0.0, 0.0), (0.1, 0.0, 0.1)])
+def test_lanes_that_agree_deny_nothing_of_each_other(
+    aside_m: float, least: float, most: float
+) -> None:
+    share = opposed_share(*frames_of_two_lanes(aside_m))
+    assert share is not None
+    assert least <= share <= most
+
+
+def test_lanes_that_are_put_into_each_other_contradict() -> None:
+    share = opposed_share(*frames_of_two_lanes(0.5))
+    assert share is not None
+    assert share > 0.9
+
+
+def test_lanes_that_are_put_apart_tell_nothing() -> None:
+    """Nobody saw what would be behind the wall then."""
+    assert opposed_share(*frames_of_two_lanes(-0.5)) is None
+
+
+@pytest.mark.parametrize("lanes", [slice(0, 20), slice(20, 40)])
+def test_one_lane_has_no_other(lanes: slice) -> None:
+    frames, placed = frames_of_two_lanes(0.5)
+    assert opposed_share(frames, placed[lanes]) is None
+
+
+def test_lanes_that_contradict_are_told_of_sure_poses() -> None:
+    (note,) = opposed_notes(0.31, 0.02)
+    assert note.startswith("31 % of what frames call obstacles is free ground to frames of lanes")
+    for share, sigma_m in ((None, 0.02), (0.07, 0.02), (0.31, 0.3), (0.31, None)):
+        assert not list(opposed_notes(share, sigma_m))
+
+
+def test_an_antenna_on_the_wrong_side_is_told(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(50))
+    mounting = drive / "calibration" / "mounting.json"
+    said = json.loads(mounting.read_text())
+    said["gnss_antenna_from_camera_mid_flu_m"][1] += 0.4
+    mounting.write_text(json.dumps(said))
+    (report,) = build([drive], tmp_path / "aside.gpkg", settings=WITHOUT_CAMERA)
+    assert report.opposed_share is not None
+    assert report.opposed_share > 0.5
+    assert any("Compare the antenna's place with the vehicle" in note for note in report.notes)
 
 
 def test_of_a_long_drive_pairs_are_taken_from_all_along_it() -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, UInt8
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.trajectory import Pose
@@ -20,6 +21,8 @@ in the wind, and the noise of the range."""
 
 TRIED = 240
 """All over the drive, so many frames are looked at for another beside them."""
+
+OPPOSED_DEG = 30.0
 
 _STANDS, _FREE = 1, 2
 
@@ -68,15 +71,42 @@ def following(
     placed: Sequence[Placed], apart_m: tuple[float, float], most: int
 ) -> Iterator[tuple[Placed, Placed]]:
     """Frames all over a drive, each with the next that is so far from it at least, if that is no
-    farther than so at most: now as the one that is asked, now as the one that denies."""
-    # By the way, so that a vehicle that stands for an hour is looked at there once.
+    farther than so at most."""
+    tried = _all_over(placed)
+    near = [pair for k in tried if (pair := _beside(placed, k, apart_m)) is not None]
+    return _some(near, most)
+
+
+def opposed(placed: Sequence[Placed], apart_m: float, most: int) -> Iterator[tuple[Placed, Placed]]:
+    """Frames all over a drive, each with those that look the other way, within `OPPOSED_DEG` of it,
+    from no farther than so: as of the two lanes beside a row."""
+    tried = [placed[k] for k in _all_over(placed)]
+    east_m, north_m, heading_deg = np.array(
+        [(pose.east_m, pose.north_m, pose.heading_deg) for _, pose in tried]
+    ).T
+    apart = np.hypot(np.subtract.outer(east_m, east_m), np.subtract.outer(north_m, north_m))
+    turned = np.abs(wrap_deg(np.subtract.outer(heading_deg, heading_deg) + 180.0))
+    first, second = np.nonzero(np.triu((apart <= apart_m) & (turned <= OPPOSED_DEG), 1))
+    pairs = zip(first.tolist(), second.tolist(), strict=True)
+    return _some([(tried[k], tried[m]) for k, m in pairs], most)
+
+
+def _all_over(placed: Sequence[Placed]) -> list[int]:
+    """Frames by the way, so that a vehicle that stands for an hour is looked at there once."""
     at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
     way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(at_m, axis=0).T)))
-    tried = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED)))
-    near = [pair for k in tried.tolist() if (pair := _beside(placed, k, apart_m)) is not None]
-    chosen = np.unique(np.linspace(0, len(near) - 1, min(len(near), most)).round().astype(int))
-    for at in chosen.tolist():
-        one, other = near[at]
+    tried: list[int] = np.unique(
+        np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED))
+    ).tolist()
+    return tried
+
+
+def _some(pairs: Sequence[tuple[Placed, Placed]], most: int) -> Iterator[tuple[Placed, Placed]]:
+    """At most so many of them from all along, each frame now as the one that is asked, now as the
+    one that denies."""
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).round().astype(int)
+    for at in np.unique(chosen).tolist():
+        one, other = pairs[at]
         yield (one, other) if at % 2 else (other, one)
 
 

@@ -81,6 +81,7 @@ class SessionReport:
     position_sigma_m: float | None = None
     max_range_m: float = 0.0
     denied_share: float | None = None
+    opposed_share: float | None = None
     bad: tuple[BadFrame, ...] = ()
     notes: tuple[str, ...] = ()
     stages: StageTimes = field(default_factory=StageTimes)

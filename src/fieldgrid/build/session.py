@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build.agreement import agreement_notes, denied_share
+from fieldgrid.build.agreement import agreement_notes, denied_share, opposed_notes, opposed_share
 from fieldgrid.build.camera_scale import (
     camera_scale,
     doubted_scale,
@@ -245,6 +245,8 @@ class NewSession:
             accepted = _place(staged, session, trajectory, recording.rig, report)
             report.denied_share = denied_share(staged.frames, accepted)
             report.notes += tuple(agreement_notes(report.denied_share, recording.rig))
+            report.opposed_share = opposed_share(staged.frames, accepted)
+            report.notes += tuple(opposed_notes(report.opposed_share, report.position_sigma_m))
             if not report.camera_steps:  # which tell it better
                 looks = facing(staged.frames, accepted)
                 report.notes += settle(doubted_facing(looks, recording.rig), settings)
