@@ -134,6 +134,20 @@ def test_a_sound_folder_is_read_whole(drive: Path) -> None:
         assert (left[0, 0], right[0, 0]) == (14, 15)
 
 
+@pytest.mark.parametrize(("header", "names"), [("id", "f0 f1 f2"), ("frame_id,id", "a b c")])
+def test_an_id_is_that_of_the_frame_where_nothing_else_is(
+    drive: Path, header: str, names: str
+) -> None:
+    table = drive / "frames.csv"
+    first, *rows = table.read_text(encoding="utf-8").splitlines()
+    assert first.startswith("frame_id,")
+    if "," in header:
+        rows = [f"{name},{row}" for name, row in zip("abc", rows, strict=True)]
+    lines = [first.replace("frame_id", header), *rows]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    assert " ".join(frame.frame_id for frame in open_recording(drive).frames()) == names
+
+
 def test_frames_are_sorted_by_time_and_times_are_exact(drive: Path) -> None:
     (drive / "frames.csv").write_text(
         "\ufefftime_ns, frame_id ,right,left,weather\r\n"
@@ -482,7 +496,7 @@ def test_a_mounting_file_that_is_none(text: str, drive: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("frame_id", "id", "has no column frame_id"),
+        ("frame_id", "ids", "has no column frame_id"),
         (f"{START_S}.1", "1.308e9", r"line 2: timestamp_utc_s '1\.308e9' is no UTC time"),
         (f"{START_S}.1", "", "line 2: timestamp_utc_s '' is no UTC time"),
         (f"{START_S}.1", "-5", "line 2: timestamp_utc_s '-5' is no UTC time"),

@@ -67,7 +67,7 @@ def test_a_table_of_a_spreadsheet(mark: str, tmp_path: Path) -> None:
     ("header", "match"),
     [
         ("frame_id,timestamp,left,right", "line 2: no column is time_ns or .*, but frame_id, time"),
-        ("id,timestamp_utc_s,left,right", "no column frame_id; .* It has: id, timestamp_utc_s, l"),
+        ("name,timestamp_utc_s,left,right", "no column frame_id; .* It has: name, timestamp"),
     ],
 )
 def test_columns_that_are_called_otherwise(header: str, match: str, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path, PurePath
@@ -137,16 +137,20 @@ class _Limited(io.RawIOBase):
 
 
 def read_table(
-    path: Path, required: Sequence[str], error: type[FieldgridError] = RecordingError
+    path: Path,
+    required: Sequence[str],
+    error: type[FieldgridError] = RecordingError,
+    named: Callable[[list[str]], list[str]] = list,
 ) -> Iterator[tuple[int, dict[str, str]]]:
-    """Line number and columns of each row of a CSV file; short and empty cells are ''."""
+    """Line number and columns of each row of a CSV file; short and empty cells are ''. `named`
+    gives columns the names that are meant."""
     _check_size(path, MAX_TEXT_BYTES, error)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = bounded_lines(file, path)
             header = next(lines, "")
             rows = csv.reader(chain([header], lines), delimiter=delimiter_of(header))
-            yield from _rows(rows, path, required, error)
+            yield from _rows(rows, path, required, error, named)
     except csv.Error as problem:
         raise error(f"{path} is not a CSV file: {problem}; correct or export it again.") from None
     except UnicodeDecodeError as problem:
@@ -162,9 +166,13 @@ def delimiter_of(header: str) -> str:
 
 
 def _rows(
-    rows: Any, path: Path, required: Sequence[str], error: type[FieldgridError]
+    rows: Any,
+    path: Path,
+    required: Sequence[str],
+    error: type[FieldgridError],
+    named: Callable[[list[str]], list[str]],
 ) -> Iterator[tuple[int, dict[str, str]]]:
-    header = [name.strip() for name in next(rows, [])]
+    header = named([name.strip() for name in next(rows, [])])
     for name in required:
         if name not in header:
             raise error(

@@ -66,7 +66,7 @@ def read_frames(
 
 def _from_table(path: Path, layout: Layout) -> list[Shot]:
     shots: list[Shot] = []
-    for line, row in read_table(path, needed_columns(layout)):
+    for line, row in read_table(path, needed_columns(layout), named=frame_columns):
         if len(shots) == MAX_FRAMES:
             raise RecordingError(
                 f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
@@ -95,6 +95,14 @@ def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:
 def needed_columns(layout: Layout) -> tuple[str, ...]:
     """The columns that no table of such frames lacks, besides that of the time."""
     return ("frame_id", *layout.columns)
+
+
+def frame_columns(header: list[str]) -> list[str]:
+    """The columns of a table of frames, in which `id` is that of the frame unless there is
+    a `frame_id`."""
+    if "frame_id" in header or header.count("id") != 1:
+        return header
+    return ["frame_id" if name == "id" else name for name in header]
 
 
 def shot_of_row(row: dict[str, str], where: str, layout: Layout) -> Shot:

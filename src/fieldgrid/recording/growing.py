@@ -16,6 +16,7 @@ from fieldgrid.recording.frame_table import (
     TABLE,
     Layout,
     file_time_ns,
+    frame_columns,
     needed_columns,
     shot_of_row,
 )
@@ -190,7 +191,7 @@ class GrowingFolder:
                 return None
             cells += [""] * len(self._header)
             return shot_of_row(dict(zip(self._header, cells, strict=False)), where, self._layout)
-        needed = needed_columns(self._layout)
+        cells, needed = frame_columns(cells), needed_columns(self._layout)
         if not set(needed) <= set(cells):
             raise RecordingError(f"{where} is no header with at least {', '.join(needed)}.")
         self._header = cells

@@ -16,7 +16,7 @@ from fieldgrid.recording.calibration_ros import read_ros_camera
 from fieldgrid.recording.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
 from fieldgrid.recording.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
 from fieldgrid.recording.files import read_table
-from fieldgrid.recording.frame_table import PAIRS, TABLE, Layout, read_frames
+from fieldgrid.recording.frame_table import PAIRS, TABLE, Layout, frame_columns, read_frames
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.settings_file import Settings
@@ -86,7 +86,7 @@ def _kinds(path: Path, settings: Settings) -> list[str]:
     """The kinds of frames that the table has columns for, or without rows there are folders for."""
     table = path / (settings.frames or TABLE)
     if settings.frames is not None or table.exists():
-        for _, row in read_table(table, ("frame_id",)):
+        for _, row in read_table(table, ("frame_id",), named=frame_columns):
             return [kind for kind, layout in _LAYOUTS.items() if row.keys() >= set(layout.columns)]
     return [kind for kind, layout in _LAYOUTS.items() if layout.is_in(path)]
 
