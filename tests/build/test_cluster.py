@@ -90,7 +90,8 @@ def test_an_interrupted_build_takes_its_tasks_back_and_goes_on_at_home(
         with pytest.raises(KeyboardInterrupt):
             build(paths, out, scheduler=client, skip_bad=1, progress=interrupt)
         assert client.status == "running"
-        assert not [key for key, state in client.futures.items() if state.status != "cancelled"]
+        # One may have ended just before.
+        assert not [key for key, state in client.futures.items() if state.status == "pending"]
     done = [path.stem.split("-") for path in parts.parts_folder(out).glob("*/*-*.json")]
     assert done
     staged = count_staged(monkeypatch)

@@ -49,12 +49,7 @@ def doubted_cameras(
     frames = len(range(0, recording.frame_count, every))
     is_pair = isinstance(recording.rig.sensor, StereoCamera)
     if is_pair and 2 * ground < frames and swapped(recording, frames, every):
-        error = CalibrationError(
-            f"The pairs of {recording.name} show depth only with left and right exchanged, so the "
-            "two are swapped, or the calibration is of other cameras; exchange the two folders or "
-            "the two columns of frames.csv, or give the calibration of these cameras."
-        )
-        return Doubted(Doubt.CAMERAS_SWAPPED, error)
+        return _swapped(recording.name)
     tried = report.camera_steps + report.camera_refusals
     blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
     if blind and ground < GROUND_SHARE * frames:
@@ -68,9 +63,19 @@ def doubted_cameras(
     return None
 
 
+def _swapped(name: str) -> Doubted:
+    error = CalibrationError(
+        f"The pairs of {name} show depth only with left and right exchanged, so the two are "
+        "swapped, or the calibration is of other cameras; exchange the two folders or the two "
+        "columns of frames.csv, or give the calibration of these cameras."
+    )
+    return Doubted(Doubt.CAMERAS_SWAPPED, error)
+
+
 def doubted_rows(recording: Recording, every: int) -> Doubted | None:
-    """That the rows of pairs do not match, by some of the frames; nothing is raised for frames that
-    cannot be read, which comes later."""
+    """That the rows of pairs do not match, by some of the frames, or that left and right are
+    swapped where they do not; nothing is raised for frames that cannot be read, which comes later.
+    """
     if not isinstance(recording.rig.sensor, StereoCamera):
         return None
     camera = recording.rig.sensor
@@ -84,6 +89,8 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
     found = drive_misalignment(shifts, (camera.width_px, camera.height_px))
     if found is None or found.residual_px <= SHIFT_ERROR_PX:
         return None
+    if swapped(recording, frames, every):  # what matches then, does by chance
+        return _swapped(recording.name)
     error = CalibrationError(
         f"The right images of {recording.name} lie {found.median_px:+.1f} pixels lower than the "
         f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), and rows "
