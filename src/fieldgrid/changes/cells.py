@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from fieldgrid.array_types import Bool, Float32, Float64, Int16, Int64
+from fieldgrid.array_types import Bool, Float32, Float64, Int16, Int64, UInt8
 from fieldgrid.changes.looks import Looker
 from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence, fill_pinholes
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.mapfile import Change
 
 SQUARE_CELLS = 1024
 """Side of the squares that are worked on at a time; one takes some 60 MB."""
@@ -193,11 +194,12 @@ def _distance_m(within: Bool, lattice: Lattice) -> Float32:
     return np.minimum(away_m, MARGIN_M).astype(np.float32)
 
 
-def squares(window: Window, chosen: Bool) -> Iterator[Window]:
-    """The squares of a window in which any of its cells is chosen."""
+def squares(window: Window, change: UInt8, kinds: Sequence[Change]) -> Iterator[Window]:
+    """The squares of a window in which any of its cells, whose `change` this is, is of some kinds:
+    one by one, as a map's cells may be all that memory holds."""
     side = SQUARE_CELLS
     for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
         for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
             part = window.intersect(Window(i0, j0, side, side))
-            if part is not None and chosen[window.slices_of(part)].any():
+            if part is not None and np.isin(change[window.slices_of(part)], kinds).any():
                 yield part

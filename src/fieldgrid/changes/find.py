@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, surroundings
 from fieldgrid.changes.looks import lookers
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
@@ -57,8 +55,7 @@ def find_changes(
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise ConfigError(f"A {what} of {value} is outside 0..{most:g}.")
     view = universal.diff(from_, to, bounds, cell_m)
-    changed = np.isin(view.change, (Change.APPEARED, Change.VANISHED))
-    places = list(squares(view.window, changed))
+    places = list(squares(view.window, view.change, (Change.APPEARED, Change.VANISHED)))
     beside_m: Mapping[str, float] = {}
     if position_sigma_m is None and places:
         beside_m = sigmas_beside(universal, view.before, view.after)

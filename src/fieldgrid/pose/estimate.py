@@ -23,7 +23,7 @@ from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied import denied_by, unsure_declared
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
-from fieldgrid.pose.given import place_poses
+from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.gyro_faults import without_faulty_samples
 from fieldgrid.pose.imu_turn import imu_turn
@@ -302,11 +302,13 @@ def _recorded(
         if source.kind in ("smooth", "recorded"):
             raise GnssError(f"{sentence}, or use --heading course.")
         return np.full_like(recorded, np.nan), found, [f"{sentence}. It was not used."]
-    note = (
-        f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
-        "the course of the drive; taken out."
-    )
-    return np.asarray(wrap_deg(recorded - found.offset_deg)), found, [note]
+    notes = []
+    if abs(found.offset_deg) > CLEAR_OFFSET_DEG:
+        notes = [
+            f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
+            "the course of the drive; taken out."
+        ]
+    return np.asarray(wrap_deg(recorded - found.offset_deg)), found, notes
 
 
 def _carried(table: PoseTable, rig: Vehicle | None, source: HeadingSource) -> PoseTable:
