@@ -121,7 +121,7 @@ def test_one_lane_has_no_other(lanes: slice) -> None:
 
 def test_lanes_that_contradict_are_told_of_sure_poses() -> None:
     (note,) = opposed_notes(0.31, 0.02)
-    assert note.startswith("31 % of what frames call obstacles is free ground to frames of lanes")
+    assert note.startswith("In lanes driven in opposite directions 31 % of what frames of the one")
     for share, sigma_m in ((None, 0.02), (0.07, 0.02), (0.31, 0.3), (0.31, None)):
         assert not list(opposed_notes(share, sigma_m))
 
@@ -135,7 +135,9 @@ def test_an_antenna_on_the_wrong_side_is_told(make_drive: MakeDrive, tmp_path: P
     (report,) = build([drive], tmp_path / "aside.gpkg", settings=WITHOUT_CAMERA)
     assert report.opposed_share is not None
     assert report.opposed_share > 0.5
-    assert any("Compare the antenna's place with the vehicle" in note for note in report.notes)
+    assert any(
+        "Check the antenna's place in the mounting, its side first" in note for note in report.notes
+    )
 
 
 def test_of_a_long_drive_pairs_are_taken_from_all_along_it() -> None:

@@ -97,8 +97,8 @@ def opposed_notes(share: float | None, position_sigma_m: float | None) -> Iterat
     if position_sigma_m is None or position_sigma_m > SURE_M:
         return
     yield (
-        f"{100.0 * share:.0f} % of what frames call obstacles is free ground to frames of lanes "
-        "driven the other way (of right mountings: at most 3 %), so lanes put the row between "
-        "them at different places. Compare the antenna's place with the vehicle, its side above "
-        "all, and where the sensor looks."
+        f"In lanes driven in opposite directions {100.0 * share:.0f} % of what frames of the one "
+        "call obstacles is free ground to frames of the other (with RTK and a right mounting at "
+        "most 3 %), so each lane puts the row between them elsewhere. Check the antenna's place in "
+        "the mounting, its side first, and camera_yaw_deg."
     )

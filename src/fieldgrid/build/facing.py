@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
 from fieldgrid.build.denial import Placed, Seen, following
 from fieldgrid.build.poses import ASKEW_DEG, Doubted
@@ -115,8 +116,7 @@ def _sentence(found: Facing, rig: Rig) -> str:
 
 
 def _look_alike(one: Placed, other: Placed) -> bool:
-    turned_deg = (other[1].heading_deg - one[1].heading_deg + 180.0) % 360.0 - 180.0
-    return abs(turned_deg) <= ALIKE_DEG
+    return bool(abs(wrap_deg(other[1].heading_deg - one[1].heading_deg)) <= ALIKE_DEG)
 
 
 def _counts(pairs: Sequence[tuple[Placed, Placed]], seen: Mapping[int, Seen]) -> Float64:

@@ -195,8 +195,8 @@ def _distance_m(within: Bool, lattice: Lattice) -> Float32:
 
 
 def squares(window: Window, change: UInt8, kinds: Sequence[Change]) -> Iterator[Window]:
-    """The squares of a window in which any of its cells, whose `change` this is, is of some kinds:
-    one by one, as a map's cells may be all that memory holds."""
+    """The squares of a window that hold a change of one of some kinds, by the `change` of each cell
+    [row, column]; square by square, so that no further array of the window is made."""
     side = SQUARE_CELLS
     for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
         for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
