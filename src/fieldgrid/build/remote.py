@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
 from fieldgrid.build.worker import not_importable
-from fieldgrid.errors import ClusterError, MapWriteError
+from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError
+from fieldgrid.recording.fetched import cache_folder, copy_of, fetch, in_cache, url_of
 from fieldgrid.workers.place import check_is_here
 
 _AT_HOME = "leave out --scheduler"
@@ -27,11 +28,13 @@ _AT_HOME = "leave out --scheduler"
 
 class Place(NamedTuple):
     """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
-    folder, and the folder that a relative path was given from, else empty."""
+    folder, the folder that a relative path was given from, else empty, and the URL that it is a
+    copy of, else empty: each worker makes its own copy then."""
 
     path: str
     size: int | None
     given_from: str
+    url: str
 
 
 class Made(NamedTuple):
@@ -46,16 +49,19 @@ def place_of(recording: Path) -> Place:
     """The place of a recording that this machine has."""
     path = recording.absolute()
     size = path.stat().st_size if path.is_file() else None
-    return Place(str(path), size, "" if recording.is_absolute() else str(Path.cwd()))
+    given_from = "" if recording.is_absolute() else str(Path.cwd())
+    return Place(str(path), size, given_from, url_of(path) or "")
 
 
 class _Absolute(pickle.Pickler):
-    """Makes paths absolute: a worker has another working directory."""
+    """Makes paths absolute: a worker has another working directory, and another cache folder."""
 
     def reducer_override(self, value: object) -> Any:
-        if isinstance(value, Path) and not value.is_absolute():
-            return Path, (str(value.absolute()),)
-        return NotImplemented
+        if not isinstance(value, Path):
+            return NotImplemented
+        if value.is_relative_to(cache_folder()):
+            return in_cache, (str(value.relative_to(cache_folder())),)
+        return NotImplemented if value.is_absolute() else (Path, (str(value.absolute()),))
 
 
 def packed(work: DriveWork) -> bytes:
@@ -68,14 +74,20 @@ def packed(work: DriveWork) -> bytes:
     return data.getvalue()
 
 
-def stage_share(work: bytes, share: tuple[int, int], place: tuple[str, int | None, str]) -> Made:
+def stage_share(
+    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str]
+) -> Made:
     """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
 
-    Raises ClusterError when this machine does not have the recording, or no room for the part.
+    Raises ClusterError when this machine does not have the recording and cannot fetch it, or has no
+    room for the part.
     """
     start = time.perf_counter()
     where, frames = Place(*place), Share(*share)
-    check_is_here(Path(where.path), where.size, "recordings")
+    if where.url:
+        _fetch(where.url)
+    else:
+        check_is_here(Path(where.path), where.size, "recordings")
     moved_m: list[float] = []
     with tempfile.TemporaryDirectory(prefix="fieldgrid-") as name:
         folder = Path(name)
@@ -90,6 +102,14 @@ def stage_share(work: bytes, share: tuple[int, int], place: tuple[str, int | Non
     return Made(part, sum(moved_m), time.perf_counter() - start)
 
 
+@lru_cache(maxsize=16)  # once a build: a share takes seconds, and so may a look at a URL
+def _fetch(url: str) -> None:
+    try:
+        fetch(url)
+    except FieldgridError as error:
+        raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
+
+
 @lru_cache(maxsize=2)
 def _unpacked(work: bytes) -> DriveWork:
     try:
@@ -101,14 +121,22 @@ def _unpacked(work: bytes) -> DriveWork:
 
 def _as_given(looks: Iterable[Looked], place: Place) -> Iterator[Looked]:
     """The same, with paths as they were given: a map names images by them."""
-    if not place.given_from:
+    here, given = place.given_from, ""
+    if place.url:
+        here, given = str(copy_of(place.url).parent), str(Path(place.path).parent)
+    if here == given:
         yield from looks
         return
-    folder = re.compile(rf"(?<![^\s'\"(]){re.escape(os.path.join(place.given_from, ''))}")
+    folder = re.compile(rf"(?<![^\s'\"(]){re.escape(os.path.join(here, ''))}")
+    given = os.path.join(given, "")
+
+    def as_given(text: str) -> str:
+        return folder.sub(lambda _: given, text)
+
     for looked in looks:
         staged, bad = looked.staged, looked.bad
         if staged is not None:
-            staged = replace(staged, images=tuple(folder.sub("", name) for name in staged.images))
+            staged = replace(staged, images=tuple(map(as_given, staged.images)))
         if bad is not None:
-            bad = bad._replace(reason=folder.sub("", bad.reason))
+            bad = bad._replace(reason=as_given(bad.reason))
         yield looked._replace(staged=staged, bad=bad)

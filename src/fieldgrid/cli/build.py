@@ -27,7 +27,7 @@ _BAD_SHOWN = 10
 def command(
     ctx: typer.Context,
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="RECORDING...", show_default=False)
+        list[str] | None, typer.Argument(metavar="RECORDING...", show_default=False)
     ] = None,
     *,
     out: Annotated[
@@ -181,13 +181,14 @@ def command(
     from fieldgrid.settings import resolve
 
     partly: PartlyBuiltError | None = None
+    paths = [progress.fetched_or_url(recording) for recording in recordings]
     try:
         with (
             warming.frames_ahead(here=scheduler is None),
             progress.building(out, wait_s) as tell,
         ):
             reports = build_map(
-                recordings,
+                paths,
                 out,
                 resolve(config, settings),
                 replace(drive.options(), poses=source),

@@ -12,7 +12,7 @@ from fieldgrid.cli.drive_options import Drive
 
 
 def command(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING")],
+    recording: Annotated[str, typer.Argument(metavar="RECORDING")],
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap")],
     drive: Drive,
     images: Annotated[
@@ -43,9 +43,10 @@ def command(
         )
     if out.suffix.lower() != ".mcap":
         raise typer.BadParameter(f"{out.name} does not end in .mcap", param_hint="OUT.mcap")
+    path = progress.fetched(recording)
     with progress.counting("frames") as show:
         converted = convert_recording(
-            recording, out, drive.options(), images=images, overwrite=overwrite, progress=show
+            path, out, drive.options(), images=images, overwrite=overwrite, progress=show
         )
     if as_json:
         output.print_json(converted.as_dict())

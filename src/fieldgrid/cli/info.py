@@ -22,6 +22,7 @@ def command(as_json: AsJson = False) -> None:
         fieldgrid info --json
     """
     from fieldgrid.kernel import nothing
+    from fieldgrid.recording import cache_folder
 
     requirements = importlib.metadata.requires("fieldgrid") or []
     extras = importlib.metadata.metadata("fieldgrid").get_all("Provides-Extra") or []
@@ -33,6 +34,7 @@ def command(as_json: AsJson = False) -> None:
         "installed_in": os.path.dirname(os.path.dirname(__file__)),
         "executable": sys.executable,
         "compiled_kernels_in": nothing.cache_folder(),
+        "copies_of_recordings_in": str(cache_folder() / "recordings"),
     }
     libraries = {name: _version(name) for name in _names(requirements, "")}
     by_extra = {

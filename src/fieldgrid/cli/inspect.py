@@ -21,7 +21,7 @@ _MOST_QUALITIES = 3
 
 def command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
+        str, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
     drive: Drive,
     figure: options.Figure = None,
@@ -43,8 +43,9 @@ def command(
     from fieldgrid.inspection import inspect_recording
     from fieldgrid.settings import resolve
 
+    path = progress.fetched(recording)
     with progress.counting("frames") as tell:
-        found = inspect_recording(recording, resolve(config, {}), drive.options(), tell=tell)
+        found = inspect_recording(path, resolve(config, {}), drive.options(), tell=tell)
     if figure is not None:
         _draw(found, figure)
     if as_json:

@@ -27,7 +27,7 @@ _NAMES = {
 
 
 def command(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING")],
+    recording: Annotated[str, typer.Argument(metavar="RECORDING")],
     drive: Drive,
     write: Annotated[
         bool, typer.Option("--write", help="Write it to the recording's mounting.json.")
@@ -63,9 +63,10 @@ def command(
         raise typer.BadParameter("it is for --write", param_hint="--antenna")
     from fieldgrid.mounting import estimate_mount, write_estimate
 
+    path = progress.fetched(recording)
     with progress.counting("frames") as show:
         estimate = estimate_mount(
-            recording, drive.options(), every=every, jobs=jobs or os.cpu_count(), progress=show
+            path, drive.options(), every=every, jobs=jobs or os.cpu_count(), progress=show
         )
     if figure is not None:
         _draw(estimate, figure)
@@ -73,7 +74,7 @@ def command(
     problem: FieldgridError | None = None
     if write:
         try:
-            written = write_estimate(estimate, recording, antenna)
+            written = write_estimate(estimate, path, antenna)
         except FieldgridError as error:
             problem = error
     if as_json:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldgrid.cli import output
-from fieldgrid.errors import printable
+from fieldgrid.errors import RecordingError, printable
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress
@@ -71,6 +71,25 @@ def waits_for(path: Path, wait_s: float) -> Callable[[float], None]:
 
 def _waits(path: Path, wait_s: float) -> str:
     return f"waiting for another program that writes {path.name}, up to {wait_s:g} s"
+
+
+def fetched(recording: str) -> Path:
+    """The path of a recording; one at a URL is copied to this machine, with a progress line."""
+    from fieldgrid.recording import fetch, is_url
+
+    if not is_url(recording):
+        return Path(recording)
+    with counting("files fetched") as show:
+        return fetch(recording, progress=show)
+
+
+def fetched_or_url(recording: str) -> str | Path:
+    """The same for a build of several: what cannot be fetched stays a URL, so that the build
+    reports why and leaves that drive out."""
+    try:
+        return fetched(recording)
+    except RecordingError:
+        return recording
 
 
 class Building(NamedTuple):

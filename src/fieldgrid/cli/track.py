@@ -30,7 +30,7 @@ _SETTINGS = (
 
 def command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
+        str, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
     out: Annotated[
         Path,
@@ -113,9 +113,10 @@ def command(
     if antenna_ahead is not None or heading_offset is not None:
         carrier = Carrier(antenna_ahead, heading_offset)
     check_target(out)
-    refuse_input(out, [recording])
-    with progress.working(f"{recording.name}: reading and estimating"):
-        tracked = track_drive(recording, chosen, opening, datum=origin, carrier=carrier)
+    path = progress.fetched(recording)
+    refuse_input(out, [path])
+    with progress.working(f"{path.name}: reading and estimating"):
+        tracked = track_drive(path, chosen, opening, datum=origin, carrier=carrier)
     write_track(tracked.estimate, out)
     if figure is not None:
         _draw(tracked, chosen, figure)

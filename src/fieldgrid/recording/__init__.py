@@ -2,6 +2,7 @@
 
 from fieldgrid.recording.columns import Columns, columns_from_text
 from fieldgrid.recording.drive import Drive, Recording, Stream, as_recording, with_frames
+from fieldgrid.recording.fetched import cache_folder, fetch, is_url
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.format import (
     Format,
@@ -53,8 +54,11 @@ __all__ = [
     "StereoFrame",
     "Stream",
     "as_recording",
+    "cache_folder",
     "columns_from_text",
+    "fetch",
     "formats",
+    "is_url",
     "mounting_path",
     "open_drive",
     "open_recording",

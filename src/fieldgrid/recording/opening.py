@@ -10,6 +10,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry, logs
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording
+from fieldgrid.recording.fetched import fetch, is_url
 from fieldgrid.recording.format import find_format, formats, register_format
 from fieldgrid.recording.frame_table import TABLE
 from fieldgrid.recording.given_poses import with_given_poses
@@ -30,10 +31,12 @@ for _format in (
 def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
     """The drive at a path: a recording, a bag, a folder without images, or a GNSS log alone.
 
+    A URL that fsspec knows, like `s3://farm/june-03`, is copied to this machine first
+    (:mod:`fieldgrid.recording.fetched`).
     Use it as a context manager. :meth:`~fieldgrid.recording.Drive.recording` gives it as one with
     frames. What is wrong is a RecordingError, a GnssError or a ConfigError that says what to do.
     """
-    path = Path(path)
+    path = fetch(path) if is_url(path) else Path(path)
     try:
         if not (path.is_file() or path.is_dir()):
             what = "is neither a file nor a folder" if path.exists() else "does not exist"

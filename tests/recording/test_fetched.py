@@ -1,0 +1,283 @@
+"""Recordings at URLs: copied once, brought up to date, and never taken for what they are not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from zipfile import ZipFile
+
+import fsspec
+import pytest
+from typer.testing import CliRunner
+
+from fieldgrid.build import PartlyBuiltError, build_map, remote
+from fieldgrid.build.parts import Share
+from fieldgrid.build.poses import estimate_drive
+from fieldgrid.build.session import NewSession
+from fieldgrid.cli import app
+from fieldgrid.errors import ClusterError, ConfigError, LimitError, RecordingError
+from fieldgrid.limits import limited
+from fieldgrid.mapfile import open_map
+from fieldgrid.mounting import estimate_mount, write_estimate
+from fieldgrid.recording import DriveOptions, fetch, fetched, is_url, open_drive
+from fieldgrid.settings import BuildSettings
+from tests.build.making import content
+from tests.conftest import make_small_drive
+
+URL = "memory://farm/june-03"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def memory() -> Iterator[Any]:
+    """A file system of this process's memory, with a small recording in it."""
+    system = fsspec.filesystem("memory")
+    system.store.clear()
+    system.pseudo_dirs[:] = [""]
+    for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png"):
+        system.pipe(f"/farm/june-03/{name}", f"content of {name}".encode())
+    yield system
+    system.store.clear()
+
+
+def files_of(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize(
+    ("path", "is_one"),
+    [
+        ("s3://farm/june-03", True),
+        ("zip://june-03::s3://farm/2026.zip", True),
+        ("june-03", False),
+        ("../s3/june-03", False),
+        ("C://june-03", False),
+        (Path("s3://farm"), False),
+    ],
+)
+def test_urls_are_told_from_paths(path: str | Path, is_one: bool) -> None:
+    assert is_url(path) == is_one
+
+
+@pytest.mark.parametrize(
+    ("url", "place"),
+    [
+        ("s3://farm/2026/june-03", "s3/farm/2026/june-03"),
+        ("s3://farm/2026/./june-03/", "s3/farm/2026/june-03"),
+        ("zip://june-03::s3://farm/2026.zip", "s3/farm/2026.zip/zip/june-03"),
+        ("sftp://me@host/june-03", "sftp/me@host/june-03"),
+    ],
+)
+def test_a_copy_lies_where_its_url_says(url: str, place: str, cache: Path) -> None:
+    assert fetched.copy_of(url) == cache / "recordings" / place
+
+
+def test_no_part_of_a_url_leads_out_of_the_cache(cache: Path) -> None:
+    copy = fetched.copy_of("http://host/../../../etc/passwd")
+    assert ".." not in copy.parts
+    assert copy.is_relative_to(cache / "recordings")
+    assert copy != fetched.copy_of("http://host/etc/passwd")
+
+
+def test_a_recording_is_copied_once_and_brought_up_to_date(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fetched_names: list[str] = []
+    get = memory.get
+
+    def counted(sources: list[str], *arguments: Any) -> Any:
+        fetched_names.extend(name.removeprefix("/farm/june-03/") for name in sources)
+        return get(sources, *arguments)
+
+    monkeypatch.setattr(type(memory), "get", lambda self, *arguments: counted(*arguments))
+    told: list[tuple[int, int]] = []
+    copy = fetch(URL, progress=lambda done, total: told.append((done, total)))
+    assert files_of(copy) == {
+        name: f"content of {name}" for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png")
+    }
+    assert told == [(0, 3), (3, 3)]
+    assert fetched.url_of(copy) == URL
+    fetched_names.clear()
+    assert fetch(URL) == copy
+    assert fetched_names == []
+
+    memory.pipe("/farm/june-03/frames.csv", b"CONTENT of frames.csv")  # of the same size
+    memory.rm("/farm/june-03/left/0.png")
+    memory.pipe("/farm/june-03/left/1.png", b"new")
+    (copy / "gnss" / "rtk.nmea").write_text("cut")
+    (copy / "my_notes.txt").write_text("mine")
+    fetch(URL)
+    assert sorted(fetched_names) == ["frames.csv", "gnss/rtk.nmea", "left/1.png"]
+    assert files_of(copy) == {
+        "frames.csv": "CONTENT of frames.csv",
+        "gnss/rtk.nmea": "content of gnss/rtk.nmea",
+        "left/1.png": "new",
+        "my_notes.txt": "mine",
+    }
+
+
+def test_a_single_file_is_copied_under_its_name(memory: Any) -> None:
+    copy = fetch(f"{URL}/gnss/rtk.nmea")
+    assert copy.name == "rtk.nmea"
+    assert copy.read_text() == "content of gnss/rtk.nmea"
+
+
+def test_a_fetch_that_is_interrupted_goes_on(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetched, "_BATCH", 1)
+    get, calls = type(memory).get, list[str]()
+
+    def failing(self: Any, sources: list[str], *arguments: Any) -> Any:
+        calls.extend(sources)
+        if len(calls) == 2:
+            raise ConnectionResetError("the line is down")
+        return get(self, sources, *arguments)
+
+    monkeypatch.setattr(type(memory), "get", failing)
+    with pytest.raises(RecordingError, match=r"cannot be read \(the line is down\); check the URL"):
+        fetch(URL)
+    copy = fetch(URL)
+    assert len(calls) == 4  # one, the one that failed, and the two that were missing
+    assert len(files_of(copy)) == 3
+    assert not [path for path in copy.rglob("*") if "partial" in path.name]
+
+
+def test_a_file_that_arrives_cut_is_no_copy(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(self: Any, sources: list[str], places: list[str]) -> None:
+        for place in places:
+            Path(place).write_bytes(b"con")
+
+    monkeypatch.setattr(type(memory), "get", cut)
+    with pytest.raises(RecordingError, match=r"frames.csv arrived with 3 of its 21 bytes; repeat"):
+        fetch(URL)
+    assert files_of(fetched.copy_of(URL)) == {}
+
+
+def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
+    copy = fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    for text in ("{", "[]", '{"files": 3}', "[" * 100_000):
+        manifest.write_text(text)
+        assert len(files_of(fetch(URL))) == 3
+        assert json.loads(manifest.read_text())["url"] == URL
+
+
+def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RecordingError, match=r"'memory://farm/july' does not exist; give the URL"):
+        fetch("memory://farm/july")
+    with pytest.raises(RecordingError, match=r"Protocol not known: nothing\); check the URL"):
+        fetch("nothing://farm")
+    with pytest.raises(ConfigError, match=r"with a password would leave it in logs"):
+        fetch("sftp://me:secret@host/june-03")
+    with limited(rows=2), pytest.raises(LimitError, match=r"more than 2 rows"):
+        fetch(URL)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10))
+    with pytest.raises(RecordingError, match=r"room for 0.0 GB; free some, or set FIELDGRID_CACHE"):
+        fetch(URL)
+
+
+def test_a_name_that_leads_out_of_the_recording_is_refused(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hostile(self: Any, root: str, detail: bool) -> dict[str, Any]:
+        name = f"{root}/../../evil"
+        return {name: {"name": name, "size": 1, "type": "file"}}
+
+    monkeypatch.setattr(type(memory), "find", hostile)
+    with pytest.raises(RecordingError, match=r"leads out of the recording; rename it there"):
+        fetch(URL)
+
+
+# --- drives
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_small_drive(tmp_path_factory.mktemp("drives") / "june-03", range(3, 9))
+
+
+@pytest.fixture
+def zipped(drive: Path, tmp_path: Path) -> str:
+    """The URL of the drive in an archive, which every process can read."""
+    with ZipFile(tmp_path / "2026.zip", "w") as archive:
+        for file in sorted(drive.rglob("*")):
+            if file.is_file():
+                archive.write(file, f"june-03/{file.relative_to(drive)}")
+    return f"zip://june-03::{tmp_path / '2026.zip'}"
+
+
+def test_a_drive_at_a_url_gives_the_map_of_the_drive(
+    zipped: str, drive: Path, tmp_path: Path
+) -> None:
+    """But for the names of its images, which are those of the copy."""
+    build_map([drive], tmp_path / "here.gpkg", BuildSettings())
+    result = CliRunner().invoke(app, ["build", zipped, "-o", str(tmp_path / "there.gpkg")])
+    assert result.exit_code == 0, result.output
+    with open_map(tmp_path / "here.gpkg") as one, open_map(tmp_path / "there.gpkg") as other:
+        (own,), (found,) = one.sessions(), other.sessions()
+        assert (found.name, found.frames) == (own.name, own.frames)
+        assert (one.read().density == other.read().density).all()
+    copy = str(fetched.copy_of(zipped))
+    tables = content(tmp_path / "here.gpkg"), content(tmp_path / "there.gpkg")
+    assert tables[0]["fieldgrid_tile"] == tables[1]["fieldgrid_tile"]
+    assert copy in str(tables[1]["fieldgrid_frame"])
+
+
+def test_of_several_drives_one_that_is_not_there_is_left_out(
+    zipped: str, drive: Path, tmp_path: Path
+) -> None:
+    gone = zipped.replace("june-03", "july")
+    with pytest.raises(PartlyBuiltError) as told:
+        build_map([gone, zipped], tmp_path / "m.gpkg", BuildSettings())
+    ((name, reason),) = told.value.failed
+    assert name == gone
+    assert "does not exist" in reason
+    result = CliRunner().invoke(app, ["build", gone, zipped, "-o", str(tmp_path / "n.gpkg")])
+    assert result.exit_code == 1
+    assert "does not exist; give the URL" in str(result.exception)
+    assert content(tmp_path / "m.gpkg") == content(tmp_path / "n.gpkg")
+
+
+def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
+    estimate = estimate_mount(zipped)
+    with pytest.raises(ConfigError, match=r"is only read, so its mounting was not written; write"):
+        write_estimate(estimate, fetch(zipped))
+
+
+def test_a_worker_makes_its_own_copy_and_names_images_as_here(
+    zipped: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = fetch(zipped)
+    with open_drive(here, DriveOptions()) as opened:
+        recording = opened.recording()
+        settings = BuildSettings()
+        trajectory = estimate_drive(recording, settings, None).trajectory
+        session = NewSession(recording, settings, None, None, "june-03", 1, known=trajectory)
+        work = remote.packed(session.work(recording.source))
+    place = remote.place_of(here)
+    assert place.url == zipped
+    at_home = remote.stage_share(work, Share(0, 2), place)
+    monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
+    remote._fetch.cache_clear()
+    remote._unpacked.cache_clear()
+    far_away = remote.stage_share(work, Share(0, 2), place)
+    assert (fetched.copy_of(zipped) / "left" / "000003.jpg").exists()
+    assert str(here).encode() in far_away.part.grids
+    assert far_away.part.grids == at_home.part.grids
+    shutil.rmtree(tmp_path / "of the worker")
+    (tmp_path / "2026.zip").unlink()
+    remote._fetch.cache_clear()
+    with pytest.raises(ClusterError, match=r"The worker on .* has no copy: .*; "):
+        remote.stage_share(work, Share(0, 2), place)
