@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import glob
 import mmap
 import os
@@ -16,6 +15,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
+
+try:
+    import fcntl
+except ImportError as error:
+    raise ImportError(
+        "fieldgrid needs the file locks of Linux or macOS; on Windows run it in WSL 2."
+    ) from error
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
