@@ -494,6 +494,12 @@ def test_a_truth_that_states_no_datum_is_believed(tmp_path: Path) -> None:
     assert evaluated(a_map(tmp_path), truth).groups[-1].obstacles.precision["0.10"] == 1.0
 
 
+def test_the_folder_of_a_drive_stands_for_the_truth_in_it() -> None:
+    found, expected = read_truth(TWO_LANES), read_truth(TWO_LANES / "truth")
+    assert (found.occupied == expected.occupied).all()
+    assert (found.poses, found.datum) == (expected.poses, expected.datum)
+
+
 @pytest.mark.parametrize(
     "config",
     [{}, {"rig": {}}, {**CONFIG, "max_range_m": None}, {**CONFIG, "rig": {"camera": 3}}],

@@ -19,6 +19,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.limits import bounded_lines, counted_rows
 
+_OBSTACLES = "obstacle_raster_5cm.npz"
 _MAX_TRUTH_CELLS = 100_000_000
 _MAX_TRUTH_BYTES = 4 * _MAX_TRUTH_CELLS + 4096  # int32, and what stands before them
 
@@ -53,13 +54,14 @@ class Truth:
 
 
 def read_truth(folder: str | Path) -> Truth:
-    """Read a truth folder; every problem with it is a TruthError that names the file."""
+    """Read a truth folder, or that of a drive which has one as `truth/`; every problem with it is a
+    TruthError that names the file."""
     folder = Path(folder)
+    if not (folder / _OBSTACLES).exists() and (folder / "truth").is_dir():
+        folder = folder / "truth"
     if not folder.is_dir():
         raise TruthError(f"There is no truth folder {folder}; give the folder with the rasters.")
-    obstacles = _read_npz(
-        folder / "obstacle_raster_5cm.npz", ("occupied", "east0", "north0", "cell")
-    )
+    obstacles = _read_npz(folder / _OBSTACLES, ("occupied", "east0", "north0", "cell"))
     observable = _read_npz(folder / "observable_raster_5cm.npz", ("obstacle_pixels",))
     lattice = Lattice(float(obstacles["cell"]))
     occupied = obstacles["occupied"].astype(bool)
