@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import ClusterError, MapError
-from fieldgrid.workers.order import Runner, Threads, runner
+from fieldgrid.workers.order import Runner, Threads
 from fieldgrid.workers.remote import OnCluster
+from fieldgrid.workers.runner import runner
 from tests.workers.doing import Squaring
 
 distributed = pytest.importorskip("distributed")

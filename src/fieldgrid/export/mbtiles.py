@@ -20,10 +20,10 @@ import numpy as np
 from fieldgrid.array_types import UInt8
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.overviews import write_overviews
-from fieldgrid.export.raster import Plane, Raster, painted
+from fieldgrid.export.plane import Plane, warped
+from fieldgrid.export.raster import Raster, painted
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.warped import warped
 from fieldgrid.mapfile import LAYERS, Readable
 from fieldgrid.publish import mentions, replacing
 from fieldgrid.settings import Settings

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.export.raster import BLOCK_PX, Plane, Raster, creating, warp
+from fieldgrid.export.plane import Plane
+from fieldgrid.export.raster import BLOCK_PX, Raster, creating, warp
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import Readable
 

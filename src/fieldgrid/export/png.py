@@ -7,7 +7,8 @@ from pathlib import Path
 
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.options import PlaneOptions
-from fieldgrid.export.raster import Plane, Raster, is_ours, painted
+from fieldgrid.export.plane import Plane
+from fieldgrid.export.raster import Raster, is_ours, painted
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together

@@ -19,8 +19,8 @@ import numpy as np
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.georeference import extent
+from fieldgrid.export.plane import Plane, warped
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.warped import warped
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapView, OverviewBlock, Readable
@@ -48,20 +48,6 @@ class Layout(NamedTuple):
         """The bands of a view, its rows in their order."""
         values = view.layer(layer)
         return (values, view.observed * np.uint8(255)) if self.alpha else (values,)
-
-
-class Plane(NamedTuple):
-    """Where the pixels are: `crs` and `transform` as rasterio has them, row 0 in the north."""
-
-    width: int
-    height: int
-    crs: Any
-    transform: Any
-
-    def at(self, column: float, row: float) -> tuple[float, float]:
-        """Where a point of the raster is; 0, 0 is the corner of its upper left pixel."""
-        placed = self.transform
-        return placed.c + placed.a * column, placed.f + placed.e * row
 
 
 class Raster(NamedTuple):

@@ -36,7 +36,7 @@ from fieldgrid.mapfile.verification import HealthReport, verify
 from fieldgrid.mapfile.view import DECISION_LAYERS, DROP_LAYERS, MapView
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import Averaging, Transfer, check_cell_sizes
-from fieldgrid.workers.order import runner
+from fieldgrid.workers.runner import runner
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -1,4 +1,4 @@
-"""Work on many items, with the results in their order: by threads here, or on a Dask cluster.
+"""Work on many items by threads, with the results in their order.
 
 By threads because what is heavy runs outside the interpreter's lock.
 """
@@ -9,11 +9,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol, TypeVar
-
-if TYPE_CHECKING:
-    from distributed import Client
+from typing import Protocol, TypeVar
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -61,20 +57,6 @@ class Threads:
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def runner(jobs: int | None, scheduler: str | Client | None = None) -> Iterator[Runner]:
-    """The workers of the Dask scheduler at an address, or of a client, until the end of the block;
-    threads without one. ClusterError when no scheduler answers."""
-    if scheduler is None:
-        yield Threads(jobs)
-        return
-    from fieldgrid.workers.connecting import connected
-    from fieldgrid.workers.remote import OnCluster
-
-    with connected(scheduler) as client, OnCluster(client) as found:
-        yield found
 
 
 def cores() -> int:

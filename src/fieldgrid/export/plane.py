@@ -1,14 +1,25 @@
-"""A raster as it is in another plane, made block by block when it is read."""
+"""Where the pixels of a raster lie, and a raster seen in another plane."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from fieldgrid.export.raster import Plane
+from typing import Any, NamedTuple
 
 _NEARER_PX = 0.01
 """How far from its exact place, in cells, a reprojected pixel may look for its value."""
+
+
+class Plane(NamedTuple):
+    """Where the pixels are: `crs` and `transform` as rasterio has them, row 0 in the north."""
+
+    width: int
+    height: int
+    crs: Any
+    transform: Any
+
+    def at(self, column: float, row: float) -> tuple[float, float]:
+        """Where a point of the raster is; 0, 0 is the corner of its upper left pixel."""
+        placed = self.transform
+        return placed.c + placed.a * column, placed.f + placed.e * row
 
 
 def warped(source: Any, plane: Plane) -> Any:
