@@ -11,11 +11,11 @@ from fieldgrid.smoother import model
 from fieldgrid.smoother.declared import Constant, Declared, HeadingResponse, tested
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
+    Covariances,
     Linear,
     Problem,
     Solution,
     converged,
-    covariance_blocks,
     inverse,
     linearized,
     stated_weights,
@@ -107,21 +107,21 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
     declared, response = tested(problem, found, linear)
-    blocks, _ = covariance_blocks(linear)
+    known = Covariances.of(linear)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(
-        blocks[:, axis, axis] + 2.0 * blocks[:, axis, bias] + blocks[:, bias, bias]
+        known.own(axis, axis) + 2.0 * known.own(axis, bias) + known.own(bias, bias)
         for axis, bias in ((east, model.BIAS_E), (north, model.BIAS_N))
     )
     moved, turned = found.last_change[:, : model.PHI], found.last_change[:, model.PHI]
     unsettled = (moved**2).sum(axis=1)
-    absolute = blocks[:, east, east] + blocks[:, north, north]
+    absolute = known.own(east, east) + known.own(north, north)
     constants = _constants(found, linear)
     return Smoothed(
         found.x,
         np.sqrt((np.maximum(absolute, 0.0) + unsettled) / 2.0),
         np.sqrt((np.maximum(relative, 0.0) + unsettled) / 2.0),
-        np.sqrt(np.maximum(blocks[:, phi, phi], 0.0) + turned**2),
+        np.sqrt(np.maximum(known.own(phi, phi), 0.0) + turned**2),
         off.fix_m,
         off.step,
         constants[model.HEADING_OFFSET],

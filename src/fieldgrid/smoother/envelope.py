@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Int64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.kernel import kernel
 
 STATES = 8
@@ -36,6 +36,27 @@ class Envelope(NamedTuple):
     def nodes(self) -> int:
         """How many nodes there are."""
         return len(self.first)
+
+    @property
+    def size(self) -> int:
+        """How many values a matrix in this shape has."""
+        return int(self.start[-1])
+
+    def own(self, values: Float64, a: int, b: int) -> Float64:
+        """The element [n] of states a and b of each node, of a matrix in this shape."""
+        high, low = max(a, b), min(a, b)
+        return values[self._row(high) + self._width() - STATES + low]
+
+    def with_before(self, values: Float64, a: int, b: int) -> Float64:
+        """The element [n - 1] of state a of each node but the first and state b of the one before
+        it."""
+        return values[(self._row(a) + self._width() - 2 * STATES + b)[1:]]
+
+    def _row(self, state: int) -> Int64:
+        return self.start[:-1] + state * self._width()
+
+    def _width(self) -> Int64:
+        return np.asarray(STATES * (np.arange(self.nodes) - self.first + 1))
 
 
 def envelope(nodes: int, far: Int64) -> Envelope:
@@ -66,30 +87,56 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
     """
     first, start = shape[0], shape[1]
     log_determinant = 0.0
+    most = 1
+    for node in range(len(first)):
+        most = max(most, node - first[node] + 1)
+    # The node's rows side by side, so that one instruction works on several of them.
+    rows = np.empty((most * STATES, STATES))
     for node in range(len(first)):
         f, at = first[node], start[node]
         width = STATES * (node - f + 1)
+        for a in range(STATES):
+            for k in range(width):
+                rows[k, a] = values[at + a * width + k]
         for column in range(f, node + 1):
             fc, atc = first[column], start[column]
             widthc = STATES * (column - fc + 1)
             shared = max(f, fc)  # before that one of the two rows is zero
             mine, theirs = STATES * (shared - f), STATES * (shared - fc)
             length = STATES * (column - shared)
-            for a in range(STATES):
-                own = at + a * width
-                for b in range(a + 1 if column == node else STATES):
-                    other = atc + b * widthc
-                    total = values[own + STATES * (column - f) + b]
-                    for k in range(length + b):
-                        total -= values[own + mine + k] * values[other + theirs + k]
-                    pivot = atc + b * widthc + STATES * (column - fc) + b
-                    if column == node and a == b:
-                        if not total > 0.0:
-                            return np.nan
-                        values[pivot] = np.sqrt(total)
-                        log_determinant += np.log(total)
-                    else:
-                        values[own + STATES * (column - f) + b] = total / values[pivot]
+            for b in range(STATES):
+                other, j = atc + b * widthc + theirs, STATES * (column - f) + b
+                # Eight sums in registers: an array of them would be stored at each step.
+                t0, t1, t2, t3 = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
+                t4, t5, t6, t7 = rows[j, 4], rows[j, 5], rows[j, 6], rows[j, 7]
+                for k in range(length + b):
+                    i = mine + k
+                    c = rows[i, b] if column == node else values[other + k]
+                    t0 -= rows[i, 0] * c
+                    t1 -= rows[i, 1] * c
+                    t2 -= rows[i, 2] * c
+                    t3 -= rows[i, 3] * c
+                    t4 -= rows[i, 4] * c
+                    t5 -= rows[i, 5] * c
+                    t6 -= rows[i, 6] * c
+                    t7 -= rows[i, 7] * c
+                rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3] = t0, t1, t2, t3
+                rows[j, 4], rows[j, 5], rows[j, 6], rows[j, 7] = t4, t5, t6, t7
+                if column < node:
+                    pivot = values[other + length + b]
+                else:
+                    squared = rows[j, b]
+                    if not squared > 0.0:
+                        return np.nan
+                    pivot = np.sqrt(squared)
+                    log_determinant += np.log(squared)
+                for a in range(STATES):
+                    rows[j, a] /= pivot
+                if column == node:
+                    rows[j, b] = pivot
+        for a in range(STATES):
+            for k in range(width - STATES + a + 1):
+                values[at + a * width + k] = rows[k, a]
     return log_determinant
 
 
@@ -121,10 +168,8 @@ def solve(shape, values, right):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def inverse_blocks(shape, values):  # type: ignore[no-untyped-def]
-    """The diagonal blocks [n, STATES, STATES] of the inverse, from the factor in `values`, which is
-    spoilt, and the blocks [n, STATES, STATES] of each node (rows) with the one before it (zero for
-    the first).
+def invert(shape, values):  # type: ignore[no-untyped-def]
+    """Replace the factor in `values` by the inverse, as far as it lies inside the envelope.
 
     Takahashi's recursion from the last node to the first: an element of the inverse inside the
     envelope needs only later ones inside the envelope, so the others are never made.
@@ -132,7 +177,6 @@ def inverse_blocks(shape, values):  # type: ignore[no-untyped-def]
     first, start = shape[0], shape[1]
     below, below_start = shape[2], shape[3]
     n = len(first)
-    diagonal, before = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, STATES))
     most = 1
     for node in range(n):
         most = max(most, below_start[node + 1] - below_start[node])
@@ -190,8 +234,6 @@ def inverse_blocks(shape, values):  # type: ignore[no-untyped-def]
             for a in range(STATES):
                 for b in range(STATES):
                     values[at + a * w + b] = product[r * STATES + a, b]
-                    if row == node + 1:
-                        before[row, a, b] = product[r * STATES + a, b]
         for a in range(STATES):
             for b in range(a + 1):
                 total = 0.0
@@ -200,5 +242,3 @@ def inverse_blocks(shape, values):  # type: ignore[no-untyped-def]
                 for k in range((high - low) * STATES):
                     total -= scaled[k, a] * product[k, b]
                 values[start[node] + a * width + width - STATES + b] = total
-                diagonal[node, a, b] = diagonal[node, b, a] = total
-    return diagonal, before

@@ -82,12 +82,15 @@ class System(NamedTuple):
     total: Float64
 
 
-def empty_system(shape: Envelope) -> System:
-    """Normal equations that nothing has been added to."""
+def empty_system(shape: Envelope, values: Float64 | None = None) -> System:
+    """Normal equations that nothing has been added to, in the memory of `values` if given."""
     n = STATES * shape.nodes
+    if values is None:
+        values = np.empty(shape.size)
+    values.fill(0.0)
     return System(
         shape,
-        np.zeros(int(shape.start[-1])),
+        values,
         np.zeros(n),
         np.zeros((n, CONSTANTS)),
         np.zeros((CONSTANTS, CONSTANTS)),

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.envelope import STATES, Envelope, envelope, factor, inverse_blocks, solve
+from fieldgrid.smoother.envelope import STATES, Envelope, envelope, factor, invert, solve
 from fieldgrid.smoother.measurements import Measurements
 
 MOST_ROUNDS = 25
@@ -31,12 +31,14 @@ the less the farther they lie."""
 class Problem(NamedTuple):
     """The measurements of a drive and where on the vehicle they are of: `lever_m` is the antenna's
     place (right, ahead) and `step_ahead_m` that of the point whose motion the steps tell, from the
-    middle of the axle that does not steer."""
+    middle of the axle that does not steer. `values` is the memory of the normal equations, the
+    same for each round: of a long drive, new memory costs as much as factoring."""
 
     measured: Measurements
     lever_m: Float64
     step_ahead_m: float
     shape: Envelope
+    values: Float64
 
     @classmethod
     def of(
@@ -44,7 +46,7 @@ class Problem(NamedTuple):
     ) -> Problem:
         """The problem with the shape of its equations."""
         shape = envelope(len(measured.time_s), measured.step_nodes)
-        return cls(measured, np.array(lever_m), step_ahead_m, shape)
+        return cls(measured, np.array(lever_m), step_ahead_m, shape, np.empty(shape.size))
 
 
 class Weights(NamedTuple):
@@ -121,7 +123,6 @@ def converged(
     for rounds in range(1, most_rounds + 1):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         found = improved(problem, found, linear, off)
-        del linear, off  # a long drive's equations are large, and the next round makes its own
         moved_m = np.abs(found.last_change[:, : model.PHI]).max(axis=1)
         turned = np.abs(found.last_change[:, model.PHI])
         settled = (moved_m < enough * ENOUGH_M) & (turned < enough * ENOUGH_RAD)
@@ -156,9 +157,9 @@ def linearized(
     problem: Problem, x: Float64, constants: Float64, weights: Weights, *, held: bool = True
 ) -> tuple[Linear, Residuals]:
     """The factored normal equations about a state, and how far each measurement is off. `held` for
-    a round to come, not for sigmas."""
+    a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""
     measured = problem.measured
-    system = model.empty_system(problem.shape)
+    system = model.empty_system(problem.shape, problem.values)
     model.add_motion(
         system,
         x,
@@ -222,14 +223,32 @@ def inverse(symmetric: Float64) -> Float64:
     return np.asarray(np.linalg.pinv(symmetric, hermitian=True))
 
 
-def covariance_blocks(linear: Linear) -> tuple[Float64, Float64]:
-    """Covariances [n, 8, 8] of the states of each node, and those with the node before it. The
-    values of the linear system are spoilt."""
-    diagonal, before = inverse_blocks(linear.system.shape, linear.system.values)
-    if len(linear.active):
-        n = len(diagonal)
-        coupled = linear.coupling.reshape(n, STATES, len(linear.active))
-        by_constants = coupled @ inverse(linear.schur)
-        diagonal += by_constants @ coupled.swapaxes(1, 2)
-        before[1:] += by_constants[1:] @ coupled[:-1].swapaxes(1, 2)
-    return diagonal, before
+class Covariances(NamedTuple):
+    """The covariances of the states of a drive: the inverse of the normal equations of the nodes,
+    and what being unsure of the constants adds."""
+
+    shape: Envelope
+    values: Float64
+    coupling: Float64
+    constants: Float64
+
+    @classmethod
+    def of(cls, linear: Linear) -> Covariances:
+        """Those of a solution, whose linear system is spoilt."""
+        shape, values = linear.system.shape, linear.system.values
+        invert(shape, values)
+        coupling = linear.coupling.reshape(shape.nodes, STATES, len(linear.active))
+        return cls(shape, values, coupling, inverse(linear.schur))
+
+    def own(self, a: int, b: int) -> Float64:
+        """Of the states a and b of each node [n]."""
+        added = self._added(self.coupling[:, a], self.coupling[:, b])
+        return self.shape.own(self.values, a, b) + added
+
+    def with_before(self, a: int, b: int) -> Float64:
+        """Of state a of each node but the first and state b of the one before it [n - 1]."""
+        added = self._added(self.coupling[1:, a], self.coupling[:-1, b])
+        return self.shape.with_before(self.values, a, b) + added
+
+    def _added(self, one: Float64, other: Float64) -> Float64:
+        return np.asarray(np.einsum("ni,ij,nj->n", one, self.constants, other))

@@ -12,10 +12,10 @@ from fieldgrid.array_types import Bool, Float64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
+    Covariances,
     Problem,
     Solution,
     converged,
-    covariance_blocks,
     improved,
     linearized,
     stated_weights,
@@ -94,11 +94,10 @@ def adapted(problem: Problem, found: Solution, steering_noise: float) -> Solutio
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         curvature, found = found.x[:, k], improved(problem, found, linear, off)
-        blocks, before = covariance_blocks(linear)
+        known = Covariances.of(linear)
         steering = local_steering(
-            curvature, blocks[:, k, k], before[1:, k, k], measured.time_s, steering_noise
+            *(curvature, known.own(k, k), known.with_before(k, k)), measured.time_s, steering_noise
         )
-        del linear, off, blocks, before  # large, and the next round makes its own
         weights = found.weights._replace(steering=np.where(blind, usual, steering))
         found = found._replace(weights=weights)
     return converged(problem, found.x, found.constants, found.weights)
