@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fieldgrid.align.drives import Drive, Role
-from fieldgrid.align.network import FACE_M, Match, Solution, solve
+from fieldgrid.align.matches import Match
+from fieldgrid.align.network import FACE_M, Solution, solve
 from fieldgrid.align.submaps import Submap
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform

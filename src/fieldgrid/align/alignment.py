@@ -19,7 +19,8 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
-from fieldgrid.align.network import Match, left_between, solve, turn_sigma_deg
+from fieldgrid.align.matches import Match
+from fieldgrid.align.network import left_between, solve, turn_sigma_deg
 from fieldgrid.align.pairs import (
     Overlap,
     Pair,
@@ -31,7 +32,7 @@ from fieldgrid.align.pairs import (
 )
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.ridge import across_alone
-from fieldgrid.align.score import PROBE_DEG, Against, TurnPeak, peak, turn_peak
+from fieldgrid.align.score import PROBE_DEG, Against, Scores, TurnPeak, peak, turn_peak
 from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
@@ -230,11 +231,11 @@ class _Run:
         chosen = thinned(self._overlaps(pictures, None))
         chosen = for_every_shift(chosen, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
-        for pair, score in self._each(
-            lambda p: Against(pictures[p.a][p.k], reach_m).scores(pictures[p.b][p.l]),
-            pairs,
-            "drives",
-        ):
+
+        def compare(p: Pair, against: Against) -> Scores | None:
+            return against.scores(pictures[p.b][p.l])
+
+        for pair, score in self._each(compare, pairs, pictures, reach_m, "drives"):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
         for (a, b), members in sorted(by_pair.items()):
@@ -269,8 +270,7 @@ class _Run:
         turns_deg = 0.0, -PROBE_DEG, PROBE_DEG
         pictures, less, more = self._draw(transforms, FINE_M, stage, turns_deg)
 
-        def match(p: Pair) -> Match | None:
-            against = Against(pictures[p.a][p.k], FINE_REACH_M)
+        def match(p: Pair, against: Against) -> Match | None:
             score = against.scores(pictures[p.b][p.l])
             if score is None:
                 return None
@@ -282,7 +282,7 @@ class _Run:
         chosen = bounded(self._overlaps(pictures, set(believed)))
         pairs = [placed(one, pictures) for one in chosen]
         by_pair = defaultdict[tuple[int, int], list[Match]](list)
-        for _, one in self._each(match, pairs, stage):
+        for _, one in self._each(match, pairs, pictures, FINE_REACH_M, stage):
             by_pair[one.a, one.b].append(one)
         nothing = np.zeros(2)
         return [
@@ -325,14 +325,28 @@ class _Run:
         return overlapping(pictures, compared)
 
     def _each(
-        self, work: Callable[[Pair], _Found | None], pairs: Sequence[Pair], stage: str
+        self,
+        work: Callable[[Pair, Against], _Found | None],
+        pairs: Sequence[Pair],
+        pictures: Sequence[Sequence[Picture]],
+        reach_m: float,
+        stage: str,
     ) -> list[tuple[Pair, _Found]]:
-        """What work finds for pairs, without those for which it finds nothing."""
-        results = []
-        for done, (pair, found) in enumerate(
-            zip(pairs, in_order(work, pairs, self._jobs), strict=True)
-        ):
-            if found is not None:
-                results.append((pair, found))
-            self._tell(f"comparing {stage}", done + 1, len(pairs))
+        """What work finds for pairs, each with its first submap ready to be compared, without those
+        for which it finds nothing."""
+
+        # What a submap is compared by takes as long as a comparison, and serves all of its pairs.
+        by_submap = defaultdict[tuple[int, int], list[Pair]](list)
+        for pair in pairs:
+            by_submap[pair.a, pair.k].append(pair)
+
+        def together(own: Sequence[Pair]) -> list[tuple[Pair, _Found | None]]:
+            against = Against(pictures[own[0].a][own[0].k], reach_m)
+            return [(pair, work(pair, against)) for pair in own]
+
+        results, done = [], 0
+        for found in in_order(together, by_submap.values(), self._jobs):
+            results += [(pair, one) for pair, one in found if one is not None]
+            done += len(found)
+            self._tell(f"comparing {stage}", done, len(pairs))
         return results

@@ -11,7 +11,7 @@ from scipy import fft
 from scipy.spatial import cKDTree
 
 from fieldgrid.align.submaps import Picture
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Bool, Float64
 
 LEAST_SHARE = 0.25
 """Submaps are compared when this share of the smaller one was seen by the other, too."""
@@ -70,19 +70,30 @@ def overlapping(
 ) -> Iterator[Overlap]:
     """The pairs worth comparing, of different drives and of the same one, as far as these are to be
     `compared`; `pictures` has those of each drive."""
-    places = [(n, k) for n, of_one in enumerate(pictures) for k in range(len(of_one))]
-    windows = np.array([pictures[n][k].window for n, k in places], np.float64)
-    middles, reach = windows[:, :2] + windows[:, 2:] / 2.0, np.hypot(*windows[:, 2:].T) / 2.0
+    every = [(n, k) for n, of_one in enumerate(pictures) for k in range(len(of_one))]
+    places = np.array(every)
+    count = len(pictures)
+    worth = np.array([[b >= a and compared(a, b) for b in range(count)] for a in range(count)])
+    windows = np.array([pictures[n][k].window for n, k in every])
+    cells = np.array([pictures[n][k].cells for n, k in every])
+    low, high = windows[:, :2], windows[:, :2] + windows[:, 2:]
+    middles, reach = (low + high) / 2.0, np.hypot(*windows[:, 2:].T) / 2.0
     tree = cKDTree(middles)
-    for (a, k), middle, own_reach in zip(places, middles, reach, strict=True):
+    for at, (a, k) in enumerate(every):
+        near = np.array(tree.query_ball_point(middles[at], reach[at] + reach.max()))
+        drives, parts = places[near].T
+        near = np.sort(near[worth[a, drives] & ((drives > a) | (parts >= k + APART))])
+        # What lies in both windows is the most that both can have seen.
+        both = np.minimum(high[at], high[near]) - np.maximum(low[at], low[near])
+        least = LEAST_SHARE * np.maximum(np.minimum(cells[at], cells[near]), 1)
+        near = near[(both > 0).all(axis=1) & (both.prod(axis=1) >= least)]
         one = pictures[a][k]
         shared = defaultdict[int, list[tuple[float, int]]](list)
-        for n in sorted(tree.query_ball_point(middle, own_reach + reach.max())):
-            b, l = places[n]  # noqa: E741
-            if (b > a or (b == a and l >= k + APART)) and compared(a, b):
-                share = _shared(one, pictures[b][l])
-                if share >= LEAST_SHARE:
-                    shared[b].append((share, l))
+        for n in near:
+            b, l = every[n]  # noqa: E741
+            share = _shared(one, pictures[b][l])
+            if share >= LEAST_SHARE:
+                shared[b].append((share, l))
         for b, told in shared.items():
             for share, l in sorted(told, reverse=True)[:MOST_OF_A_DRIVE]:  # noqa: E741
                 yield Overlap(a, k, b, l, share)
@@ -174,16 +185,27 @@ def _shares(a: Picture, b: Picture, reach_m: float) -> Float64:
     shape = -(-window.height // step) + 2 * most, -(-window.width // step) + 2 * most
     seen = np.zeros((2, *shape))
     for of, picture in zip(seen, (a, b), strict=True):
-        rows, columns = np.nonzero(picture.seen)
-        rows += picture.window.j0 - window.j0
-        columns += picture.window.i0 - window.i0
-        np.add.at(of, (rows // step, columns // step), 1.0 / step**2)
+        i0, j0 = picture.window.i0 - window.i0, picture.window.j0 - window.j0
+        blocks = _blocks(picture.seen, j0 % step, i0 % step, step)
+        j, i = j0 // step, i0 // step
+        of[j : j + blocks.shape[0], i : i + blocks.shape[1]] = blocks
     spectra = fft.rfft2(seen)
-    shared = fft.irfft2(spectra[0] * np.conj(spectra[1]), shape)
+    # The sums are whole numbers: shifts and pairs that are equal are so to the last bit.
+    shared = np.rint(fft.irfft2(spectra[0] * np.conj(spectra[1]), shape))
     every = np.arange(-most, most + 1)
     near = shared[np.ix_(every, every)]
     inside = np.hypot(*np.meshgrid(every, every)) * step * a.lattice.cell_m <= reach_m
-    return np.asarray(near[inside] * step**2 / max(min(a.cells, b.cells), 1))
+    return np.asarray(near[inside] / step**2 / max(min(a.cells, b.cells), 1))
+
+
+def _blocks(seen: Bool, j: int, i: int, step: int) -> Float64:
+    """How many cells were seen in each block of `step` by `step`; the first begins `j` rows and `i`
+    columns before the array."""
+    height, width = (-(-(n + first) // step) for n, first in zip(seen.shape, (j, i), strict=True))
+    padded = np.zeros((height * step, width * step), np.uint8)
+    padded[j : j + seen.shape[0], i : i + seen.shape[1]] = seen
+    blocks = padded.reshape(height, step, width, step)
+    return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
 
 
 def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
@@ -200,11 +222,11 @@ def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
 
 def _shared(a: Picture, b: Picture) -> float:
     """The share of the smaller picture that both saw."""
-    part, cells = a.window.intersect(b.window), max(min(a.cells, b.cells), 1)
-    if part is None or part.width * part.height < LEAST_SHARE * cells:
+    part = a.window.intersect(b.window)
+    if part is None:
         return 0.0
     both = a.seen[a.window.slices_of(part)] & b.seen[b.window.slices_of(part)]
-    return np.count_nonzero(both) / cells
+    return np.count_nonzero(both) / max(min(a.cells, b.cells), 1)
 
 
 def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from fieldgrid.align.agreement import Agreement
 from fieldgrid.align.drives import Drive, Role
-from fieldgrid.align.network import Match, Solution, information_of
+from fieldgrid.align.matches import Match, information_of
+from fieldgrid.align.network import Solution
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
 from fieldgrid.mapfile.transform import Aligned
@@ -160,8 +161,8 @@ def _pair(
         for sign, n in ((1.0, a), (-1.0, b))
     )
     trusted = one.doubt is None
-    information = [information_of(matches[k], len(own)) for k in own]
-    total = np.sum(information, axis=0) if own else np.zeros((2, 2))
+    information = information_of([matches[k] for k in own], [len(own)] * len(own))
+    total = information.sum(axis=0)
     pulled = sum(
         (told @ solution.left_m[k] for told, k in zip(information, own, strict=True)), zero
     )

@@ -15,10 +15,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import fft
 
+from fieldgrid.align.spline import between_cells
 from fieldgrid.align.submaps import Picture
-from fieldgrid.array_types import Float32, Float64
+from fieldgrid.array_types import Complex64, Float32, Float64
 from fieldgrid.lattice import Window
 
 LEAST_SHARE = 0.25
@@ -69,10 +70,10 @@ class Against:
         self.a = a
         self._reach = round(reach_m / a.lattice.cell_m)
         self._window = a.window.grown(self._reach)
-        self._shape = tuple(fft.next_fast_len(n, real=True) for n in self._window.shape)
-        value = a.value / np.float32(255.0)
-        parts = a.seen.astype(np.float32), value, value**2
-        self._spectra = [np.conj(fft.rfft2(part, self._shape)) for part in parts]
+        height, width = self._window.shape
+        self._shape = fft.next_fast_len(height), fft.next_fast_len(width, real=True)
+        value = np.divide(a.value, 255.0, dtype=np.float32)
+        self._spectra = np.conj(self._spectra_of(a.seen.astype(np.float32), value, 0))
 
     def scores(self, b: Picture, alike: float | None = None) -> Scores | None:
         """Those of another picture; None where the two share no obstacle to speak of.
@@ -80,34 +81,50 @@ class Against:
         `alike` is told of the residuals when it is not given.
         """
         a, cell_m = self.a, self.a.lattice.cell_m
-        if min(_obstacle_m2(a), _obstacle_m2(b)) < LEAST_OBSTACLE_M2:
+        part = b.window.intersect(self._window)
+        if part is None or min(_obstacle_m2(a), _obstacle_m2(b)) < LEAST_OBSTACLE_M2:
             return None
-        value_b, seen_b = _on(b, self._window)
-        if float(seen_b.sum()) < LEAST_SHARE * min(a.cells, b.cells):
+        value_b, seen_b = _on(b, part, self._window)
+        least_cells = LEAST_SHARE * min(a.cells, b.cells)
+        if float(seen_b.sum()) < least_cells:
             return None
-        spectra = [fft.rfft2(part, self._shape) for part in (seen_b, value_b, value_b**2)]
-
-        def lagged(i: int, j: int) -> Float64:
-            side = 2 * self._reach + 1
-            found = fft.irfft2(self._spectra[i] * spectra[j], self._shape)[:side, :side]
-            return np.asarray(found, dtype=np.float64)
-
-        n, sum_a, sum_b = np.maximum(lagged(0, 0), 1.0), lagged(1, 0), lagged(0, 1)
-        spread_a = lagged(2, 0) - sum_a**2 / n
-        spread_b = lagged(0, 2) - sum_b**2 / n
+        spectra = self._spectra_of(seen_b, value_b, part.j0 - self._window.j0)
+        n, sum_a, sum_b, squares_a, squares_b, products = self._lagged(spectra)
+        n = np.maximum(np.rint(n), 1.0)
+        spread_a = squares_a - sum_a**2 / n
+        spread_b = squares_b - sum_b**2 / n
         least = 1e-3 * n  # a picture that is the same everywhere correlates with nothing
-        covariance = lagged(1, 1) - sum_a * sum_b / n
-        told = n > LEAST_SHARE * min(a.cells, b.cells)
-        told &= (spread_a > least) & (spread_b > least)
+        told = (n > least_cells) & (spread_a > least) & (spread_b > least)
+        covariance = products - sum_a * sum_b / n
         rho = np.where(told, covariance / np.sqrt(np.maximum(spread_a * spread_b, 1e-12)), 0.0)
         rho = np.clip(rho, 0.0, 0.999)
         by_cell = -0.5 * np.log1p(-(rho**2))
         if not rho.any():
             return None
         if alike is None:
-            best = np.unravel_index(int((n * by_cell).argmax()), n.shape)
-            alike = _correlated_cells(a, value_b, seen_b, int(best[0]), int(best[1]))
+            j, i = np.unravel_index(int((n * by_cell).argmax()), n.shape)
+            at = Window(self._window.i0 + int(i), self._window.j0 + int(j), *a.window[2:])
+            alike = _correlated_cells(a, b, at)
         return Scores(by_cell, np.where(told, n, 0.0) / alike, alike, cell_m)
+
+    def _spectra_of(self, seen: Float32, value: Float32, first: int) -> Complex64:
+        """Of what was seen, of values and of their squares [3, h, w], from row `first` on."""
+        height, width = self._shape
+        rows = slice(first, first + len(seen))
+        spectra = np.zeros((3, height, width // 2 + 1), np.complex64)
+        # Rows that were not seen need no transform.
+        spectra[:, rows] = fft.rfft(np.stack([seen, value, value**2]), width, axis=2)
+        return np.asarray(fft.fft(spectra, axis=1, overwrite_x=True))
+
+    def _lagged(self, spectra: Complex64) -> Float64:
+        """The sums over all cells for each shift [6, 2 reach + 1, 2 reach + 1]: of 1, a, b, a², b²
+        and a b, where both were seen."""
+        side = 2 * self._reach + 1
+        product = self._spectra[[0, 1, 0, 2, 0, 1]] * spectra[[0, 0, 1, 0, 2, 1]]
+        # Of all rows only the shifts within reach are wanted; the others need no transform.
+        rows = fft.ifft(product, axis=1, overwrite_x=True)[:, :side]
+        found = fft.irfft(rows, self._shape[1], axis=2)[:, :, :side]
+        return np.asarray(found, dtype=np.float64)
 
 
 def _obstacle_m2(picture: Picture) -> float:
@@ -115,39 +132,46 @@ def _obstacle_m2(picture: Picture) -> float:
     return float(picture.value.sum()) / 255.0 * picture.lattice.cell_m**2
 
 
-def _on(picture: Picture, window: Window) -> tuple[Float32, Float32]:
-    """The values, 0..1, and the seen cells of a picture on another window, 0 outside."""
-    value, seen = (np.zeros(window.shape, np.float32) for _ in range(2))
-    part = picture.window.intersect(window)
-    if part is not None:
-        value[window.slices_of(part)] = picture.value[picture.window.slices_of(part)]
-        value /= np.float32(255.0)
-        seen[window.slices_of(part)] = picture.seen[picture.window.slices_of(part)]
+def _on(picture: Picture, part: Window, window: Window) -> tuple[Float32, Float32]:
+    """The values, 0..1, and the seen cells of a part of a picture, over all columns of a window
+    that contains it, 0 outside."""
+    value, seen = (np.zeros((part.height, window.width), np.float32) for _ in range(2))
+    there, here = window.slices_of(part)[1], picture.window.slices_of(part)
+    value[:, there] = picture.value[here]
+    value /= np.float32(255.0)
+    seen[:, there] = picture.seen[here]
     return value, seen
 
 
-def _correlated_cells(a: Picture, value_b: Float32, seen_b: Float32, j: int, i: int) -> float:
-    """Over how many cells the residuals are alike, at one shift."""
-    height, width = a.window.shape
-    there = (slice(j, j + height), slice(i, i + width))
-    both = a.seen & (seen_b[there] > 0.0)
-    n = float(both.sum())
-    value_a = a.value / 255.0
+def _correlated_cells(a: Picture, b: Picture, at: Window) -> float:
+    """Over how many cells the residuals are alike where what `at` holds of `b` is laid on `a`."""
+    part = at.intersect(b.window)
+    assert part is not None  # they were compared
+    of_a, of_b = at.slices_of(part), b.window.slices_of(part)
+    both = a.seen[of_a] & b.seen[of_b]
+    n = float(np.count_nonzero(both))
+    value_a, value_b = a.value[of_a] / 255.0, b.value[of_b] / 255.0
     y = np.where(both, value_a - value_a[both].mean(), 0.0)
-    x = np.where(both, value_b[there] - value_b[there][both].mean(), 0.0)
+    x = np.where(both, value_b - value_b[both].mean(), 0.0)
     residual = y - x * float((x * y).sum() / (x * x).sum())
     lag = round(CORRELATED_M / a.lattice.cell_m)
-    shape = tuple(fft.next_fast_len(side + lag, real=True) for side in residual.shape)
-
-    def autocorrelated(values: Float64) -> Float64:
-        found = fft.irfft2(np.abs(fft.rfft2(values, shape)) ** 2, shape)
-        return np.asarray(np.roll(found, (lag, lag), (0, 1))[: 2 * lag + 1, : 2 * lag + 1])
-
-    products, counts = autocorrelated(residual), autocorrelated(both.astype(np.float64))
+    products, counts = _autocorrelated(np.stack([residual, both]), lag)
     alike = products / np.maximum(counts, 1.0) / max(float((residual**2).sum()) / n, 1e-12)
-    north, east = np.mgrid[-lag : lag + 1, -lag : lag + 1]
-    inside = np.hypot(north, east) <= lag
-    return max(float(alike[inside].sum()), LEAST_AREA_M2 / a.lattice.cell_m**2, 1.0)
+    north, east = np.mgrid[: lag + 1, -lag : lag + 1]
+    # What lies to the south is alike what lies to the north.
+    times = np.where(north > 0, 2.0, 1.0) * (np.hypot(north, east) <= lag)
+    return max(float((alike * times).sum()), LEAST_AREA_M2 / a.lattice.cell_m**2, 1.0)
+
+
+def _autocorrelated(values: Float64, lag: int) -> Float64:
+    """The sums of products of arrays [n, h, w] with themselves shifted by 0 to `lag` rows and -lag
+    to `lag` columns [n, lag + 1, 2 lag + 1]."""
+    height, width = (fft.next_fast_len(side + lag, real=True) for side in values.shape[1:])
+    spectra = fft.fft(fft.rfft(values, width, axis=2), height, axis=1, overwrite_x=True)
+    power = spectra.real**2 + spectra.imag**2
+    rows = fft.ifft(power, axis=1)[:, : lag + 1]
+    found = fft.irfft(rows, width, axis=2)
+    return np.asarray(np.concatenate([found[..., -lag:], found[..., : lag + 1]], axis=2))
 
 
 class Peak(NamedTuple):
@@ -173,13 +197,10 @@ def peak(found: Scores, near_m: Float64) -> Peak:
     axis = found.shifts_m
     # Three sigmas of the weight, read every quarter of a cell.
     at = np.arange(-3.0 * NEAR_M, 3.0 * NEAR_M, found.cell_m / FINER)
-    east, north = near_m[0] + at, near_m[1] + at
-    index = np.meshgrid(
-        (north - axis[0]) / found.cell_m, (east - axis[0]) / found.cell_m, indexing="ij"
-    )
+    east, north = ((near + at - axis[0]) / found.cell_m for near in near_m)
     j, i = (round((float(at_m) - axis[0]) / found.cell_m) for at_m in (near_m[1], near_m[0]))
     cells = found.independent[np.clip(j, 0, len(axis) - 1), np.clip(i, 0, len(axis) - 1)]
-    fine = cells * ndimage.map_coordinates(found.by_cell, index, order=3, mode="nearest")
+    fine = cells * between_cells(found.by_cell, north, east)
     fine = fine - 0.5 * (at[:, None] ** 2 + at[None, :] ** 2) / NEAR_M**2
     weight = np.exp(fine - fine.max())
     weight /= weight.sum()
@@ -209,8 +230,7 @@ def _top(found: Scores) -> float:
     """The highest score a cell, between the shifts too."""
     j, i = np.unravel_index(int(found.by_cell.argmax()), found.by_cell.shape)
     around = np.linspace(-1.0, 1.0, 2 * FINER + 1)
-    index = np.meshgrid(j + around, i + around, indexing="ij")
-    return float(ndimage.map_coordinates(found.by_cell, index, order=3, mode="nearest").max())
+    return float(between_cells(found.by_cell, j + around, i + around).max())
 
 
 class TurnPeak(NamedTuple):
