@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.align.pairs import LEAST_SHARE, Overlap, for_every_shift, overlapping, placed
+from fieldgrid.align.pairs import (
+    APART,
+    LEAST_SHARE,
+    Overlap,
+    _shares,
+    for_every_shift,
+    overlapping,
+    placed,
+)
 from fieldgrid.align.submaps import Picture
+from fieldgrid.array_types import Float64
 from fieldgrid.lattice import Lattice, Window
 
 CELL_M, WIDE_M, LONG_M, APART_M = 0.2, 3.6, 8.0, 3.0
@@ -58,3 +67,70 @@ def test_a_pair_that_shares_nothing_as_it_lies_has_its_place_between() -> None:
     pair = placed(Overlap(0, 0, 1, 0, 0.5), both)
     assert pair.at_m == pytest.approx([3.0, 4.0])
     assert pair.across == pytest.approx([1.0, 0.0])
+
+
+def test_the_three_that_share_most_are_taken_of_each_other_drive() -> None:
+    """Against all pairs, counted cell by cell."""
+    random = np.random.default_rng(3)
+    drives = []
+    for count in (5, 12, 9):
+        own = []
+        for east, north, wide, long in random.integers((0, 0, 8, 8), (30, 30, 24, 24), (count, 4)):
+            seen = random.random((long, wide)) < 0.6
+            own.append(
+                Picture(
+                    Lattice(CELL_M), Window(*map(int, (east, north, wide, long))),
+                    seen.astype(np.uint8), seen, np.zeros((1, 2)), np.array([0.0, 1.0]),
+                    int(seen.sum()),
+                )
+            )  # fmt: skip
+        drives.append(own)
+
+    def share(one: Picture, other: Picture) -> float:
+        ground = np.zeros((2, 60, 60), np.bool_)
+        for of, drawn in zip(ground, (one, other), strict=True):
+            i0, j0, wide, long = drawn.window
+            of[j0 : j0 + long, i0 : i0 + wide] = drawn.seen
+        return np.count_nonzero(ground[0] & ground[1]) / min(one.cells, other.cells)
+
+    expected = set()
+    for a, of_a in enumerate(drives):
+        for k, one in enumerate(of_a):
+            for b in range(a, 3):
+                shares = [
+                    (share(one, other), l)
+                    for l, other in enumerate(drives[b])  # noqa: E741
+                    if (b > a or l >= k + APART) and (a, b) != (0, 1)
+                ]
+                best = sorted((s for s in shares if s[0] >= LEAST_SHARE), reverse=True)[:3]
+                expected |= {(a, k, b, l, s) for s, l in best}  # noqa: E741
+    found = list(overlapping(drives, lambda a, b: (a, b) != (0, 1)))
+    assert len(found) == len(expected) > 20
+    assert {tuple(one) for one in found} == expected
+
+
+def test_what_submaps_share_at_each_shift_is_counted_in_blocks() -> None:
+    """Of blocks of 5 by 5 cells: the product of what was seen of either."""
+    random = np.random.default_rng(6)
+
+    def drawn(i0: int, j0: int, wide: int, long: int) -> tuple[Picture, Float64]:
+        seen = random.random((long, wide)) < 0.5
+        ground = np.zeros((80, 80))
+        ground[j0 : j0 + long, i0 : i0 + wide] = seen
+        some = Picture(
+            Lattice(CELL_M), Window(i0, j0, wide, long), seen.astype(np.uint8), seen,
+            np.zeros((1, 2)), np.zeros(2), int(seen.sum()),
+        )  # fmt: skip
+        return some, ground
+
+    (a, ground_a), (b, ground_b) = drawn(22, 21, 33, 19), drawn(27, 23, 21, 34)
+    shares = _shares(a, b, 2.0)
+    # Blocks begin at the south-west corner of both windows.
+    blocks = [g[21:76, 22:77].reshape(11, 5, 11, 5).sum(axis=(1, 3)) for g in (ground_a, ground_b)]
+    expected = []
+    for j in range(-2, 3):
+        for i in range(-2, 3):
+            if np.hypot(i, j) <= 2.0:
+                there = np.roll(blocks[1], (j, i), (0, 1))
+                expected.append((blocks[0] * there).sum() / 25.0 / min(a.cells, b.cells))
+    assert np.sort(shares) == pytest.approx(np.sort(expected), rel=1e-12)

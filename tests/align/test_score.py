@@ -140,3 +140,56 @@ def test_a_turn_is_found(turn_deg: float) -> None:
 def test_scores_know_their_shifts() -> None:
     empty = np.zeros((5, 5))
     assert Scores(empty, empty, 1.0, 0.1).shifts_m == pytest.approx([-0.2, -0.1, 0.0, 0.1, 0.2])
+
+
+def test_a_picture_is_compared_with_many_as_with_one() -> None:
+    """Also with those that share only some rows and columns of it."""
+    random = np.random.default_rng(5)
+    a = picture(noise(1), random.random((60, 50)) < 0.8)
+    others = [picture(noise(1), random.random((60, 50)) < 0.7, i0, j0) for i0, j0 in CORNERS]
+    against = Against(a, 0.5)
+    for b in others:
+        found, alone = against.scores(b), Against(a, 0.5).scores(b)
+        assert found is not None
+        assert alone is not None
+        assert np.array_equal(found.by_cell, alone.by_cell)
+        rho, n = direct(a, b, 1, -2)
+        at = found.reach - 2, found.reach + 1
+        assert found.by_cell[at] == pytest.approx(-0.5 * np.log1p(-(max(rho, 0.0) ** 2)), abs=1e-5)
+        assert found.independent[at] == pytest.approx(n / found.alike, rel=1e-6)
+
+
+CORNERS = (0, 0), (14, 20), (-14, -20), (12, -9)
+
+
+def test_cells_are_alike_as_far_as_the_residuals_are() -> None:
+    """Summed shift by shift, at the shift that agrees best."""
+    random = np.random.default_rng(7)
+    a = picture(noise(1, cells=4.0), random.random((60, 50)) < 0.9)
+    b = picture(0.7 * noise(1, cells=4.0) + 0.3 * noise(9, cells=4.0), np.ones((60, 50)), 3, 5)
+    found = Against(a, 1.0).scores(b)
+    assert found is not None
+    north, east = np.subtract(
+        np.unravel_index((found.independent * found.by_cell).argmax(), found.by_cell.shape),
+        found.reach,
+    )
+    # The values of b where a's window lies on it, and whether both were seen.
+    j, i = north - 5, east - 3
+    on, seen = np.zeros((60, 50)), np.zeros((60, 50), np.bool_)
+    there = slice(max(j, 0), 60 + min(j, 0)), slice(max(i, 0), 50 + min(i, 0))
+    here = slice(max(-j, 0), 60 + min(-j, 0)), slice(max(-i, 0), 50 + min(-i, 0))
+    on[here], seen[here] = b.value[there], True
+    seen &= a.seen
+    slope, line = np.polyfit(on[seen], a.value[seen], 1)
+    residual = np.where(seen, a.value - slope * on - line, 0.0)
+    alike = 0.0
+    for dj in range(-10, 11):
+        for di in range(-10, 11):
+            if np.hypot(dj, di) <= 10.0:
+                cut = slice(max(dj, 0), 60 + min(dj, 0)), slice(max(di, 0), 50 + min(di, 0))
+                away = slice(max(-dj, 0), 60 + min(-dj, 0)), slice(max(-di, 0), 50 + min(-di, 0))
+                count = max(np.count_nonzero(seen[cut] & seen[away]), 1)
+                alike += (residual[cut] * residual[away]).sum() / count
+    expected = alike / ((residual**2).sum() / seen.sum())
+    assert found.alike > 20.0
+    assert found.alike == pytest.approx(expected, rel=1e-3)
