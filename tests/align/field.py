@@ -23,13 +23,14 @@ Drive = Sequence[tuple[LocalGrid, Pose]]
 
 
 class Field:
-    """Rows that run north at east = ±SPACING_M / 2, ±3 SPACING_M / 2 ... of plants 0.5 m wide.
+    """Rows that run north at east = ±SPACING_M / 2, ±3 SPACING_M / 2 ... of plants `wide_m` wide.
 
     Plants are half a metre to a metre long with gaps between, drawn with a seed; `even` rows are
     walls without an end.
     """
 
-    def __init__(self, seed: int = 0, *, even: bool = False) -> None:
+    def __init__(self, seed: int = 0, *, even: bool = False, wide_m: float = 0.5) -> None:
+        self._wide_m = wide_m
         self._random = np.random.default_rng(seed)
         self._even = even
         self._edges = {
@@ -40,7 +41,7 @@ class Field:
         """Whether points lie in a plant."""
         row = np.floor(east_m / SPACING_M).astype(np.int64)
         across = np.abs(east_m - (row + 0.5) * SPACING_M)
-        found = across < 0.25
+        found = across < self._wide_m / 2.0
         if self._even:
             return found
         found &= (north_m > 0.0) & (north_m < LENGTH_M)

@@ -1,4 +1,4 @@
-"""Drives that differ: other sensors and cells, one side of a row."""
+"""Drives that differ: other sensors and cells, one side of a row, what grew or came meanwhile."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from fieldgrid.align import MapAlignment, align_map
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import Transform, open_map
+from fieldgrid.transfer import to_universal
 from tests.align.field import Drive, Field, left_m, write_field
 
 OFF = Transform(0.9, -0.7)
@@ -51,25 +53,63 @@ def sparse(frames: Drive, seed: int = 5) -> Drive:
     return found
 
 
+def with_more(frames: Drive, is_there: Callable[[Float64, Float64], Bool]) -> Drive:
+    """What was seen, and obstacles more at places east and north."""
+    found = []
+    for grid, pose in frames:
+        east, north = to_universal(*np.meshgrid(*grid.spec.centres_m()), pose)
+        more = is_there(east, north) & grid.observed
+        density = np.where(more, 200, grid.density).astype(np.uint8)
+        found.append((LocalGrid(grid.spec, density, grid.observed), pose))
+    return found
+
+
+def weeds(frames: Drive) -> Drive:
+    """Weeds of 0.2 m, on a tenth of the ground between rows."""
+    there = np.random.default_rng(8).random((400, 400)) < 0.1
+
+    def is_there(east: Float64, north: Float64) -> Bool:
+        cells = np.floor(north / 0.2).astype(np.int64) % 400, np.floor(east / 0.2).astype(np.int64)
+        return np.asarray(there[cells])
+
+    return with_more(frames, is_there)
+
+
+def trailer(frames: Drive) -> Drive:
+    """A trailer of 2 m by 5 m beside the lane, and a person who walks ahead of the vehicle."""
+    parked = with_more(
+        frames, lambda east, north: (abs(east - 1.8) < 1.0) & (abs(north - 15.0) < 2.5)
+    )
+    found = []
+    for grid, pose in parked:
+        here = pose.east_m, pose.north_m + 5.0
+        found += with_more(
+            [(grid, pose)],
+            lambda east, north, at=here: np.hypot(east - at[0], north - at[1]) < 0.3,
+        )
+    return found
+
+
 def aligned(path: Path, drives: dict[str, Drive]) -> MapAlignment:
     """A map of drives, aligned."""
     with open_map(write_field(path, drives, 0.5)) as universal:
         return align_map(universal)
 
 
-@pytest.mark.parametrize(
-    "seen", [lambda d: coarser(d, 2), lambda d: sparse(d), lambda d: one_side(d)],
-    ids=["cells of 20 cm", "lidar", "one side"],
-)  # fmt: skip
-def test_drives_of_other_sensors_come_together(
-    tmp_path: Path, seen: Callable[[Drive], Drive]
-) -> None:
-    field = Field()
-    true = {"good": field.drive([0.0], sigma_m=0.02, seed=1), "poor": field.drive([0.0], seed=2)}
-    drives = {
-        "good": true["good"],
-        "poor": seen(field.drive([0.0], by=OFF, seed=2, start_s=1e5)),
-    }
+SEEN = {
+    "cells of 20 cm": lambda d: coarser(d, 2), "lidar": sparse, "one side": one_side,
+    "lidar in cells of 20 cm": lambda d: coarser(sparse(d), 2),
+    "growth": lambda d: d, "weeds": weeds, "a trailer and a person": trailer,
+    "growth, weeds, a trailer and a person": lambda d: trailer(weeds(d)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("differs", SEEN)
+def test_drives_come_together_though_they_differ(tmp_path: Path, differs: str) -> None:
+    field, later = Field(), Field(wide_m=0.8 if "growth" in differs else 0.5)
+    true = {"good": field.drive([0.0], sigma_m=0.02, seed=1), "poor": later.drive([0.0], seed=2)}
+    poor = SEEN[differs](later.drive([0.0], seed=2, start_s=1e5))
+    drives = {"good": true["good"], "poor": [(grid, OFF.pose(pose)) for grid, pose in poor]}
     found = aligned(tmp_path / "map.gpkg", drives)
     (pair,) = found.pairs
     assert pair.doubt is None
