@@ -85,17 +85,18 @@ def overlapping(
         near = np.sort(near[worth[a, drives] & ((drives > a) | (parts >= k + APART))])
         # What lies in both windows is the most that both can have seen.
         both = np.minimum(high[at], high[near]) - np.maximum(low[at], low[near])
-        least = LEAST_SHARE * np.maximum(np.minimum(cells[at], cells[near]), 1)
-        near = near[(both > 0).all(axis=1) & (both.prod(axis=1) >= least)]
-        one = pictures[a][k]
-        shared = defaultdict[int, list[tuple[float, int]]](list)
-        for n in near:
-            b, l = every[n]  # noqa: E741
-            share = _shared(one, pictures[b][l])
-            if share >= LEAST_SHARE:
-                shared[b].append((share, l))
-        for b, told in shared.items():
-            for share, l in sorted(told, reverse=True)[:MOST_OF_A_DRIVE]:  # noqa: E741
+        smaller = np.maximum(np.minimum(cells[at], cells[near]), 1)
+        most = np.where((both > 0).all(axis=1), both.prod(axis=1) / smaller, 0.0)
+        best = defaultdict[int, list[tuple[float, int]]](list)
+        for order in np.argsort(-most, kind="stable"):
+            b, l = every[near[order]]  # noqa: E741
+            own = best[b]
+            if most[order] >= (own[-1][0] if len(own) == MOST_OF_A_DRIVE else LEAST_SHARE):
+                share = _shared(pictures[a][k], pictures[b][l])
+                if share >= LEAST_SHARE:
+                    best[b] = sorted([*own, (share, l)], reverse=True)[:MOST_OF_A_DRIVE]
+        for b in sorted(best):
+            for share, l in best[b]:  # noqa: E741
                 yield Overlap(a, k, b, l, share)
 
 
@@ -233,7 +234,7 @@ def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:
     at = _middle(a, b)
     # The direction in which the track of `a` runs; across it lies that of `b`.
     centred = a.track_m - a.track_m.mean(axis=0)
-    along = np.linalg.svd(centred)[2][0] if len(centred) > 1 else np.zeros(2)
+    along = np.linalg.svd(centred, full_matrices=False)[2][0] if len(centred) > 1 else np.zeros(2)
     left = np.array([-along[1], along[0]])
     apart_m = float(left @ (b.track_m.mean(axis=0) - a.track_m.mean(axis=0)))
     return at, left * np.sign(apart_m) if abs(apart_m) > SAME_LANE_M else np.zeros(2)

@@ -35,6 +35,10 @@ LEAST_OBSTACLE_M2 = 0.4
 """Pictures with less obstacle on either side have nothing to compare."""
 
 
+PRODUCTS = (0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)
+"""Powers of the values of `a` and `b` whose products are summed."""
+
+
 class Scores(NamedTuple):
     """Log-likelihoods a cell [2 reach + 1, 2 reach + 1] of shifts of `b` against `a`, row 0 the
     farthest south: at [j, i] `b` is taken to lie (i - reach, j - reach) cells east and north of
@@ -117,10 +121,12 @@ class Against:
         return np.asarray(fft.fft(spectra, axis=1, overwrite_x=True))
 
     def _lagged(self, spectra: Complex64) -> Float64:
-        """The sums over all cells for each shift [6, 2 reach + 1, 2 reach + 1]: of 1, a, b, a², b²
-        and a b, where both were seen."""
+        """The sums of `PRODUCTS` over the cells that both saw, for each shift [6, 2 reach + 1,
+        2 reach + 1]."""
         side = 2 * self._reach + 1
-        product = self._spectra[[0, 1, 0, 2, 0, 1]] * spectra[[0, 0, 1, 0, 2, 1]]
+        product = np.empty((6, *spectra.shape[1:]), np.complex64)
+        for of, (one, other) in zip(product, PRODUCTS, strict=True):
+            np.multiply(self._spectra[one], spectra[other], out=of)
         # Of all rows only the shifts within reach are wanted; the others need no transform.
         rows = fft.ifft(product, axis=1, overwrite_x=True)[:, :side]
         found = fft.irfft(rows, self._shape[1], axis=2)[:, :, :side]
