@@ -16,13 +16,12 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.align import LATER, pose_errors
-from benchmarks.damages import LOG
 from benchmarks.other_sensors import clouds, of_clouds, of_depths
 from fieldgrid.align import align_map
 from fieldgrid.build import build_map
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings, GridSettings
+from fieldgrid.settings import BuildSettings
 
 SF1, RTK = "gnss_sf1.nmea", "gnss_rtk.nmea"
 
@@ -64,24 +63,26 @@ def report(path: Path, what: str, truth: Path) -> None:
     """A line: how far the drives lie apart before and after, and what is said."""
     drives = {"poor": EXAMPLE, "good": truth}
     with open_map(path, writable=True) as universal:
-        before = {n: pose_errors(universal, n, of)[:, :2] for n, of in drives.items()}
+        before, after = {}, {}
+        for name, drive in drives.items():
+            before[name] = pose_errors(universal, name, drive)[:, :2].mean(axis=0)
         found = align_map(universal)
         universal.set_transforms(found.transforms)
-        after = {n: pose_errors(universal, n, of)[:, :2] for n, of in drives.items()}
-    pair = found.pairs[0] if found.pairs else None
-    apart = [100.0 * np.hypot(*(e["poor"] - 0).mean(axis=0).T) for e in (before, after)]
-    good = 100.0 * np.hypot(*(after["good"].mean(axis=0) - before["good"].mean(axis=0)))
-    said = "not compared" if pair is None else f"{100.0 * pair.sigma_m:4.1f} cm"
-    doubt = "" if pair is None or pair.doubt is None else f"; {pair.doubt}"
+        for name, drive in drives.items():
+            after[name] = pose_errors(universal, name, drive)[:, :2].mean(axis=0)
+    (pair,) = found.pairs
+    off, left = (100.0 * np.hypot(*errors["poor"]) for errors in (before, after))
+    moved = 100.0 * np.hypot(*(after["good"] - before["good"]))
     print(
-        f"{what:46s} {apart[0]:5.1f} {apart[1]:5.1f}   {said}   RTK moved {good:.1f} cm{doubt}",
+        f"{what:47s} {off:5.1f} {left:5.1f}   {100.0 * pair.sigma_m:4.1f} cm   RTK moved "
+        f"{moved:.1f} cm{'' if pair.doubt is None else f'; {pair.doubt}'}",
         flush=True,
     )
 
 
 def main() -> None:
     """Print a line for each sensor, beside each stereo drive with RTK."""
-    print(f"{'June SF1 by another sensor, off the truth (cm)':46s} before, after; said")
+    print(f"{'June SF1 by another sensor, off the truth (cm)':47s} before, after; said")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for what, (recording, cell_m) in recordings(folder).items():

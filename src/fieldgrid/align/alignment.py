@@ -332,10 +332,9 @@ class _Run:
         reach_m: float,
         stage: str,
     ) -> list[tuple[Pair, _Found]]:
-        """What work finds for pairs, each with its first submap ready to be compared, without those
-        for which it finds nothing."""
-
-        # What a submap is compared by takes as long as a comparison, and serves all of its pairs.
+        """What work finds for pairs, without those for which it finds nothing. Work is given a pair
+        and its first submap, ready to be compared."""
+        # Making the spectra of a submap takes as long as a comparison; they serve all of its pairs.
         by_submap = defaultdict[tuple[int, int], list[Pair]](list)
         for pair in pairs:
             by_submap[pair.a, pair.k].append(pair)

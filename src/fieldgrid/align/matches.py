@@ -56,8 +56,8 @@ class Equations(NamedTuple):
         return np.asarray(self.target - self.jacobian @ x)
 
     def by_error(self, information: Float64) -> Equations:
-        """The same in units of their errors: of each two of them the information is told
-        [n / 2, 2, 2]."""
+        """The same equations in units of their errors; `information` [n / 2, 2, 2] is that of each
+        two of them."""
         values, axes = np.linalg.eigh(information)
         roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * axes.swapaxes(1, 2)
         count = len(roots)
@@ -68,8 +68,8 @@ class Equations(NamedTuple):
 
 
 def information_of(matches: Sequence[Match], alike: Sequence[int]) -> Float64:
-    """What matches tell of shifts [n, 2, 2], with all that may be wrong with them, each as one of
-    so many that are `alike`."""
+    """The information [n, 2, 2] of the shifts of matches, 1/m², less all that may be wrong with
+    them. `alike` [n] is the number of matches of the same two drives."""
     across = np.array([match.across for match in matches]).reshape(-1, 2, 1)
     told = np.array([match.information for match in matches]).reshape(-1, 2, 2)
     common = np.minimum(np.array(alike), ALIKE)[:, None, None] * COMMON_SIGMA_M**2
@@ -83,7 +83,7 @@ def information_of(matches: Sequence[Match], alike: Sequence[int]) -> Float64:
 def shift_equations(
     drives: Sequence[Drive], offsets: Int64, start: Float64, matches: Sequence[Match]
 ) -> Equations:
-    """What the place of a match is moved by on one side, less that on the other, makes up for the
+    """How the place of a match moves with one drive, less how it moves with the other, equals the
     shift that was found, but for what is due to the sides from which they looked: two equations a
     match, east and north.
 
@@ -121,8 +121,8 @@ def shift_equations(
 def turn_equations(
     offsets: Int64, start: Float64, matches: Sequence[Match], alike: Sequence[int]
 ) -> Equations:
-    """The turn of one drive less that of another, by each match that tells it, in units of its
-    error."""
+    """The turn of one drive less that of another, from each match that measures it, in units of
+    its error. Unknowns as in :func:`shift_equations`."""
     told = [n for n, one in enumerate(matches) if one.turn_information > 0.0 and one.a != one.b]
     some = [matches[n] for n in told]
     a, b = (offsets[np.array([match[n] for match in some], np.intp)] + 2 for n in (0, 2))
