@@ -28,10 +28,10 @@ def command(
     config: options.Config = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Show what is in a recording and what would go wrong with it; exit 1 if a build would fail.
+    """Show what is in a recording and what would go wrong; exit 1 if a build would fail.
 
-    Every finding says how bad it is (error: build fails or the map is wrong; warning: the map is
-    poorer than the drive; info) and what to do.
+    Each finding has a severity (error: the build fails or the map is wrong; warning: the map is
+    poorer than the drive allows; info) and a remedy.
 
     Examples:
 

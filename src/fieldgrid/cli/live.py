@@ -43,7 +43,7 @@ def command(
             "--out",
             "-o",
             metavar="MAP.gpkg",
-            help="The map file; MAP.gpkg.live beside it keeps the drive until it is in the map.",
+            help="The map file. MAP.gpkg.live beside it stores the drive until it is in the map.",
             rich_help_panel=_SESSION,
             show_default=False,
         ),
@@ -54,7 +54,7 @@ def command(
         typer.Option(
             "--replay",
             metavar="RECORDING",
-            help="Take a recording as if it were driven now.",
+            help="Play a recording as if it were driven now.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -62,8 +62,8 @@ def command(
         str,
         typer.Option(
             metavar="X|max",
-            help="So many times as fast as it was driven; max: as fast as can be, without dropping "
-            "a frame.",
+            help="Speed of --replay relative to the drive; max: as fast as possible, without "
+            "dropping a frame.",
             rich_help_panel=_SESSION,
         ),
     ] = "1",
@@ -71,7 +71,7 @@ def command(
         bool,
         typer.Option(
             "--finish",
-            help="Put a drive that was ended before its map was made into the map.",
+            help="Put an interrupted drive into the map.",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -80,7 +80,7 @@ def command(
         typer.Option(
             "--finish-from",
             metavar="RECORDING",
-            help="The same, built anew from a recording of it, with the frames that were dropped.",
+            help="Build an interrupted drive again from its recording, dropped frames included.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -88,7 +88,7 @@ def command(
         bool,
         typer.Option(
             "--discard",
-            help="Remove what an ended session has kept.",
+            help="Remove the stored data of an interrupted session.",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -114,16 +114,16 @@ def command(
         bool,
         typer.Option(
             "--json",
-            help="Print a JSON object a line: grids, poses, windows and events as they come, the "
-            "report last.",
+            help="Print one JSON object per line: grids, poses, windows and events as they "
+            "occur, then the report.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
 ) -> None:
-    """Map while driving: local grids, poses and a costmap now, the same map as build at the end.
+    """Map during the drive: local grids, poses and a costmap now, the map of `build` at the end.
 
-    Ctrl-C and SIGTERM end the drive and make the map of it. After a kill the same command goes on
-    with the same session.
+    Ctrl-C and SIGTERM end the drive and make its map. After a kill, the same command continues
+    the session.
 
     Examples:
 

@@ -36,8 +36,8 @@ def command(
         tuple[float, float, float] | None,
         typer.Option(
             metavar="FORWARD LEFT UP",
-            help="With --write: where the GNSS antenna is, metres from the camera (of a pair, "
-            "from the middle between its cameras). No drive tells that.",
+            help="With --write: position of the GNSS antenna, metres from the camera (from the "
+            "middle between a pair's cameras). It cannot be estimated from a drive.",
         ),
     ] = None,
     every: Annotated[
@@ -50,7 +50,7 @@ def command(
 ) -> None:
     """Estimate height, tilt, roll and yaw of the sensor from the drive alone.
 
-    What the recording says of its mount already is not used, but compared.
+    A mounting given in the recording is not used; it is compared with the estimate.
 
     Examples:
 

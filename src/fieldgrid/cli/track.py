@@ -50,7 +50,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="Gears that are known: columns from, to (UTC), gear (forward, reverse).",
+            help="Known gears: columns from, to (UTC), gear (forward, reverse).",
             rich_help_panel="Poses",
         ),
     ] = None,
@@ -58,7 +58,7 @@ def command(
         str | None,
         typer.Option(
             metavar="KEY=COLUMN,...",
-            help="What the columns of a table are, as in lat=Breite,lon=Laenge.",
+            help="Names of the columns of a table, as in lat=Breite,lon=Laenge.",
             rich_help_panel=_LOG,
         ),
     ] = None,
@@ -66,7 +66,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="How far the antenna sits ahead of the axle that does not steer.",
+            help="Distance of the antenna ahead of the non-steering axle.",
             rich_help_panel=_LOG,
         ),
     ] = None,
@@ -83,7 +83,7 @@ def command(
     figure: options.Figure = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write where the vehicle was, where it pointed and how sure that is, a row a GNSS fix.
+    """Write position, heading and gear of the vehicle with their sigmas, one row per GNSS fix.
 
     Examples:
 
