@@ -125,14 +125,14 @@ def _survey(
         rows,
     )  # fmt: skip
     output.print_line(
-        f"found is what has an obstacle of the map within {result.within_m:g} m; so near to one "
-        f"lies {output.percent(result.by_chance)} of the seen ground about the survey"
+        f"found: an obstacle of the map within {result.within_m:g} m; by chance this holds for "
+        f"{output.percent(result.by_chance)} of the seen ground around the survey"
     )
     false = result.false
     if false is None:
         output.print_line(
-            "false ones are not counted: the survey does not say which ground it covers (a polygon "
-            "of the kind area)"
+            "false objects are not counted: add a polygon of the kind area to the survey, for the "
+            "ground that it covers"
         )
     else:
         rows_too = "" if false.rows is None else f"{false.rows} rows and "
