@@ -128,12 +128,12 @@ def test_a_yaw_is_told_by_its_size() -> None:
         assert doubted_facing(found, camera) is None
         assert not list(facing_notes(found, camera))
     (note,) = facing_notes(Facing(-1.5, 0.1), camera)
-    assert "the camera looks 1.5° ± 0.1° farther left than declared" in note
+    assert "the camera points 1.5° ± 0.1° farther left than declared" in note
     assert doubted_facing(Facing(-1.5, 0.1), camera) is None
     doubted = doubted_facing(Facing(2.5, 0.1), lidar)
     assert doubted is not None
     assert doubted.doubt is Doubt.CAMERA_YAW
-    assert "the lidar looks 2.5° ± 0.1° farther right" in str(doubted.error)
+    assert "the lidar points 2.5° ± 0.1° farther right" in str(doubted.error)
     assert not list(facing_notes(Facing(2.5, 0.1), lidar))
 
 
@@ -145,6 +145,6 @@ def test_a_build_without_the_cameras_steps_is_stopped(
     said = json.loads(mounting.read_text())
     mounting.write_text(json.dumps(said | {"camera_yaw_deg": 3.0}))
     out = tmp_path / "askew.gpkg"
-    with pytest.raises(CalibrationError, match=r"looks [23]\.\d° ± .* farther left.*--accept"):
+    with pytest.raises(CalibrationError, match=r"points [23]\.\d° ± .* farther left.*--accept"):
         build([drive], out, settings=WITHOUT_CAMERA)
     assert not out.exists()

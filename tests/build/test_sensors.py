@@ -110,7 +110,7 @@ def test_a_map_of_depths_is_that_of_the_pairs(kind: str, mapped: Mapped, tmp_pat
     assert report.stages.match_s == 0.0
     assert (report.camera_steps, report.camera_refusals) == (0, 0)
     assert any("no stereo pairs" in note for note in report.notes)
-    assert not any("error of the depths" in note for note in report.notes)
+    assert not any("The growth of the depth error" in note for note in report.notes)
     theirs, ours = obstacles(tmp_path / "pairs.gpkg"), obstacles(depths)
     for tolerance in ("0.10", "0.25"):
         assert ours.precision[tolerance] == pytest.approx(theirs.precision[tolerance], abs=0.005)
@@ -192,7 +192,7 @@ def test_nobody_says_how_the_error_of_depths_grows(drives: dict[str, Path], tmp_
     )
     report = built(folder, tmp_path / "map.gpkg", {})
     assert report.max_range_m == 15.0
-    assert any("they count up to 15 m; add the baseline" in note for note in report.notes)
+    assert any("depths are used up to 15 m; add the baseline" in note for note in report.notes)
 
 
 def test_a_depth_image_of_another_size_is_named(drives: dict[str, Path], tmp_path: Path) -> None:

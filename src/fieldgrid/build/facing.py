@@ -47,8 +47,8 @@ declared to, 0.6 deg at most are found, by what stands on one side alone 0.3."""
 
 
 MIRRORED = (
-    "The frames agree on what stands where only with left and right exchanged, so they are "
-    "mirrored; write them as the sensor sees: images from left to right, clouds in right-handed "
+    "The frames agree on obstacle positions only with left and right exchanged, so they are "
+    "mirrored; store them as the sensor sees: images from left to right, clouds in right-handed "
     "axes, such as x forward, y left, z up."
 )
 
@@ -107,11 +107,11 @@ def _sentence(found: Facing, rig: Rig) -> str:
     what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
     side = "right" if found.off_deg > 0.0 else "left"
     return (
-        f"By what its frames see of the same places the {what} looks {abs(found.off_deg):.1f}° ± "
-        f"{found.sigma_deg:.1f}° farther {side} than declared, and what it sees is misplaced by "
-        f"{100.0 * math.radians(abs(found.off_deg)):.0f} cm in 1 m; measure where it looks and "
-        "correct camera_yaw_deg in mounting.json, or, where headings are recorded or given, what "
-        "they are off by."
+        f"Frames of the same places show that the {what} points {abs(found.off_deg):.1f}° ± "
+        f"{found.sigma_deg:.1f}° farther {side} than declared, which shifts obstacles by "
+        f"{100.0 * math.radians(abs(found.off_deg)):.0f} cm per metre of range; measure its yaw "
+        "and correct camera_yaw_deg in mounting.json, or, if headings are recorded or given, "
+        "their offset."
     )
 
 

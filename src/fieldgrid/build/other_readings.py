@@ -90,13 +90,10 @@ def other_readings(recording: Recording, gridder: LocalGridder, every: int) -> l
 def say_instead(readings: Sequence[str]) -> str:
     """The remedy that these are, in a sentence."""
     if len(readings) == 1:
-        return (
-            f"With {readings[0]} in recording.toml it lies where the mounting says; say so there."
-        )
+        return f"With {readings[0]} in recording.toml it is where the mounting says; set it there."
     listed = f"{', '.join(readings[:-1])} or {readings[-1]}"
     return (
-        f"With {listed} in recording.toml it lies where the mounting says; say there which of them "
-        "is right."
+        f"With {listed} in recording.toml it is where the mounting says; set the right one there."
     )
 
 

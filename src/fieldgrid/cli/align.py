@@ -133,11 +133,11 @@ def _print(found: MapAlignment) -> None:
     )
     if found.pairs:
         output.print_table(
-            ("of", "against", "lay apart", "left", "sigma", "turn", "matches", ""),
+            ("of", "against", "offset", "left", "sigma", "turn", "matches", ""),
             [_pair_row(pair) for pair in found.pairs],
         )
     else:
-        output.print_line("no two sessions saw the same ground; each was compared with itself")
+        output.print_line("no two sessions saw the same ground; each was compared only with itself")
     for pair in found.pairs:
         if pair.doubt is not None:
             output.print_line(f"{pair.b} against {pair.a}: {pair.doubt}; not used")
@@ -145,13 +145,13 @@ def _print(found: MapAlignment) -> None:
         if len(alike := pair.agreement.alike_m):
             every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in alike[:3])
             output.print_line(
-                f"{pair.b} against {pair.a}: what they saw fits as well when shifted by {every} m, "
-                "as where rows repeat; only what the receivers state rules that out"
+                f"{pair.b} against {pair.a}: a shift by {every} m matches as well (repeating "
+                "rows?); only the stated errors of the receivers exclude it"
             )
         if pair.weak_sigma_m > _UNTOLD_M:
             output.print_line(
-                f"{pair.b} against {pair.a}: what they saw does not tell a shift along "
-                f"{pair.weak_axis_deg:.0f}°, as along even rows; the receivers alone do"
+                f"{pair.b} against {pair.a}: the shift along {pair.weak_axis_deg:.0f}° cannot "
+                "be measured (uniform rows?); it comes from the receivers alone"
             )
 
 

@@ -190,7 +190,7 @@ def _write(changes: Changes, out: Path, map_: Path, *, overwrite: bool) -> None:
 
 def _print_objects(changes: Changes) -> None:
     if not changes:
-        output.print_line("no object changed, as far as these drives can tell")
+        output.print_line("no changed object was found")
         return
     output.print_table(
         ("object", "change", "m²", "east", "north", "size", "sure", "seen by"),

@@ -243,7 +243,7 @@ def _drive(
                 live.stop()
                 raise
             if not all_of_it:
-                output.message("the drive is ended and its map made; once more gives that up")
+                output.message("ending the drive and making its map; interrupt again to cancel")
         if line is not None:
             line("making the map")
         try:
@@ -264,7 +264,7 @@ def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
 
     feed = open_feed(text, watch.tell)
     host, port = feed.address
-    to = "whoever connects to tcp" if isinstance(feed, Feed) else "udp"
+    to = "every client of tcp" if isinstance(feed, Feed) else "udp"
     output.message(f"the costmap is sent to {to}://{host}:{port}")
     return feed
 

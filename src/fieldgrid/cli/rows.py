@@ -155,7 +155,7 @@ def command(
             output.print_line(f"{written}")
 
 
-BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "its sd", "parallel to", "bend")
+BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "std dev", "parallel to", "bend")
 
 
 def block_rows(planting: Planting) -> list[tuple[str, ...]]:
@@ -210,7 +210,7 @@ def _print(planting: Planting) -> None:
 
     if not planting.rows:
         output.print_line(
-            "no rows found; --crop and --spacing say what to look for, --obstacle-above which "
+            "no rows found; check --crop and --spacing, and with --obstacle-above which "
             "cells are plants"
         )
         return
