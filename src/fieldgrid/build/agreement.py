@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from fieldgrid.build.denial import Placed, Seen, following, opposed
+from fieldgrid.build.contradictions import Placed, Seen, following, opposed
 from fieldgrid.mapfile import StagedFrames
 from fieldgrid.rig import Lidar, Rig
 

@@ -27,7 +27,7 @@ from fieldgrid.settings import Overrides
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
     from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
-    from fieldgrid.onlookers import FoxgloveServer, LivePage
+    from fieldgrid.live_servers import FoxgloveServer, LivePage
 
 _SESSION = options.MAP_FILE
 _AT_THE_END = {"out", "finish", "finish_from", "wait_s", "as_json", "quiet", "verbose"}
@@ -217,10 +217,10 @@ def _drive(
             stack.enter_context(watch.feed)
         if sources.view is not None:
             page = _page(sources.view, name or driven.name)
-            watch.onlookers.append(stack.enter_context(page))
+            watch.servers.append(stack.enter_context(page))
         if sources.foxglove is not None:
             server = _foxglove(sources.foxglove, name or driven.name, watch)
-            watch.onlookers.append(stack.enter_context(server))
+            watch.servers.append(stack.enter_context(server))
         live = Live(
             out,
             driven.rig,
@@ -271,7 +271,7 @@ def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
 
 def _page(text: str, session: str) -> LivePage:
     """The page at an address."""
-    from fieldgrid.onlookers import LivePage, parse_address
+    from fieldgrid.live_servers import LivePage, parse_address
 
     page = LivePage(*parse_address(text, "--view"), session=session)
     output.message(f"the page that follows the vehicle is {page.link}")
@@ -280,7 +280,7 @@ def _page(text: str, session: str) -> LivePage:
 
 def _foxglove(text: str, session: str, watch: _Watch) -> FoxgloveServer:
     """The server for Foxglove at an address."""
-    from fieldgrid.onlookers import FoxgloveServer, parse_address
+    from fieldgrid.live_servers import FoxgloveServer, parse_address
 
     server = FoxgloveServer(*parse_address(text, "--foxglove"), session=session, tell=watch.tell)
     host, port = server.address
@@ -308,7 +308,7 @@ class _Watch:
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
         self.feed: Feed | DatagramFeed | None = None
-        self.onlookers: list[LivePage | FoxgloveServer] = []
+        self.servers: list[LivePage | FoxgloveServer] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
         self._window: LiveWindow | None = None
@@ -326,8 +326,8 @@ class _Watch:
 
         if self.feed is not None and isinstance(result, LiveWindow):
             self.feed.put(result)
-        for onlooker in self.onlookers:
-            onlooker.take(result)
+        for server in self.servers:
+            server.take(result)
         if self._as_json:
             output.print_json_line(result.as_dict())
             return

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.choices import Doubt
 from fieldgrid.inspection.findings import Finding, error, warning
-from fieldgrid.inspection.looking import Unread
+from fieldgrid.inspection.frame_pass import Unread
 from fieldgrid.inspection.measures import Look
 from fieldgrid.vertical import SHIFT_ERROR_PX, Misalignment
 
