@@ -31,8 +31,8 @@ from fieldgrid.settings.declare import first_problem
 from fieldgrid.transfer import check_cell_sizes
 
 NOT_LEVELLED = (
-    "The drive tells how its vehicle leans, which is known to the end of it only, so live grids "
-    "stay square to the ground ahead. They are placed by the full attitude; to have them level, "
+    "The drive has roll and pitch, but they are complete only after it, so live grids are "
+    "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
     "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
 )
 
