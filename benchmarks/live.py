@@ -24,9 +24,9 @@ from fieldgrid.build import estimate_drive, visual_odometry
 from fieldgrid.convert import convert_recording
 from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
-from fieldgrid.live.kept import Kept
-from fieldgrid.live.lag import Trailing, pose_at
-from fieldgrid.live.sensed import PARTS, Rows
+from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at
+from fieldgrid.live.sensor_rows import PARTS, Rows
+from fieldgrid.live.session_folder import Kept
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
 from fieldgrid.recording import DriveOptions, Recording, open_recording
@@ -157,7 +157,7 @@ def fixed_lag(
 ) -> tuple[list[Pose], float]:
     """The pose of each frame by what was pushed until `lag_s` after it, and the median processor
     time of an estimate."""
-    trailing = Trailing(recording.rig, BuildSettings(), recording.datum_hint, window_s)
+    trailing = FixedLagSmoother(recording.rig, BuildSettings(), recording.datum_hint, window_s)
     fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
     values = {part: getattr(recording.motion(), part) for part in PARTS}
     rows = {part: one for part, one in values.items() if one is not None}

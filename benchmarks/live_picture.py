@@ -16,7 +16,7 @@ from playwright.sync_api import sync_playwright
 
 from benchmarks import EXAMPLE
 from fieldgrid.live import Live, LivePose, LiveResult, replay
-from fieldgrid.onlookers import LivePage
+from fieldgrid.live_servers import LivePage
 from fieldgrid.recording import open_recording
 from tests.view.browsing import CHROMIUM_FLAGS, chromium
 

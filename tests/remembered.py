@@ -18,8 +18,8 @@ import pytest
 
 from fieldgrid import stereo
 from fieldgrid.build import doubt, perception, staging
-from fieldgrid.inspection import looking
-from fieldgrid.live import perceiving
+from fieldgrid.inspection import frame_pass
+from fieldgrid.live import perceiver
 from fieldgrid.mounting import frame_probe
 from fieldgrid.odometry import features, step
 from fieldgrid.pose import clock_search, drive
@@ -30,9 +30,9 @@ from fieldgrid.vertical import vertical_shifts
 KEPT_BYTES = 200 << 20
 
 USES: tuple[tuple[Callable[..., Any], tuple[object, ...]], ...] = (
-    (features, (doubt, frame_probe, looking, perception, staging)),
-    (step, (perceiving, perception)),
-    (vertical_shifts, (doubt, looking)),
+    (features, (doubt, frame_probe, frame_pass, perception, staging)),
+    (step, (perceiver, perception)),
+    (vertical_shifts, (doubt, frame_pass)),
     (smooth, (drive,)),
     (refine, (clock_search, drive)),
 )

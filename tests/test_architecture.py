@@ -61,7 +61,7 @@ LAYERS = (
     ("export", "costmap", "figures", "track", "evaluation"),
     ("build", "stac"),
     ("inspection", "mounting", "convert", "view", "live"),
-    ("onlookers",),
+    ("live_servers",),
     ("cli",),
     ("__main__",),
 )

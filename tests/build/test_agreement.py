@@ -121,7 +121,10 @@ def test_one_lane_has_no_other(lanes: slice) -> None:
 
 def test_lanes_that_contradict_are_told_of_sure_poses() -> None:
     (note,) = opposed_notes(0.31, 0.02)
-    assert note.startswith("In lanes driven in opposite directions 31 % of what frames of the one")
+    assert note.startswith(
+        "In lanes driven in opposite directions, frames of one lane call 31 % of the other's "
+        "obstacle cells"
+    )
     for share, sigma_m in ((None, 0.02), (0.07, 0.02), (0.31, 0.3), (0.31, None)):
         assert not list(opposed_notes(share, sigma_m))
 
@@ -136,7 +139,7 @@ def test_an_antenna_on_the_wrong_side_is_told(make_drive: MakeDrive, tmp_path: P
     assert report.opposed_share is not None
     assert report.opposed_share > 0.5
     assert any(
-        "Check the antenna's place in the mounting, its side first" in note for note in report.notes
+        "Check the lateral position of the antenna in the mounting" in note for note in report.notes
     )
 
 
@@ -178,7 +181,7 @@ def test_noisy_images_are_told(make_drive: MakeDrive, tmp_path: Path) -> None:
     assert dirty.denied_share is not None
     assert clean.denied_share < 0.006 < 0.012 < dirty.denied_share
     assert not any("free ground" in note for note in clean.notes)
-    assert any("Look at the images for noise" in note for note in dirty.notes)
+    assert any("Check the images for noise" in note for note in dirty.notes)
 
 
 def test_lidars_are_not_told_of_images() -> None:

@@ -62,7 +62,7 @@ def test_a_baseline_that_is_wrong_is_told_and_stops_a_build_from_a_twentieth(
     if doubted is not None:
         assert doubted.doubt is Doubt.SCALE
         right_m = RIG.camera.baseline_m / found.ratio
-        assert f"a baseline of {right_m:.4f} m in place of" in str(doubted.error)
+        assert f"a baseline of {right_m:.4f} m instead of" in str(doubted.error)
 
 
 def test_a_way_up_a_slope_is_longer_than_its_plan() -> None:

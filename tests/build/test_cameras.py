@@ -110,7 +110,7 @@ def test_pairs_that_are_not_rectified_are_refused_unless_accepted(
     settings = resolve(None, {"checks": {"accept": ["vertical-misalignment"]}})
     (report,) = build([drive], tmp_path / "m.gpkg", settings=settings)
     assert any(note.startswith("Accepted vertical-misalignment: ") for note in report.notes)
-    assert any("of 7 steps of the camera could be told" in note for note in report.notes)
+    assert any("of 7 visual odometry steps succeeded" in note for note in report.notes)
 
 
 def test_a_camera_that_measures_other_metres_stops_a_build(
@@ -126,7 +126,7 @@ def test_a_camera_that_measures_other_metres_stops_a_build(
         moved = cv2.warpAffine(pixels, aside, pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
         cv2.imwrite(str(image), moved)
     with pytest.raises(
-        CalibrationError, match=r"the way is 1\.0\d\d .* a baseline of .* --accept scale"
+        CalibrationError, match=r"measures 1\.0\d\d .* a baseline of .* --accept scale"
     ):
         build([drive], tmp_path / "m.gpkg")
     assert sorted(tmp_path.iterdir()) == [drive]
@@ -143,7 +143,7 @@ def test_a_wrong_mounting_is_hinted_at(
     (report,) = build([drive], tmp_path / "m.gpkg")
     (hint,) = (note for note in report.notes if "No ground was found" in note)
     assert re.search(
-        r"in \d+ of 16 frames\. The camera's own motion was told, so its calibration fits\. Check "
+        r"in \d+ of 16 frames\. Visual odometry succeeded, so the calibration fits\. Check "
         r"the camera's height of .* m and tilt of .*° in the mounting\.$",
         hint,
     )

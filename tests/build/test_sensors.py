@@ -22,7 +22,7 @@ from fieldgrid.build import (
     perceive,
     visual_odometry,
 )
-from fieldgrid.build.other_readings import other_readings
+from fieldgrid.build.format_hints import format_hints
 from fieldgrid.build.poses import no_ground
 from fieldgrid.build.repose import repose_map
 from fieldgrid.build.rig_config import rig_to_config
@@ -110,7 +110,7 @@ def test_a_map_of_depths_is_that_of_the_pairs(kind: str, mapped: Mapped, tmp_pat
     assert report.stages.match_s == 0.0
     assert (report.camera_steps, report.camera_refusals) == (0, 0)
     assert any("no stereo pairs" in note for note in report.notes)
-    assert not any("error of the depths" in note for note in report.notes)
+    assert not any("The growth of the depth error" in note for note in report.notes)
     theirs, ours = obstacles(tmp_path / "pairs.gpkg"), obstacles(depths)
     for tolerance in ("0.10", "0.25"):
         assert ours.precision[tolerance] == pytest.approx(theirs.precision[tolerance], abs=0.005)
@@ -192,7 +192,7 @@ def test_nobody_says_how_the_error_of_depths_grows(drives: dict[str, Path], tmp_
     )
     report = built(folder, tmp_path / "map.gpkg", {})
     assert report.max_range_m == 15.0
-    assert any("they count up to 15 m; add the baseline" in note for note in report.notes)
+    assert any("depths are used up to 15 m; add the baseline" in note for note in report.notes)
 
 
 def test_a_depth_image_of_another_size_is_named(drives: dict[str, Path], tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_depths_in_another_unit_are_told_with_it(
         built(folder, out, {})
     assert not out.exists()
     with open_recording(folder, RTK) as recording:
-        (reading,) = other_readings(recording, LocalGridder(recording.rig), 1)
+        (reading,) = format_hints(recording, LocalGridder(recording.rig), 1)
     (folder / "recording.toml").write_text(reading.replace("] ", "]\n"))
     assert built(folder, out, {}).used > 0
 
@@ -284,7 +284,7 @@ def test_clouds_of_other_axes_or_units_are_told_with_them(
         np.save(folder / "clouds" / f"{frame.time_ns}.npy", points.astype(np.float32))
     with open_recording(folder, RTK) as recording:
         gridder = LocalGridder(recording.rig)
-        assert other_readings(recording, gridder, 1) == [says]
+        assert format_hints(recording, gridder, 1) == [says]
     (folder / "recording.toml").write_text(says.replace("] ", "]\n"))
     with open_recording(folder, RTK) as recording:
         assert all(
@@ -300,7 +300,7 @@ def test_of_frames_without_ground_no_reading_is_told(
     for path in (folder / "depth").glob("*.png"):  # a wall across the way
         cv2.imwrite(str(path), np.full((480, 640), 6000, np.uint16))
     with open_recording(folder, RTK) as recording:
-        assert other_readings(recording, LocalGridder(recording.rig), 1) == []
+        assert format_hints(recording, LocalGridder(recording.rig), 1) == []
 
 
 def test_why_a_frame_without_ground_is_rejected() -> None:

@@ -48,11 +48,11 @@ def test_the_report_tells_it_once(timed: tuple[Path, Path, SessionReport], tmp_p
 
     (note,) = notes(timed[2])
     assert note == (
-        "The points of a sweep (0.100 s) are carried to its stamp by the vehicle's way."
+        "The points of a sweep (0.100 s) are corrected for the vehicle's motion within it."
     )
     corrected = recorded(tmp_path / "drive", settings="[cloud]\ncorrected = true\n")
     (note,) = notes(built(corrected, tmp_path / "map.gpkg"))
-    assert "they stay as they are" in note
+    assert "motion within a sweep is not corrected" in note
     with open_recording(corrected) as recording:
         (frame,) = recording.frames(0, 1)
         assert isinstance(frame, CloudFrame)

@@ -13,7 +13,7 @@ from scipy.stats import beta
 
 from fieldgrid.changes import ChangedObject, ChangeKind, Changes, cells, find_changes
 from fieldgrid.changes.objects import are_alike, probability
-from fieldgrid.changes.sureness import sigmas_beside
+from fieldgrid.changes.relative_sigmas import relative_sigmas
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Change, Transform, open_map
 from fieldgrid.mapfile.transform import Aligned, Beside, placing
@@ -153,7 +153,7 @@ def test_what_is_between_drives_is_shared_out_and_no_smaller(tmp_path: Path) -> 
         path = two(folder, [ROW], [ROW], sigma_m=sigma_m)
         aligned(path, 0.03)
         with open_map(path) as universal:
-            found = sigmas_beside(universal, ["first"], ["second"])
+            found = relative_sigmas(universal, ["first"], ["second"])
         assert [found.get(name) for name in ("first", "second")] == [
             part if part is None else pytest.approx(part) for part in parts
         ]

@@ -370,7 +370,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "left and right swapped": (
         swap_sides,
-        r"with left and right exchanged, so the two are swapped, .*; exchange the two folders",
+        r"with left and right exchanged, so the two are swapped, .*; swap the two folders",
     ),
     "several logs": (
         lambda drive: shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss"),

@@ -294,7 +294,7 @@ def test_diff_of_objects(fieldgrid: Run, tmp_path: Path) -> None:
     asked = ["diff", path, "--from", "june", "--to", "july"]
     text = fieldgrid(*asked).output()
     assert re.search(r"^c1 +appeared +0\.\d\d +-1\.\d\d m +4\.\d\d m .* july, june$", text, re.M)
-    assert "no object changed" in fieldgrid(*asked, "--min-area", "2").output()
+    assert "no changed object was found" in fieldgrid(*asked, "--min-area", "2").output()
     (told,) = json.loads(fieldgrid(*asked, "--json").output())["objects"]
     assert (told["kind"], told["stood"], told["freed"]) == ("appeared", ["july"], ["june"])
     assert 0.9 < told["confidence"] <= 1.0

@@ -83,7 +83,7 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
                 os.kill(process.pid, request_to_end)
         told = process.stderr.read()
     assert process.returncode == 0, told
-    assert told == "fieldgrid: the drive is ended and its map made; once more gives that up\n"
+    assert told == "fieldgrid: ending the drive and making its map; interrupt again to cancel\n"
     assert said[-1]["map"] == str(out)
     assert said[-1]["pushed"]["frames"] == said[-1]["session"]["frames"] >= 3
     assert {next(iter(one)) for one in said} >= {"grid", "pose", "window", "map"}
@@ -188,7 +188,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
             last = [json.loads(line) for line in process.stdout]
         told = process.stderr.read().decode()
     assert process.returncode == 0, told
-    assert told == "fieldgrid: the drive is ended and its map made; once more gives that up\n"
+    assert told == "fieldgrid: ending the drive and making its map; interrupt again to cancel\n"
     assert last[-1]["pushed"]["frames"] == last[-1]["session"]["frames"] == 4
     texts = [one["text"] for one in (*map(json.loads, said), *last) if "event" in one]
     assert "The receiver at - has come to its end." in texts

@@ -58,7 +58,7 @@ def test_no_route_is_an_answer_with_a_place(fieldgrid: Run, field: Path, tmp_pat
     vehicle.write_text("width_m = 1.2\nturning_radius_m = 20\nclearance_m = 0\nreverse = false\n")
     asked = ("route", field, "--from", "3.75,5,0", "--to", "3.75,15,0", "--vehicle", vehicle)
     sentence = fieldgrid(*asked, "-o", out).sentence()
-    assert "way" in sentence
+    assert "path" in sentence
     assert not out.exists()
     failed = fieldgrid(*asked, "--json")
     assert failed.status == 1
@@ -75,7 +75,7 @@ def test_covering_says_what_is_left_out(fieldgrid: Run, field: Path, tmp_path: P
     assert done.status == 1
     for words in ("lanes covered", "2 of 3", "not covered", "stopped by an obstacle", str(out)):
         assert words in done.out
-    assert "1 of 3 lanes are not covered; of B1-L2: There is no way along the lane" in done.err
+    assert "1 of 3 lanes are not covered; of B1-L2: There is no path along the lane" in done.err
     assert "--lanes B1-L1,B1-L3 asks for the others alone" in done.err
     with out.open(newline="") as file:
         named = [row["lane"] for row in csv.DictReader(file)]

@@ -157,7 +157,7 @@ def test_a_map_without_rows_says_what_to_change(fieldgrid: Run, tmp_path: Path) 
     seen = np.ones(window.shape, dtype=np.bool_)
     view = MapView(lattice, window, np.zeros(window.shape, dtype=np.uint8), seen, DATUM)
     path = write_map(tmp_path / "bare.gpkg", view)
-    assert "no rows found; --crop" in fieldgrid("rows", path).output()
+    assert "no rows found; check --crop" in fieldgrid("rows", path).output()
     assert json.loads(fieldgrid("rows", path, "--json").output())["rows"] == []
 
 

@@ -331,8 +331,8 @@ def test_given_poses(fieldgrid: Run, out: Path) -> None:
     tum, rtk = out.with_suffix(".tum"), ("--gnss", "gnss_rtk.nmea")
     fieldgrid("track", TWO_LANES, "-o", tum, *rtk).output()
     text = fieldgrid("track", TWO_LANES, "-o", out, *rtk, "--poses", tum).output()
-    assert re.search(r"^frame of the poses heads \(fixes\) +\d\d\.\d\d ± 0\.\d\d °$", text, re.M)
-    assert re.search(r"^poses off 437 fixes, median / 95 % / most +0\.0\d\d / ", text, re.M)
+    assert re.search(r"^heading of the poses' frame \(fixes\) +\d\d\.\d\d ± 0\.\d\d °$", text, re.M)
+    assert re.search(r"^poses minus 437 fixes, median / 95 % / most +0\.0\d\d / ", text, re.M)
     assert "note: The poses are 437 of track.tum, body axes flu, frame z up." in text
     again = out.with_name("again.tum")
     frame = ("--frame-origin", "41.65,-4.72,787.4", "--frame-heading", "90")

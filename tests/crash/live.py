@@ -27,7 +27,7 @@ from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.live import LiveGrid, LiveResult, live_folder, replay
-from fieldgrid.live.kept import Kept, read_drive
+from fieldgrid.live.session_folder import SessionFolder, read_drive
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import open_recording
 from fieldgrid.settings import BuildSettings
@@ -105,7 +105,7 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
 def _kept(out: Path) -> Had:
     """What is there of a session, read as its end would."""
     try:
-        with Kept(out, None) as kept:
+        with SessionFolder(out, None) as kept:
             drive = read_drive(kept.folder, kept.stage.entries)
             assert drive is not None
             return Had([entry.frame_id for entry in kept.staged().entries], len(drive.fixes))

@@ -215,7 +215,7 @@ def test_swapped_cameras(drive: Make) -> None:
     found = inspect_recording(folder)
     assert not found.builds
     assert codes(found, Severity.ERROR) == {"cameras-swapped"}
-    assert "exchange the two folders" in finding(found, "cameras-swapped")[1].lower()
+    assert "swap the two folders" in finding(found, "cameras-swapped")[1].lower()
 
 
 @pytest.mark.parametrize("baseline_m", [0.20, pytest.param(0.17, marks=pytest.mark.long)])
@@ -294,7 +294,7 @@ def test_a_truncated_image(drive: Make) -> None:
     assert not found.builds
     assert codes(found, Severity.ERROR) == {"images-unreadable"}
     message, _ = finding(found, "images-unreadable")
-    assert message.startswith("1 of 8 frames")
+    assert message.startswith("1 of 8 examined frames")
     assert "000009.jpg is truncated" in message
 
 

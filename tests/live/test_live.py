@@ -38,7 +38,7 @@ from fieldgrid.live import (
     replay,
 )
 from fieldgrid.live.journal import Journal, read_journal
-from fieldgrid.live.perceiving import stage_frame
+from fieldgrid.live.perceiver import stage_frame
 from fieldgrid.mapfile import StagedFrame, StageFile, open_map
 from fieldgrid.recording import Frame, Recording, open_recording
 from fieldgrid.settings import BuildSettings

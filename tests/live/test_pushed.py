@@ -22,7 +22,7 @@ from fieldgrid.live.pushed import warm_up
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.odometry import step
 from fieldgrid.recording import open_recording
-from fieldgrid.live.lag import Trailing
+from fieldgrid.live.fixed_lag import FixedLagSmoother
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.settings import BuildSettings
 
@@ -37,7 +37,7 @@ with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
     warm_up(gridder, odometry=True)
     warm_up_poses(recording.rig, BuildSettings())
     Kernel.compiled = noted
-    trailing = Trailing(recording.rig, BuildSettings(), None, 20.0)
+    trailing = FixedLagSmoother(recording.rig, BuildSettings(), None, 20.0)
     for fix in list(recording.fixes())[:100]:
         trailing.add_fix(fix)
     trailing.estimate(trailing.newest_ns)

@@ -7,20 +7,20 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from tests.live.test_posing import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
 
 from fieldgrid.build import build_map
 from fieldgrid.build.stuck import REPEATED
 from fieldgrid.live import LiveOptions, LivePose, LiveWindow
-from fieldgrid.live.posing import Poser
+from fieldgrid.live.poser import Poser
 from fieldgrid.live.results import Doubt
-from fieldgrid.live.sensed import rows_of
+from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.mapfile import open_map
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Status
 from tests.build.making import content
 from tests.conftest import make_small_drive
 from tests.live.making import Told, cut_log, drive_live
-from tests.live.test_posing import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

@@ -46,7 +46,9 @@ def test_walls_are_where_they_are_if_the_way_is_known(
     drive: Path, tmp_path: Path, wheels: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Of an estimate in time the speed would be known, too.
-    monkeypatch.setattr("fieldgrid.live.going.Going.know", lambda _self, _track: None)
+    monkeypatch.setattr(
+        "fieldgrid.live.dead_reckoning.DeadReckoning.know", lambda _self, _track: None
+    )
     report = driven(drive, tmp_path / "map.gpkg", wheels=wheels)
     assert report.used == SWEEPS
     (note,) = (note for note in report.notes if "stamps of their clouds" in note)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldgrid.mounting.ground_steps import ground_steps
 from fieldgrid.mounting.plane import Plane
-from fieldgrid.mounting.ways import ways
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
 from fieldgrid.travel import Ways, travel
@@ -52,7 +52,7 @@ def plane_of(mount: Mount) -> Plane:
 @given(st.floats(-20.0, 20.0), st.floats(-0.5, 2.5), st.floats(-10.0, 10.0), st.floats(0.0, 40.0))
 def test_yaw_and_axle_are_found(yaw: float, ahead: float, roll: float, tilt: float) -> None:
     mount = Mount(2.0, tilt, roll, yaw)
-    moved = travel(ways(motions(mount, ahead, LEGS), plane_of(mount)))
+    moved = travel(ground_steps(motions(mount, ahead, LEGS), plane_of(mount)))
     assert moved.yaw_deg is not None
     assert moved.ahead_m is not None
     assert moved.yaw_deg.value == pytest.approx(yaw, abs=0.1)
@@ -63,7 +63,7 @@ def test_yaw_and_axle_are_found(yaw: float, ahead: float, roll: float, tilt: flo
 def test_the_sign_is_that_of_the_camera_also_in_reverse(distance_m: float) -> None:
     """A camera that looks to the right sees the vehicle go to its left."""
     mount = Mount(2.0, 15.0, 0.0, 3.0)
-    steps = ways(motions(mount, 1.0, [(12, distance_m, 0.0)]), plane_of(mount))
+    steps = ground_steps(motions(mount, 1.0, [(12, distance_m, 0.0)]), plane_of(mount))
     np.testing.assert_allclose(steps.forward_m, distance_m, atol=1e-9)
     np.testing.assert_allclose(steps.direction_deg, -3.0, atol=1e-9)
     moved = travel(steps)
@@ -75,7 +75,7 @@ def test_the_sign_is_that_of_the_camera_also_in_reverse(distance_m: float) -> No
 def test_curvature_is_to_the_right_when_driving_forward() -> None:
     mount = Mount(2.0, 15.0)
     for distance_m in (1.0, -1.0):
-        steps = ways(motions(mount, 0.0, [(3, distance_m, 0.1)]), plane_of(mount))
+        steps = ground_steps(motions(mount, 0.0, [(3, distance_m, 0.1)]), plane_of(mount))
         np.testing.assert_allclose(steps.curvature_per_m, 0.1, rtol=0.01)
         np.testing.assert_allclose(steps.turn_deg, math.degrees(0.1 * distance_m), atol=1e-9)
 
@@ -89,7 +89,7 @@ def test_sway_of_a_high_camera_is_no_way() -> None:
     place = np.array([0.0, 0.0, mount.height_m])
     moved = np.array([0.0, 1.0, 0.0]) + rolled @ place - place
     R = R_vc.T @ rolled.T @ R_vc
-    steps = ways([RigidMotion(R, -R @ (R_vc.T @ moved))], plane_of(mount))
+    steps = ground_steps([RigidMotion(R, -R @ (R_vc.T @ moved))], plane_of(mount))
     np.testing.assert_allclose(steps.direction_deg, 0.0, atol=1e-6)
     np.testing.assert_allclose(steps.forward_m, 1.0, atol=1e-6)
 
@@ -97,7 +97,7 @@ def test_sway_of_a_high_camera_is_no_way() -> None:
 def test_the_truth_is_within_the_sigmas_that_are_told() -> None:
     mount, off_yaw, off_ahead = Mount(2.0, 15.0, 0.0, 1.5), [], []
     for seed in range(40):
-        steps = ways(motions(mount, 1.4, LEGS, 0.01, seed), plane_of(mount))
+        steps = ground_steps(motions(mount, 1.4, LEGS, 0.01, seed), plane_of(mount))
         moved = travel(steps)
         assert moved.yaw_deg is not None
         assert moved.ahead_m is not None
@@ -110,7 +110,7 @@ def test_the_truth_is_within_the_sigmas_that_are_told() -> None:
 
 def test_of_one_curve_the_yaw_is_told_only_with_the_axle() -> None:
     mount = Mount(2.0, 15.0, 0.0, 2.0)
-    steps = ways(motions(mount, 1.4, [(20, 1.0, 0.04)]), plane_of(mount))
+    steps = ground_steps(motions(mount, 1.4, [(20, 1.0, 0.04)]), plane_of(mount))
     assert travel(steps).yaw_deg is None
     moved = travel(steps, 1.4)
     assert moved.yaw_deg is not None
@@ -122,7 +122,7 @@ def test_too_few_steps_or_too_little_straight_on_tell_no_yaw(
     legs: list[tuple[int, float, float]],
 ) -> None:
     mount = Mount(2.0, 15.0)
-    moved = travel(ways(motions(mount, 1.0, legs), plane_of(mount)))
+    moved = travel(ground_steps(motions(mount, 1.0, legs), plane_of(mount)))
     assert moved.yaw_deg is None
     assert moved.ahead_m is None
 
@@ -130,7 +130,7 @@ def test_too_few_steps_or_too_little_straight_on_tell_no_yaw(
 def test_steps_that_are_unknown_or_at_rest_are_left_out() -> None:
     mount = Mount(2.0, 15.0)
     known = motions(mount, 1.0, [(2, 1.0, 0.0), (1, 0.05, 0.0), (1, 1.0, 0.0)])
-    steps = ways([None, *known], plane_of(mount))
+    steps = ground_steps([None, *known], plane_of(mount))
     assert list(steps.stop) == [2, 3, 5]
     assert isinstance(steps, Ways)
-    assert len(ways([None, None], plane_of(mount)).stop) == 0
+    assert len(ground_steps([None, None], plane_of(mount)).stop) == 0

@@ -289,9 +289,9 @@ def test_ends_that_are_not_free(
 @pytest.mark.parametrize(
     ("start", "goal", "words"),
     [
-        ((1.0,), (2.0, 3.0), "no place"),
-        ((1.0, math.nan), (2.0, 3.0), "no place"),
-        ((1.0, 2.0, 3.0, 4.0), (2.0, 3.0), "no place"),
+        ((1.0,), (2.0, 3.0), "not a position"),
+        ((1.0, math.nan), (2.0, 3.0), "not a position"),
+        ((1.0, 2.0, 3.0, 4.0), (2.0, 3.0), "not a position"),
         (at(2, 5), at(2, 5, 90), "give two places"),
         (at(2, 5, 90), at(2, 5, 450), "give two places"),
     ],

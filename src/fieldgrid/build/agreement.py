@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from fieldgrid.build.denial import Placed, Seen, following, opposed
+from fieldgrid.build.contradictions import Placed, Seen, following, opposed
 from fieldgrid.mapfile import StagedFrames
 from fieldgrid.rig import Lidar, Rig
 
@@ -82,11 +82,11 @@ def agreement_notes(share: float | None, rig: Rig) -> Iterator[str]:
     if share is None or share <= DENIED_WARN or isinstance(rig.sensor, Lidar):
         return
     yield (
-        "In three of four pairs of frames, taken some metres apart, more than "
-        f"{100.0 * share:.1f} % of what the one calls obstacles is free ground to the other (good "
-        "images: at most 0.6 %), so the map holds obstacles that are not there. Look at the images "
-        "for noise, hard compression, dirt and rain; take them with more light and less gain, and "
-        "store them without loss."
+        "In three of four pairs of frames, taken some metres apart, the other frame calls more "
+        f"than {100.0 * share:.1f} % of a frame's obstacle cells free (good images: at most "
+        "0.6 %), so the map has false obstacles. Check the images for noise, strong "
+        "compression, dirt and rain; record them with more light and less gain, without lossy "
+        "compression."
     )
 
 
@@ -97,8 +97,8 @@ def opposed_notes(share: float | None, position_sigma_m: float | None) -> Iterat
     if position_sigma_m is None or position_sigma_m > SURE_M:
         return
     yield (
-        f"In lanes driven in opposite directions {100.0 * share:.0f} % of what frames of the one "
-        "call obstacles is free ground to frames of the other (with RTK and a right mounting at "
-        "most 3 %), so each lane puts the row between them elsewhere. Check the antenna's place in "
-        "the mounting, its side first, and camera_yaw_deg."
+        f"In lanes driven in opposite directions, frames of one lane call {100.0 * share:.0f} % of "
+        "the other's obstacle cells free (with RTK and a correct mounting at most 3 %), so the two "
+        "lanes place the row between them differently. Check the lateral position of the antenna "
+        "in the mounting, then camera_yaw_deg."
     )

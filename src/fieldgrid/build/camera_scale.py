@@ -118,17 +118,17 @@ def _slope(place_m: Float64) -> Float64:
 def scale_told(scale: CameraScale, rig: Rig) -> str:
     """That the scale is off; what to do about it."""
     told = (
-        f"By the camera the way is {scale.ratio:.3f} ± {scale.sigma:.3f} times that of the fixes "
-        f"(over {scale.distance_m:.0f} m), so all distances of the grids are"
+        f"The camera measures {scale.ratio:.3f} ± {scale.sigma:.3f} times the distance of the "
+        f"fixes (over {scale.distance_m:.0f} m), and so do the grids"
     )
     sensor = rig.sensor
     if not isinstance(sensor, StereoCamera):
         return f"{told}; check the unit of the depth images and the focal length of the camera."
     return (
-        f"{told}; a baseline of {sensor.baseline_m / scale.ratio:.4f} m in place of "
+        f"{told}; a baseline of {sensor.baseline_m / scale.ratio:.4f} m instead of "
         f"{sensor.baseline_m:.4f} m would agree: check it (P[3] = -f·b of the right camera, "
-        "stereo_baseline_m) and the focal length, or calibrate the pair anew where the cameras "
-        "have moved against each other."
+        "stereo_baseline_m) and the focal length, or calibrate the pair again if the cameras have "
+        "moved relative to each other."
     )
 
 

@@ -55,9 +55,9 @@ def doubted_cameras(
     if blind and ground < GROUND_SHARE * frames:
         error = CalibrationError(
             f"Only {ground} of {frames} frames of {recording.name} show the ground, and only "
-            f"{report.camera_steps} of {tried} steps of the camera can be told from them, so the "
-            "images do not fit the calibration; give that of these cameras, and look whether the "
-            "pairs are rectified, of one moment, and not swapped left and right."
+            f"{report.camera_steps} of {tried} visual odometry steps can be estimated, so the "
+            "images do not fit the calibration; give the calibration of these cameras, and check "
+            "that the pairs are rectified, synchronised, and not swapped left and right."
         )
         return Doubted(Doubt.CAMERAS_UNFIT, error)
     return None
@@ -66,8 +66,8 @@ def doubted_cameras(
 def _swapped(name: str) -> Doubted:
     error = CalibrationError(
         f"The pairs of {name} show depth only with left and right exchanged, so the two are "
-        "swapped, or the calibration is of other cameras; exchange the two folders or the two "
-        "columns of frames.csv, or give the calibration of these cameras."
+        "swapped, or the calibration is of other cameras; swap the two folders or the two columns "
+        "of frames.csv, or give the calibration of these cameras."
     )
     return Doubted(Doubt.CAMERAS_SWAPPED, error)
 
@@ -92,10 +92,10 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
     if swapped(recording, frames, every):  # what matches then, does by chance
         return _swapped(recording.name)
     error = CalibrationError(
-        f"The right images of {recording.name} lie {found.median_px:+.1f} pixels lower than the "
-        f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), and rows "
-        "must match to match pixels; calibrate the pair anew, or give the rectification that "
-        "belongs to these images."
+        f"The right images of {recording.name} are {found.median_px:+.1f} pixels lower than the "
+        f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), but stereo "
+        "matching needs equal rows; calibrate the pair again, or give the rectification of these "
+        "images."
     )
     return Doubted(Doubt.VERTICAL_MISALIGNMENT, error)
 
@@ -108,7 +108,7 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
     missing = report.reasons[no_ground(rig)]
     if missing > HINT_SHARE * report.frames:
         what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
-        fits = " The camera's own motion was told, so its calibration fits."
+        fits = " Visual odometry succeeded, so the calibration fits."
         yield (
             f"No ground was found in {missing} of {report.frames} frames."
             f"{fits if report.camera_steps > report.camera_refusals else ''} Check the {what}'s "
@@ -117,9 +117,9 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
     if blind:
         reason = commonest_reason(report.camera_refusal_reasons.elements())
         yield (
-            f"Only {report.camera_steps} of {tried} steps of the camera could be told from its "
-            f"images, mostly because: {reason}. Unless they are metres apart or show little, check "
-            "the calibration, and that the pairs are rectified and of one moment."
+            f"Only {report.camera_steps} of {tried} visual odometry steps succeeded, mostly "
+            f"because: {reason}. Unless the frames are metres apart or show little, check the "
+            "calibration, and that the pairs are rectified and synchronised."
         )
 
 
@@ -129,10 +129,10 @@ def sensor_notes(
     """What a build does without for want of a pair, or of what is known of its depths."""
     sensor = recording.rig.sensor
     if settings.pose.uses_camera and not isinstance(sensor, StereoCamera):
-        yield "There are no stereo pairs, so the camera's own motion is not told from the frames."
+        yield "There are no stereo pairs, so there is no visual odometry."
     if isinstance(sensor, DepthCamera) and sensor.baseline_m is None:
         yield (
-            "Nothing says how the error of the depths grows with range, so they count up to "
+            "The growth of the depth error with range is unknown, so depths are used up to "
             f"{max_range_m:g} m; add the baseline to their calibration, or give --max-range."
         )
 
@@ -156,20 +156,19 @@ def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterat
             continue
         if after_s is None:
             yield (
-                "No usable times of their points are with the clouds, or they are corrected "
-                "already, so they stay as they are: what the vehicle moves within a sweep is in "
-                "them."
+                "The clouds have no usable times of their points, or are corrected already, so the "
+                "vehicle's motion within a sweep is not corrected."
             )
         elif is_carried:
             yield (
-                f"The points of a sweep ({np.ptp(after_s):.3f} s) are carried to its stamp by the "
-                "vehicle's way."
+                f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the vehicle's "
+                "motion within it."
             )
         else:
             yield (
-                "The points of the clouds have times, but the vehicle's way is known only when "
-                "the drive has ended, so the motion within a sweep stays in live grids; to have "
-                "it out, build the drive from a recording."
+                "The points of the clouds have times, but the vehicle's trajectory is known only "
+                "after the drive, so live grids are not corrected for the motion within a sweep; "
+                "to correct it, build the drive from a recording."
             )
         return
 

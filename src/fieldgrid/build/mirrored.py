@@ -52,7 +52,7 @@ def doubted_mirror(
     ):
         return None
     told = (
-        "The path of the fixes is a mirror image of the way that the camera went: the two lie "
+        "The path of the fixes is a mirror image of the camera's path: the two are "
         f"{off.as_is_m:.2f} m apart"
     )
     first = f"latitude {datum.lat_deg:.6f}, longitude {datum.lon_deg:.6f}"
@@ -60,13 +60,13 @@ def doubted_mirror(
     if off.exchanged_m < off.mirrored_m:
         why = (
             f", and {off.exchanged_m:.2f} m with latitude and longitude exchanged; the drive is at "
-            f"{first}: if that is not the field, exchange the two, of a table by naming "
+            f"{first}: if that is not the field, exchange the two; for a table, name "
             f"its columns: {how_to_say(lat='COLUMN', lon='COLUMN')}"
         )
     elif gyro is not None and _turns_against(steps, gyro):
         why = (
             f", and {off.mirrored_m:.2f} m with left and right exchanged, and the gyro turns as "
-            "the fixes do, so the images were flipped: write them as the camera sees"
+            "the fixes do, so the images were flipped: store them as the camera sees"
         )
     else:
         as_too = "" if gyro is None else ", and the gyro turns as the camera does"

@@ -128,8 +128,8 @@ def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
         began_s = round((fixed.first_ns - seen.first_ns) / 1e9)
         return (
             "if it is the log of this drive, and both began at about the same time, "
-            f"{_offset_words(recording, fixed, began_s)} (the camera's motion tells the rest), "
-            f"else {choose}"
+            f"{_offset_words(recording, fixed, began_s)} (visual odometry gives the rest), "
+            f"otherwise {choose}"
         )
     return (
         f"they would if images were {abs(shift_s):g} s {'later' if shift_s > 0 else 'earlier'} "
@@ -202,9 +202,9 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
         return Doubted(Doubt.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
     error = RecordingError(
         f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
-        f"{utc_text(jump.time_ns)}: over that hole in their stamps the camera went "
-        f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; make two recordings of the "
-        "drive there, of which each gets the offset that `fieldgrid inspect` finds."
+        f"{utc_text(jump.time_ns)}: over that gap in their stamps the camera moved "
+        f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; split the drive there into two "
+        "recordings, and give each the offset that `fieldgrid inspect` finds."
     )
     return Doubted(Doubt.CLOCK_JUMP, error)
 
@@ -218,9 +218,9 @@ def _change_sentence(recording: Recording, change: ClockChange) -> str:
     return (
         f"The {whose} of {recording.name} are stamped {sign * change.before_s:+.2f} s against the "
         f"{beside} up to {utc_text(change.time_ns)} and {sign * change.after_s:+.2f} s from there "
-        f"on, as {change.steps} steps of the camera show: a clock was set within the drive, two "
-        "drift apart, or images were lost and the stamps of others given to the next; make two "
-        f"recordings of the drive there, and give the one that is off its {option}."
+        f"on, as {change.steps} visual odometry steps show: a clock was set during the drive, two "
+        "clocks drift apart, or images were lost and their stamps given to the next ones; split "
+        f"the drive there into two recordings, and give {option} for the one that is off."
     )
 
 
@@ -230,26 +230,26 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
     if found is None or not found.is_certain:
         return None
     told = (
-        f"{found.off} of {found.steps} steps between the images of {recording.name} are not those "
-        "of the fixes, and no offset of their clock was found that explains it"
+        f"{found.off} of {found.steps} visual odometry steps of {recording.name} do not match the "
+        "fixes, and no clock offset explains it"
     )
     if found.gyro_too:
         why = (
-            "The gyro turns as the images do, so the fixes are of another drive, of another clock, "
-            "or far less good than they state; look at the log, and if it is the clock, give "
+            "The gyro agrees with the images, so the fixes are of another drive, of another clock, "
+            "or far less accurate than reported; check the log, and if it is the clock, give "
             "--gnss-offset."
         )
     elif _whole_seconds(recording.frame_times_ns()):
         why = (
-            "The images are stamped in whole seconds, so each is of up to a second later; let what "
-            "writes them stamp milliseconds, or take the stamps from the files' names or times if "
+            "The images are stamped in whole seconds, so each is up to a second late; let the "
+            "recorder write milliseconds, or take the stamps from the files' names or times if "
             "those have them."
         )
     else:
         why = (
-            "The images are not in the order of their stamps, some are missing or stamped wrong, "
-            "or their clock is seconds off; look at the order in frames.csv (as text, 10 comes "
-            "before 2), at how the images were written, and at the clock of the computer."
+            "The images are not in the order of their stamps, some are missing or have wrong "
+            "stamps, or their clock is seconds off; check the order in frames.csv (as text, 10 "
+            "comes before 2), the recorder, and the clock of the computer."
         )
     return Doubted(Doubt.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
@@ -299,9 +299,9 @@ def _turned_sentence(turn: ImuTurn) -> str:
     """That the IMU is turned, and where that is said, without an end."""
     side = "left" if turn.off_deg > 0.0 else "right"
     return (
-        f"Beside the camera the IMU is turned {abs(turn.off_deg):.0f}° ± {turn.sigma_deg:.0f}° "
-        f"farther {side} about the vertical than declared ({turn.steps} steps), and takes rolling "
-        "for pitching; correct imu_axes in mounting.json"
+        f"Relative to the camera, the IMU is turned {abs(turn.off_deg):.0f}° ± "
+        f"{turn.sigma_deg:.0f}° farther {side} about the vertical than declared ({turn.steps} "
+        "steps), which mixes roll and pitch; correct imu_axes in mounting.json"
     )
 
 

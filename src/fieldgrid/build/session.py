@@ -25,7 +25,7 @@ from fieldgrid.build.camera_scale import (
     scale_notes,
     tells_heights,
 )
-from fieldgrid.build.denial import Placed
+from fieldgrid.build.contradictions import Placed
 from fieldgrid.build.doubt import (
     camera_notes,
     doubted_cameras,
@@ -34,10 +34,9 @@ from fieldgrid.build.doubt import (
     sensor_notes,
     sweep_notes,
 )
-from fieldgrid.build.facing import doubted_facing, facing, facing_notes
+from fieldgrid.build.format_hints import format_hints, hint_sentence
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.mirrored import doubted_mirror
-from fieldgrid.build.other_readings import other_readings, say_instead
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_poses,
@@ -54,6 +53,7 @@ from fieldgrid.build.poses import (
 )
 from fieldgrid.build.report import BadFrame, Progress, SessionReport
 from fieldgrid.build.rig_config import rig_to_config
+from fieldgrid.build.sensor_yaw import doubted_sensor_yaw, sensor_yaw, sensor_yaw_notes
 from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
@@ -214,10 +214,10 @@ class NewSession:
             report.camera_steps = len(steps.start_ns)
             report.camera_refusals = report.camera_refusal_reasons.total()
         found = sum(entry.ground_found for entry in staged.entries)
-        if not found and (readings := other_readings(recording, self._gridder, self.every)):
+        if not found and (readings := format_hints(recording, self._gridder, self.every)):
             raise CalibrationError(
                 f"No ground was found in the {len(staged.entries)} frames of {self.name}, so "
-                f"heights above it are not known. {say_instead(readings)}"
+                f"heights above it are not known. {hint_sentence(readings)}"
             )
         report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
         trajectory = self._trajectory
@@ -248,9 +248,9 @@ class NewSession:
             report.opposed_share = opposed_share(staged.frames, accepted)
             report.notes += tuple(opposed_notes(report.opposed_share, report.position_sigma_m))
             if not report.camera_steps:  # which tell it better
-                looks = facing(staged.frames, accepted)
-                report.notes += settle(doubted_facing(looks, recording.rig), settings)
-                report.notes += tuple(facing_notes(looks, recording.rig))
+                found_yaw = sensor_yaw(staged.frames, accepted)
+                report.notes += settle(doubted_sensor_yaw(found_yaw, recording.rig), settings)
+                report.notes += tuple(sensor_yaw_notes(found_yaw, recording.rig))
             report.notes += tuple(camera_notes(recording, report))
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed

@@ -19,7 +19,7 @@ MOVED_M, TURNED_DEG = 0.25, 3.0
 """A grid may be so far off: the paper's cell, and the most that a heading's sigma may be."""
 
 REPEATED = (
-    "its image or cloud repeats that of the frame before to the last bit, though the vehicle moved"
+    "its image or cloud is identical to that of the previous frame, although the vehicle moved"
 )
 """Why a frame of a stuck camera is rejected."""
 

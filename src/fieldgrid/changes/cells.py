@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from fieldgrid.array_types import Bool, Float32, Float64, Int16, Int64, UInt8
-from fieldgrid.changes.looks import Looker
+from fieldgrid.changes.observations import FrameObserver
 from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence, fill_pinholes
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import Change
@@ -34,12 +34,12 @@ tells of no change."""
 class Drives(NamedTuple):
     """The drives of one side by name, in their order."""
 
-    lookers: Mapping[str, Sequence[Looker]]
+    observers: Mapping[str, Sequence[FrameObserver]]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Their names."""
-        return tuple(self.lookers)
+        return tuple(self.observers)
 
 
 class Seen(NamedTuple):
@@ -118,8 +118,8 @@ def surroundings(window: Window, lattice: Lattice) -> Window:
 def seen_by(drives: Drives, lattice: Lattice, window: Window) -> Seen:
     """What the drives of a side saw of a window."""
     total = _unseen(window)
-    for number, lookers in enumerate(drives.lookers.values()):
-        one = _seen_by_one(lookers, lattice, window, number)
+    for number, observers in enumerate(drives.observers.values()):
+        one = _seen_by_one(observers, lattice, window, number)
         pairs: Iterator[Any] = zip(total, one, strict=True)
         for array, values in pairs:
             np.copyto(array, values, where=one.drive >= 0)
@@ -133,11 +133,13 @@ def _unseen(window: Window) -> Seen:
     return Seen(obstacle, free, stands, observed, pose_m2, range_m2, drive)
 
 
-def _seen_by_one(lookers: Sequence[Looker], lattice: Lattice, window: Window, number: int) -> Seen:
+def _seen_by_one(
+    observers: Sequence[FrameObserver], lattice: Lattice, window: Window, number: int
+) -> Seen:
     seen = _unseen(window)
     told = np.zeros(window.shape, dtype=np.float32)
-    for one in lookers:
-        look = one.look(lattice, window)
+    for one in observers:
+        look = one.observe(lattice, window)
         if look is None:
             continue
         place, weight = window.slices_of(look.window), np.float32(one.weight)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, surroundings
-from fieldgrid.changes.looks import lookers
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
+from fieldgrid.changes.observations import observers
+from fieldgrid.changes.relative_sigmas import relative_sigmas
 from fieldgrid.changes.result import ChangedObject, ChangeKind, Changes
-from fieldgrid.changes.sureness import sigmas_beside
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.mapfile import Change, MapFile
@@ -58,7 +58,7 @@ def find_changes(
     places = list(squares(view.window, view.change, (Change.APPEARED, Change.VANISHED)))
     beside_m: Mapping[str, float] = {}
     if position_sigma_m is None and places:
-        beside_m = sigmas_beside(universal, view.before, view.after)
+        beside_m = relative_sigmas(universal, view.before, view.after)
     before, after = (
         _drives(universal, names, view.lattice, places, position_sigma_m, beside_m)
         for names in (view.before, view.after)
@@ -96,7 +96,7 @@ def _drives(
     wide = [surroundings(place, lattice) for place in places]
     return Drives(
         {
-            name: lookers(
+            name: observers(
                 universal.frames(name, with_grid=True),
                 infos[name],
                 lattice,

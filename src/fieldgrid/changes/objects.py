@@ -128,10 +128,10 @@ def votes_of(
     its cells."""
     windows = [thing.window for thing in things]
     totals = np.zeros((len(things), 2))
-    for number, lookers in enumerate(drives.lookers.values()):
-        for one in lookers:
+    for number, observers in enumerate(drives.observers.values()):
+        for one in observers:
             near = [k for k, w in enumerate(windows) if one.reach.intersect(w) is not None]
-            look = one.look(lattice, one.reach) if near else None
+            look = one.observe(lattice, one.reach) if near else None
             if look is None:
                 continue
             for k in near:

@@ -27,28 +27,30 @@ def command(
     map_: options.MapArgument,
     session: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Move only this session; may be given again."),
+        typer.Option(metavar="NAME", help="Move only this session; may be repeated."),
     ] = None,
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME", help="Align to this session, which holds, and leave out further ones."
+            metavar="NAME",
+            help="Align to this session, which stays in place; leave out the others.",
         ),
     ] = None,
     datum_from: Annotated[
-        str | None, typer.Option(metavar="SESSION", help="All take part, and this one holds.")
+        str | None,
+        typer.Option(metavar="SESSION", help="Align all sessions; this one stays in place."),
     ] = None,
-    reach: Annotated[
-        float, typer.Option(metavar="M", help="The largest shift that is believed.")
-    ] = 2.5,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Report, and change nothing.")] = False,
+    reach: Annotated[float, typer.Option(metavar="M", help="Largest accepted shift.")] = 2.5,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only report; change nothing.")
+    ] = False,
     undo: Annotated[
-        bool, typer.Option("--undo", help="Put aligned sessions back where they were.")
+        bool, typer.Option("--undo", help="Restore the positions before alignment.")
     ] = False,
     rows: Annotated[
         bool,
         typer.Option(
-            "--rows", help="Find rows before and after: a check that no receiver has a say in."
+            "--rows", help="Find rows before and after: a check that is independent of GNSS."
         ),
     ] = False,
     figure: options.Figure = None,
@@ -56,11 +58,11 @@ def command(
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Make the drives of a map coincide, from what they saw and nothing else.
+    """Align the drives of a map by comparing what they saw.
 
-    A drive gets a shift, a small turn and a slow wander with their sigma; its poses as driven are
-    kept. Better receivers pull worse ones. Where several shifts fit, as where rows repeat, nothing
-    moves, and --figure shows the score of all shifts.
+    Each drive gets a shift, a small turn and a slow time-dependent shift, with their sigmas. Its
+    original poses are kept. Drives with better receivers weigh more. If several shifts fit, for
+    example because rows repeat, nothing is moved; --figure shows the score of all shifts.
 
     Examples:
 
@@ -131,11 +133,11 @@ def _print(found: MapAlignment) -> None:
     )
     if found.pairs:
         output.print_table(
-            ("of", "against", "lay apart", "left", "sigma", "turn", "matches", ""),
+            ("of", "against", "offset", "left", "sigma", "turn", "matches", ""),
             [_pair_row(pair) for pair in found.pairs],
         )
     else:
-        output.print_line("no two sessions saw the same ground; each was compared with itself")
+        output.print_line("no two sessions saw the same ground; each was compared only with itself")
     for pair in found.pairs:
         if pair.doubt is not None:
             output.print_line(f"{pair.b} against {pair.a}: {pair.doubt}; not used")
@@ -143,13 +145,13 @@ def _print(found: MapAlignment) -> None:
         if len(alike := pair.agreement.alike_m):
             every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in alike[:3])
             output.print_line(
-                f"{pair.b} against {pair.a}: what they saw fits as well when shifted by {every} m, "
-                "as where rows repeat; only what the receivers state rules that out"
+                f"{pair.b} against {pair.a}: a shift by {every} m matches as well (repeating "
+                "rows?); only the stated errors of the receivers exclude it"
             )
         if pair.weak_sigma_m > _UNTOLD_M:
             output.print_line(
-                f"{pair.b} against {pair.a}: what they saw does not tell a shift along "
-                f"{pair.weak_axis_deg:.0f}°, as along even rows; the receivers alone do"
+                f"{pair.b} against {pair.a}: the shift along {pair.weak_axis_deg:.0f}° cannot "
+                "be measured (uniform rows?); it comes from the receivers alone"
             )
 
 

@@ -57,7 +57,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="MAP.gpkg",
-            help="Take the origin of another map, to merge with it.",
+            help="Use the datum of another map, so that the two can be merged.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -65,8 +65,8 @@ def command(
         Path | None,
         typer.Option(
             metavar="MAP.gpkg",
-            help="Estimate the poses of this map's drives again, without images; with pose options "
-            "only.",
+            help="Estimate the poses of this map's drives again, without images; takes only "
+            "pose options.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -77,7 +77,7 @@ def command(
         bool,
         typer.Option(
             "--align",
-            help="Then make the new drives coincide with the map, as `align` does.",
+            help="Align the new drives with the map afterwards, as `align` does.",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -91,8 +91,8 @@ def command(
         bool | None,
         typer.Option(
             "--resume/--no-resume",
-            help="Go on with what an ended build of the same command has staged, or remove it "
-            "[default: refuse where there is some].",
+            help="Continue an interrupted build of the same command, or remove its staged "
+            "frames [default: refuse if there are any].",
             rich_help_panel=_SESSION,
             show_default=False,
         ),
@@ -102,8 +102,8 @@ def command(
         typer.Option(
             "--skip-bad",
             metavar="N|SHARE",
-            help="Leave out frames that cannot be read, of each drive up to so many, as in 3, or "
-            "up to a share, as in 2% [default: none].",
+            help="Leave out unreadable frames, per drive at most a number (3) or a share (2%) "
+            "[default: none].",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -111,7 +111,7 @@ def command(
         bool,
         typer.Option(
             "--fail-fast",
-            help="End at the first drive that fails; else it is left out and the others are built.",
+            help="Stop at the first drive that fails [default: leave it out and build the others].",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -124,15 +124,15 @@ def command(
             min=1,
             max=256,
             metavar="N",
-            help="Processes, or threads for few frames [default: one a core].",
+            help="Processes, or threads for few frames [default: one per core].",
         ),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             metavar="tcp://HOST:8786",
-            help="A Dask scheduler, whose workers then stage the frames; they must find the "
-            "recordings at the same paths.",
+            help="Dask scheduler; its workers stage the frames and need the recordings at the "
+            "same paths.",
         ),
     ] = None,
     as_json: options.AsJson = False,

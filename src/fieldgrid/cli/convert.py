@@ -19,17 +19,18 @@ def command(
         str,
         typer.Option(
             metavar="raw|compressed|none",
-            help="Images as pixels, as the JPEG or PNG files that they are, or not at all; raw "
-            "pairs are rectified [default: compressed].",
+            help="Images as raw pixels, as compressed JPEG or PNG, or none; raw pairs are "
+            "rectified [default: compressed].",
             show_default=False,
         ),
     ] = "compressed",
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write what was understood of a drive as one MCAP, for Foxglove and ROS 2.
+    """Write a drive as one MCAP file, for Foxglove and ROS 2.
 
-    Images with calibration, fixes, gyro, wheels, the estimated poses and where everything sits.
+    It has images with calibration, fixes, gyro, wheel odometry, the estimated poses and the
+    mounting as static transforms.
 
     Examples:
 

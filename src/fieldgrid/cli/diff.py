@@ -19,10 +19,20 @@ _LAYER, _TABLES = (".tif", ".tiff"), (".geojson", ".json", ".gpkg", ".csv", ".km
 def command(
     map_: options.MapArgument,
     from_: Annotated[
-        str, typer.Option("--from", metavar="SESSION|DATE", help="What was known by then.")
+        str,
+        typer.Option(
+            "--from",
+            metavar="SESSION|DATE",
+            help="The state before: drives up to this one or this date.",
+        ),
     ],
     to: Annotated[
-        str, typer.Option("--to", metavar="SESSION|DATE", help="What drives after it found.")
+        str,
+        typer.Option(
+            "--to",
+            metavar="SESSION|DATE",
+            help="The state after: later drives up to this one or this date.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -30,8 +40,8 @@ def command(
             "--out",
             "-o",
             metavar="FILE",
-            help="A picture (.png), a layer of cells (.tif), or the objects (.geojson, .gpkg, "
-            ".csv, .kml, .dxf).",
+            help="Write an image (.png), a layer of cells (.tif), or the objects (.geojson, "
+            ".gpkg, .csv, .kml, .dxf).",
         ),
     ] = None,
     min_area: Annotated[
@@ -50,8 +60,8 @@ def command(
         float | None,
         typer.Option(
             metavar="K",
-            help="What is nearer than so many sigma of both positions to what the other side saw "
-            "is no change [default: 3].",
+            help="Distance, in sigma of both positions, up to which two observations are the "
+            "same object [default: 3].",
             rich_help_panel=_OBJECTS,
         ),
     ] = None,
@@ -59,7 +69,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="What reaches no further from what stood before is growth [default: 0.4].",
+            help="Largest distance of growth from the earlier object [default: 0.4].",
             rich_help_panel=_OBJECTS,
         ),
     ] = None,
@@ -67,7 +77,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="How far an object may have moved [default: 3].",
+            help="Largest distance that an object may have moved [default: 3].",
             rich_help_panel=_OBJECTS,
         ),
     ] = None,
@@ -75,7 +85,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="1-sigma error of each drive's positions, in place of what the frames say.",
+            help="1-sigma error of each drive's positions [default: from the frames].",
             rich_help_panel=_OBJECTS,
         ),
     ] = None,
@@ -84,10 +94,10 @@ def command(
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare what drives up to one date knew with what later ones found.
+    """Compare the map at one date with what later drives found.
 
     Prints the ground that changed, cell by cell, and the objects that appeared, vanished, moved,
-    grew or were cut back. In each cell the latest drive that observed it counts, on either side.
+    grew or were cut back. In each cell, the latest drive that observed it counts.
 
     Examples:
 
@@ -180,7 +190,7 @@ def _write(changes: Changes, out: Path, map_: Path, *, overwrite: bool) -> None:
 
 def _print_objects(changes: Changes) -> None:
     if not changes:
-        output.print_line("no object changed, as far as these drives can tell")
+        output.print_line("no changed object was found")
         return
     output.print_table(
         ("object", "change", "m²", "east", "north", "size", "sure", "seen by"),

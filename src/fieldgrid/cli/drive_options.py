@@ -26,7 +26,7 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--gnss",
             metavar="FILE",
-            help="Which GNSS log of the recording, or the path of another.",
+            help="GNSS log: its name in the recording, or the path of another log.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -35,7 +35,7 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--topic",
             metavar="ROLE=TOPIC",
-            help="Of a bag: which topic is left, right, fix, imu and so on [default: by type "
+            help="Topic of a bag for a role: left, right, fix, imu and so on [default: by type "
             "and name].",
             rich_help_panel=_PANEL,
         ),
@@ -45,7 +45,7 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--mounting",
             metavar="FILE.json",
-            help="Where the sensor sits [default: the recording's own mounting.json].",
+            help="Mounting of the sensor [default: the recording's own mounting.json].",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -64,8 +64,8 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--gnss-offset",
             metavar="S",
-            help="Seconds to add to the times of the GNSS log to give the time of images, gyro "
-            "and wheels [default: the recording's own].",
+            help="Seconds to add to GNSS times to give the time of images, gyro and wheels "
+            "[default: the recording's own].",
             rich_help_panel=_PANEL,
         ),
     ] = None

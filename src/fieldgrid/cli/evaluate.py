@@ -24,11 +24,11 @@ def command(
         typer.Option(
             min=1,
             metavar="N",
-            help="Of a folder: a truth cell is observable from N pixels [default: 100].",
+            help="Folder only: a truth cell is observable from N pixels [default: 100].",
         ),
     ] = None,
     frames: Annotated[
-        bool, typer.Option("--frames", help="Of a folder: print each frame's errors.")
+        bool, typer.Option("--frames", help="Folder only: print the errors of each frame.")
     ] = False,
     within: Annotated[
         float | None,
@@ -36,24 +36,23 @@ def command(
             min=0.01,
             max=10.0,
             metavar="M",
-            help="Of a survey: how near the map must have a thing [default: 0.3].",
+            help="Survey only: largest distance between a surveyed object and the map "
+            "[default: 0.3].",
         ),
     ] = None,
     crop: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME", help="Of a survey: what grows in its rows [default: vineyard]."
-        ),
+        typer.Option(metavar="NAME", help="Survey only: crop of its rows [default: vineyard]."),
     ] = None,
     things: Annotated[
-        bool, typer.Option("--things", help="Of a survey: print each thing's error.")
+        bool, typer.Option("--things", help="Survey only: print the error of each object.")
     ] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Compare a map with surveyed or simulated truth: obstacles, free space, rows, poses.
 
-    Absolute: nothing is shifted or turned to fit. TRUTH is a folder with rasters and poses, or a
-    survey of posts, rows and obstacles as GeoJSON or CSV. Examples:
+    The comparison is absolute: the map is not shifted or turned to fit. TRUTH is a folder
+    with rasters and poses, or a survey of posts, rows and obstacles as GeoJSON or CSV. Examples:
 
         fieldgrid evaluate vineyard.gpkg examples/two_lanes/truth
 
@@ -126,14 +125,14 @@ def _survey(
         rows,
     )  # fmt: skip
     output.print_line(
-        f"found is what has an obstacle of the map within {result.within_m:g} m; so near to one "
-        f"lies {output.percent(result.by_chance)} of the seen ground about the survey"
+        f"found: an obstacle of the map within {result.within_m:g} m; by chance this holds for "
+        f"{output.percent(result.by_chance)} of the seen ground around the survey"
     )
     false = result.false
     if false is None:
         output.print_line(
-            "false ones are not counted: the survey does not say which ground it covers (a polygon "
-            "of the kind area)"
+            "false objects are not counted: add a polygon of the kind area to the survey, for the "
+            "ground that it covers"
         )
     else:
         rows_too = "" if false.rows is None else f"{false.rows} rows and "

@@ -50,7 +50,10 @@ class FormatFlags:
 def command(
     map_: MapOrFarm,
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="A file or folder; its ending says the format.")
+        Path,
+        typer.Argument(
+            metavar="OUT", help="A file or folder; its extension determines the format."
+        ),
     ],
     *,
     format_: Annotated[
@@ -58,7 +61,7 @@ def command(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="Where the ending does not say it.",
+            help="Format, if the extension does not determine it.",
             rich_help_panel=_FORMAT,
             autocompletion=lambda: list(_formats()),
         ),
@@ -80,7 +83,7 @@ def command(
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write a map for another program; what comes out is whole, or nothing is changed.
+    """Write a map for another program. The output is complete, or nothing is changed.
 
     {formats}
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def command(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", show_default=False)],
     verify: Annotated[
-        bool, typer.Option("--verify", help="Verify each map: all of it is read.")
+        bool, typer.Option("--verify", help="Verify each map; reads every file completely.")
     ] = False,
     jobs: options.Jobs = None,
     stac: Annotated[
@@ -32,18 +32,18 @@ def command(
         bool,
         typer.Option(
             "--cog",
-            help="With a cloud-optimised GeoTIFF of each map in the catalogue.",
+            help="Add a cloud-optimised GeoTIFF of each map to the catalogue.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the maps of a folder: the ground seen, drives, and whether each can be trusted.
+    """List the maps of a folder: observed ground, drives, and the health of each map.
 
-    Health is `opens` where settings, plane, sessions and marks are as they were written: frames are
-    checked by --verify alone, and then it is `sound`. What cannot be read is listed with its
-    reason; the exit status is 1 where a map is damaged.
+    Health is `opens` if settings, plane, sessions and marks are undamaged. Frames are checked only
+    with --verify; then health is `sound`. A map that cannot be read is listed with the reason. The
+    exit status is 1 if a map is damaged.
 
     Examples:
 

@@ -14,8 +14,8 @@ from fieldgrid.cli.options import AsJson
 
 
 def command(as_json: AsJson = False) -> None:
-    """Print the versions of the program and its libraries, which extras are installed, and where
-    caches lie.
+    """Print the versions of the program and its libraries, the installed extras, and the
+    folders of caches.
 
     Example:
 

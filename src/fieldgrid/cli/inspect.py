@@ -28,10 +28,10 @@ def command(
     config: options.Config = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Show what is in a recording and what would go wrong with it; exit 1 if a build would fail.
+    """Show what is in a recording and what would go wrong; exit 1 if a build would fail.
 
-    Every finding says how bad it is (error: build fails or the map is wrong; warning: the map is
-    poorer than the drive; info) and what to do.
+    Each finding has a severity (error: the build fails or the map is wrong; warning: the map is
+    poorer than the drive allows; info) and a remedy.
 
     Examples:
 
@@ -77,7 +77,7 @@ def _print(found: Inspection, figure: Path | None) -> None:
         remedy = f" {finding.remedy}" if finding.remedy else ""
         severity = output.severity(finding.severity.value)
         print(f"{severity} {finding.code}: {printable(finding.message + remedy)}")
-    verdict = "a build goes through" if found.builds else "a build would fail"
+    verdict = "a build would succeed" if found.builds else "a build would fail"
     output.print_line(f"inspect {found.path or found.name}: {verdict}")
     if figure is not None:
         output.print_line(f"figure {figure}")
@@ -90,7 +90,7 @@ def _drive_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     yield "duration", output.number(found.duration_s, 1, "s")
     yield "frames", str(found.frames)
     if found.frames:
-        yield "looked at closely / followed", f"{found.looked} / {found.followed}"
+        yield "frames examined / tracked", f"{found.looked} / {found.followed}"
     yield "GNSS", found.gnss_source or "-"
 
 
@@ -109,14 +109,14 @@ def _rig_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.ground is not None:
         seen = found.ground
         yield (
-            "by the ground ahead",
+            "mount by the ground ahead",
             f"{seen.height_m:.2f} m, {seen.tilt_deg:.1f}°, {seen.roll_deg:.1f}°",
         )
     yield (
         "antenna: right, forward, up",
         f"{lever.right_m:.2f}, {lever.forward_m:.2f}, {lever.up_m:.2f} m",
     )
-    yield "unsteered axle: forward", output.number(axle_m, 2, "m")
+    yield "non-steering axle: forward", output.number(axle_m, 2, "m")
     yield "image time offset, declared", f"{found.declared_offset_s:+.3f} s"
 
 
@@ -141,7 +141,7 @@ def _fix_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.sync is not None:
         sync = found.sync
         yield "image to nearest fix, median / most", f"{sync.median_s:.3f} / {sync.most_s:.3f} s"
-        yield "images between no fixes", output.percent(sync.without_share)
+        yield "images outside of fixes", output.percent(sync.without_share)
     if found.clock is not None:
         yield "image clock", f"{found.clock.offset_s:+.3f} ± {found.clock.sigma_s:.3f} s"
 
@@ -155,11 +155,11 @@ def _image_rows(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "points with depth, median", str(points)
     if found.misalignment is not None:
         rows = found.misalignment
-        yield "rows off, median / up or down", f"{rows.median_px:+.2f} / {rows.residual_px:.2f} px"
+        yield "row offset, median / vertical", f"{rows.median_px:+.2f} / {rows.residual_px:.2f} px"
     if found.camera_pairs:
         yield "camera steps", f"{found.camera_steps} of {found.camera_pairs}"
     if found.scale is not None:
-        yield "way, camera over fixes", f"{found.scale.ratio:.3f} ± {found.scale.sigma:.3f}"
+        yield "distance, camera / fixes", f"{found.scale.ratio:.3f} ± {found.scale.sigma:.3f}"
 
 
 def _map_rows(found: Inspection) -> Iterator[tuple[str, str]]:
@@ -170,8 +170,8 @@ def _map_rows(found: Inspection) -> Iterator[tuple[str, str]]:
         cover = found.coverage
         yield "expected area", output.number(cover.area_m2, 0, "m²")
         spacing = output.number(cover.spacing_m, 2, "m")
-        yield "way between frames / of a grid", f"{spacing} / {cover.grid_m:.1f} m"
-        yield "cell that the data support", output.number(cover.cell_m, 2, "m")
+        yield "frame spacing / grid length", f"{spacing} / {cover.grid_m:.1f} m"
+        yield "supported cell size", output.number(cover.cell_m, 2, "m")
 
 
 def _stream_row(stream: StreamSummary) -> tuple[str, ...]:

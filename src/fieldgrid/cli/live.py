@@ -27,7 +27,7 @@ from fieldgrid.settings import Overrides
 if TYPE_CHECKING:
     from fieldgrid.build import SessionReport
     from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
-    from fieldgrid.onlookers import FoxgloveServer, LivePage
+    from fieldgrid.live_servers import FoxgloveServer, LivePage
 
 _SESSION = options.MAP_FILE
 _AT_THE_END = {"out", "finish", "finish_from", "wait_s", "as_json", "quiet", "verbose"}
@@ -43,7 +43,7 @@ def command(
             "--out",
             "-o",
             metavar="MAP.gpkg",
-            help="The map file; MAP.gpkg.live beside it keeps the drive until it is in the map.",
+            help="The map file. MAP.gpkg.live beside it stores the drive until it is in the map.",
             rich_help_panel=_SESSION,
             show_default=False,
         ),
@@ -54,7 +54,7 @@ def command(
         typer.Option(
             "--replay",
             metavar="RECORDING",
-            help="Take a recording as if it were driven now.",
+            help="Play a recording as if it were driven now.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -62,8 +62,8 @@ def command(
         str,
         typer.Option(
             metavar="X|max",
-            help="So many times as fast as it was driven; max: as fast as can be, without dropping "
-            "a frame.",
+            help="Speed of --replay relative to the drive; max: as fast as possible, without "
+            "dropping a frame.",
             rich_help_panel=_SESSION,
         ),
     ] = "1",
@@ -71,7 +71,7 @@ def command(
         bool,
         typer.Option(
             "--finish",
-            help="Put a drive that was ended before its map was made into the map.",
+            help="Put an interrupted drive into the map.",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -80,7 +80,7 @@ def command(
         typer.Option(
             "--finish-from",
             metavar="RECORDING",
-            help="The same, built anew from a recording of it, with the frames that were dropped.",
+            help="Build an interrupted drive again from its recording, dropped frames included.",
             rich_help_panel=_SESSION,
         ),
     ] = None,
@@ -88,7 +88,7 @@ def command(
         bool,
         typer.Option(
             "--discard",
-            help="Remove what an ended session has kept.",
+            help="Remove the stored data of an interrupted session.",
             rich_help_panel=_SESSION,
         ),
     ] = False,
@@ -114,16 +114,16 @@ def command(
         bool,
         typer.Option(
             "--json",
-            help="Print a JSON object a line: grids, poses, windows and events as they come, the "
-            "report last.",
+            help="Print one JSON object per line: grids, poses, windows and events as they "
+            "occur, then the report.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
 ) -> None:
-    """Map while driving: local grids, poses and a costmap now, the same map as build at the end.
+    """Map during the drive: local grids, poses and a costmap now, the map of `build` at the end.
 
-    Ctrl-C and SIGTERM end the drive and make the map of it. After a kill the same command goes on
-    with the same session.
+    Ctrl-C and SIGTERM end the drive and make its map. After a kill, the same command continues
+    the session.
 
     Examples:
 
@@ -217,10 +217,10 @@ def _drive(
             stack.enter_context(watch.feed)
         if sources.view is not None:
             page = _page(sources.view, name or driven.name)
-            watch.onlookers.append(stack.enter_context(page))
+            watch.servers.append(stack.enter_context(page))
         if sources.foxglove is not None:
             server = _foxglove(sources.foxglove, name or driven.name, watch)
-            watch.onlookers.append(stack.enter_context(server))
+            watch.servers.append(stack.enter_context(server))
         live = Live(
             out,
             driven.rig,
@@ -243,7 +243,7 @@ def _drive(
                 live.stop()
                 raise
             if not all_of_it:
-                output.message("the drive is ended and its map made; once more gives that up")
+                output.message("ending the drive and making its map; interrupt again to cancel")
         if line is not None:
             line("making the map")
         try:
@@ -264,14 +264,14 @@ def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
 
     feed = open_feed(text, watch.tell)
     host, port = feed.address
-    to = "whoever connects to tcp" if isinstance(feed, Feed) else "udp"
+    to = "every client of tcp" if isinstance(feed, Feed) else "udp"
     output.message(f"the costmap is sent to {to}://{host}:{port}")
     return feed
 
 
 def _page(text: str, session: str) -> LivePage:
     """The page at an address."""
-    from fieldgrid.onlookers import LivePage, parse_address
+    from fieldgrid.live_servers import LivePage, parse_address
 
     page = LivePage(*parse_address(text, "--view"), session=session)
     output.message(f"the page that follows the vehicle is {page.link}")
@@ -280,7 +280,7 @@ def _page(text: str, session: str) -> LivePage:
 
 def _foxglove(text: str, session: str, watch: _Watch) -> FoxgloveServer:
     """The server for Foxglove at an address."""
-    from fieldgrid.onlookers import FoxgloveServer, parse_address
+    from fieldgrid.live_servers import FoxgloveServer, parse_address
 
     server = FoxgloveServer(*parse_address(text, "--foxglove"), session=session, tell=watch.tell)
     host, port = server.address
@@ -308,7 +308,7 @@ class _Watch:
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
         self.feed: Feed | DatagramFeed | None = None
-        self.onlookers: list[LivePage | FoxgloveServer] = []
+        self.servers: list[LivePage | FoxgloveServer] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
         self._window: LiveWindow | None = None
@@ -326,8 +326,8 @@ class _Watch:
 
         if self.feed is not None and isinstance(result, LiveWindow):
             self.feed.put(result)
-        for onlooker in self.onlookers:
-            onlooker.take(result)
+        for server in self.servers:
+            server.take(result)
         if self._as_json:
             output.print_json_line(result.as_dict())
             return

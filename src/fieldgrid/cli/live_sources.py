@@ -28,8 +28,8 @@ GNSS = typer.Option(
     "--gnss",
     metavar="URL|FILE",
     help="The receiver: tcp://HOST:PORT, udp://[HOST]:PORT, gpsd://HOST[:PORT], "
-    "serial:/dev/ttyUSB0?baud=115200, a FIFO, or - for standard input. With --replay: which GNSS "
-    "log of the recording, or the path of another.",
+    "serial:/dev/ttyUSB0?baud=115200, a FIFO, or - for standard input. With --replay: the "
+    "name of a GNSS log in the recording, or the path of another.",
     rich_help_panel=_PANEL,
 )
 
@@ -42,7 +42,7 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--images",
             metavar="FOLDER",
-            help="Take images as they appear in a folder that is laid out as a recording.",
+            help="Read images as they appear in a folder with the layout of a recording.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -51,7 +51,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--camera",
             metavar="N|L,R",
-            help="Take images of a UVC camera: one device, left and right side by side, or two.",
+            help="Read images of a UVC camera: one device with left and right side by side, or "
+            "two devices.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -60,7 +61,7 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--mcap",
             metavar="-|FIFO|URL",
-            help="Take images or clouds, fixes, gyro and wheels of an MCAP as it comes: standard "
+            help="Read images or clouds, fixes, gyro and wheels from an MCAP stream: standard "
             "input, a FIFO, or tcp://HOST:PORT.",
             rich_help_panel=_PANEL,
         ),
@@ -70,7 +71,7 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--camera-fps",
             metavar="N",
-            help="Take so many pairs a second of --camera at most.",
+            help="Largest rate of --camera, pairs per second.",
             rich_help_panel=_PANEL,
         ),
     ] = 10.0
@@ -79,8 +80,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--rig",
             metavar="FOLDER",
-            help="The folder of a recording whose calibration/ is that of --camera or --mcap; of a "
-            "lidar's --mcap, whose mounting is.",
+            help="Folder of a recording with the calibration/ of --camera or --mcap; for a "
+            "lidar in --mcap, with its mounting.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -89,8 +90,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--gnss-log",
             metavar="FILE",
-            help="Append what the receiver sends to a log, such as FOLDER/gnss/log.nmea, by which "
-            "--finish-from FOLDER works.",
+            help="Append the receiver's data to a log such as FOLDER/gnss/log.nmea, which "
+            "--finish-from FOLDER needs.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -99,8 +100,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--feed",
             metavar="tcp|udp://HOST:PORT",
-            help="Send the costmap around the vehicle: tcp to whoever connects, where HOST is "
-            "127.0.0.1 for this machine alone; udp to HOST.",
+            help="Send the costmap around the vehicle: tcp to every client that connects (HOST "
+            "127.0.0.1: from this machine only); udp to HOST.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -109,8 +110,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--view",
             metavar="[HOST:]PORT",
-            help="Serve a page that follows the vehicle, for this machine alone unless a HOST is "
-            "given; port 0 is any that is free.",
+            help="Serve a page that follows the vehicle, to this machine only unless HOST is "
+            "given; port 0 picks a free port.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -119,8 +120,8 @@ class SourceFlags(NamedTuple):
         typer.Option(
             "--foxglove",
             metavar="[HOST:]PORT",
-            help="Let Foxglove connect, from this machine alone unless a HOST is given; its usual "
-            "port is 8765.",
+            help="Accept connections from Foxglove, from this machine only unless HOST is "
+            "given; its usual port is 8765.",
             rich_help_panel=_PANEL,
         ),
     ] = None

@@ -23,7 +23,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE.geojson",
-            help="Its points and polygons, with their kind, name, note and author.",
+            help="Add the points and polygons of a file, with their kind, name, note and author.",
             rich_help_panel=_ADD,
         ),
     ] = None,
@@ -37,23 +37,25 @@ def command(
     ] = None,
     point: Annotated[
         str | None,
-        typer.Option(metavar="E,N", help="A point: the cell it lies in.", rich_help_panel=_ADD),
+        typer.Option(metavar="E,N", help="A point; it marks its cell.", rich_help_panel=_ADD),
     ] = None,
     kind: Annotated[
-        str | None, typer.Option(metavar=_KINDS, help="What it says.", rich_help_panel=_ADD)
+        str | None, typer.Option(metavar=_KINDS, help="Kind of the mark.", rich_help_panel=_ADD)
     ] = None,
     name: Annotated[
-        str, typer.Option(metavar="TEXT", help="What it is called.", rich_help_panel=_ADD)
+        str, typer.Option(metavar="TEXT", help="Name of the mark.", rich_help_panel=_ADD)
     ] = "",
     note: Annotated[
-        str, typer.Option(metavar="TEXT", help="Why it is there.", rich_help_panel=_ADD)
+        str, typer.Option(metavar="TEXT", help="Reason for the mark.", rich_help_panel=_ADD)
     ] = "",
     author: Annotated[
-        str, typer.Option(metavar="TEXT", help="Who says so.", rich_help_panel=_ADD)
+        str, typer.Option(metavar="TEXT", help="Author of the mark.", rich_help_panel=_ADD)
     ] = "",
     remove: Annotated[
         list[int] | None,
-        typer.Option(metavar="ID", help="Take a mark out; it is kept.", rich_help_panel=_UNDO),
+        typer.Option(
+            metavar="ID", help="Remove a mark; it can be restored.", rich_help_panel=_UNDO
+        ),
     ] = None,
     restore: Annotated[
         list[int] | None,
@@ -66,10 +68,10 @@ def command(
     wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the marks of a map; add, remove or restore some.
+    """List the marks of a map; add, remove or restore marks.
 
-    A keepout is never driven into; free and obstacle correct what the drives saw; a place has a
-    name. All planners, routes and exports follow them, and the density stays what the drives saw.
+    A keepout is never entered; free and obstacle correct what the drives saw; a place is a named
+    position. All planners, routes and exports respect marks. The density layer is not changed.
 
     Examples:
 

@@ -14,7 +14,10 @@ from fieldgrid.cli import options, output, progress
 def command(
     maps: Annotated[
         list[Path],
-        typer.Argument(metavar="MAP.gpkg...", help="Maps of one datum, or of any with --datum."),
+        typer.Argument(
+            metavar="MAP.gpkg...",
+            help="Maps with one datum, or with any datums if --datum is given.",
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="NEW.gpkg", help="The new map.")],
     cell: Annotated[
@@ -23,25 +26,31 @@ def command(
     transfer: Annotated[
         str | None,
         typer.Option(
-            metavar="centre|area", help="How values go to cells [default: as in the first map]."
+            metavar="centre|area",
+            help="Transfer of values to cells [default: as in the first map].",
         ),
     ] = None,
     datum: Annotated[
         str | None,
         typer.Option(
             metavar="LAT,LON,HEIGHT",
-            help="Lay all maps into the plane of this datum [default: that which they have].",
+            help="Transform all maps to this datum [default: their own].",
         ),
     ] = None,
     datum_from: Annotated[
         Path | None,
-        typer.Option("--datum-from", metavar="MAP.gpkg", help="The same, as another map has it."),
+        typer.Option(
+            "--datum-from",
+            metavar="MAP.gpkg",
+            help="Transform all maps to the datum of another map.",
+        ),
     ] = None,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Make one new map of all sessions of some maps; of one map, a copy without removed ones.
+    """Make one new map of all sessions of several maps, or a copy of one map without its removed
+    sessions.
 
     Examples:
 

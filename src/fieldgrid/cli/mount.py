@@ -21,8 +21,8 @@ _NAMES = {
     "camera_height_above_ground_m": ("height above ground", 3, "m"),
     "camera_tilt_down_deg": ("tilt, down", 2, "°"),
     "camera_roll_deg": ("roll, right side down", 2, "°"),
-    "camera_yaw_deg": ("yaw, right of where it goes", 2, "°"),
-    "camera_ahead_of_rear_axle_m": ("ahead of the unsteered axle", 2, "m"),
+    "camera_yaw_deg": ("yaw, right of the course", 2, "°"),
+    "camera_ahead_of_rear_axle_m": ("ahead of non-steering axle", 2, "m"),
 }
 
 
@@ -36,8 +36,8 @@ def command(
         tuple[float, float, float] | None,
         typer.Option(
             metavar="FORWARD LEFT UP",
-            help="With --write: where the GNSS antenna is, metres from the camera (of a pair, "
-            "from the middle between its cameras). No drive tells that.",
+            help="With --write: position of the GNSS antenna, metres from the camera (from the "
+            "middle between a pair's cameras). It cannot be estimated from a drive.",
         ),
     ] = None,
     every: Annotated[
@@ -50,7 +50,7 @@ def command(
 ) -> None:
     """Estimate height, tilt, roll and yaw of the sensor from the drive alone.
 
-    What the recording says of its mount already is not used, but compared.
+    A mounting given in the recording is not used; it is compared with the estimate.
 
     Examples:
 
@@ -118,7 +118,7 @@ def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -
             f"{abs(one.sigmas):.1f} sigma off"
         )
     if compared and not wrong:
-        output.print_line("what is stated agrees with the drive")
+        output.print_line("the stated mounting agrees with the drive")
     for note in estimate.notes:
         output.print_line(f"note: {note}")
     if written is not None:
@@ -154,7 +154,7 @@ def _facts(estimate: MountEstimate) -> Iterator[tuple[str, str]]:
     )
     gnss = estimate.gnss
     if gnss is not None and gnss.scale is not None:
-        yield "camera's way over the receiver's", f"{gnss.scale.value:.4f} ± {gnss.scale.sigma:.4f}"
+        yield "distance, camera / receiver", f"{gnss.scale.value:.4f} ± {gnss.scale.sigma:.4f}"
     if gnss is not None and gnss.course_off_deg is not None:
         course = gnss.course_off_deg
         yield "course minus recorded heading", f"{course.value:+.2f} ± {course.sigma:.2f} °"

@@ -25,7 +25,7 @@ Overwrite = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace an older file of the same kind; never an input.",
+        help="Replace an existing file of the same kind; never an input.",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -45,19 +45,19 @@ Figure = Annotated[
     typer.Option(
         "--figure",
         metavar="FILE.png",
-        help="Draw it too: PNG, SVG or PDF.",
+        help="Also draw a figure: PNG, SVG or PDF.",
         rich_help_panel=OUTPUT,
     ),
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option("--jobs", min=1, max=256, metavar="N", help="Threads [default: one a core]."),
+    typer.Option("--jobs", min=1, max=256, metavar="N", help="Threads [default: one per core]."),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="tcp://HOST:8786",
-        help="A Dask scheduler, whose workers do it, with the map at the same path.",
+        help="Dask scheduler; its workers do the work and need the map at the same path.",
     ),
 ]
 Cell = Annotated[
@@ -65,7 +65,7 @@ Cell = Annotated[
     typer.Option(
         "--cell",
         metavar="M",
-        help="Cell size in metres, not under the local cells' [default: the map's].",
+        help="Cell size in metres, at least that of the local cells [default: the map's].",
         rich_help_panel=PART,
     ),
 ]
@@ -83,8 +83,8 @@ At = Annotated[
     typer.Option(
         "--at",
         metavar="SESSION|DATE",
-        help="The map as it was after this drive, or at the end of this day; FROM..TO: of the "
-        "drives of a season alone.",
+        help="The map after this drive, or at the end of this day; FROM..TO: only the drives "
+        "in between.",
         rich_help_panel=PART,
     ),
 ]
@@ -106,8 +106,8 @@ DatumText = Annotated[
     typer.Option(
         "--datum",
         metavar="LAT,LON,HEIGHT",
-        help="Origin of east and north [default: the recording's own, else its first accepted "
-        "fix].",
+        help="Origin of east and north [default: the recording's own, otherwise its first "
+        "accepted fix].",
     ),
 ]
 DatumFrom = Annotated[
@@ -115,7 +115,7 @@ DatumFrom = Annotated[
     typer.Option(
         "--datum-from",
         metavar="MAP.gpkg",
-        help="The plane of a farm whose maps have several, as this map has it.",
+        help="For a farm with several datums: use the datum of this map.",
         rich_help_panel=PART,
     ),
 ]

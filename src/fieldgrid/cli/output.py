@@ -32,9 +32,7 @@ class _Verbosity:
 
     def parameters(self) -> Iterable[Parameter]:
         quiet = typer.Option("--quiet", "-q", help="Print no progress and no report.")
-        verbose = typer.Option(
-            "--verbose", "-v", help="Say what is done and how long it takes, on stderr."
-        )
+        verbose = typer.Option("--verbose", "-v", help="Report each step and its time on stderr.")
         return option("quiet", bool, False, quiet), option("verbose", bool, False, verbose)
 
     def value(self, given: Mapping[str, Any]) -> None:

@@ -25,8 +25,8 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses",
             metavar="FILE",
-            help="Poses made elsewhere (SLAM, motion capture), used as they are: TUM, KITTI, or a "
-            "bag with Odometry, PoseStamped or Path.",
+            help="Poses of another program (SLAM, motion capture), used in place of the "
+            "estimate: TUM, KITTI, or a bag with Odometry, PoseStamped or Path.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -35,7 +35,7 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses-topic",
             metavar="TOPIC",
-            help="Which topic of that bag; without --poses, of the recording itself.",
+            help="Topic of that bag; without --poses, a topic of the recording.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -44,8 +44,8 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses-axes",
             metavar="flu|rdf|...",
-            help="Where x, y and z of their body point: forward, left, up as in ROS, or right, "
-            "down, forward as a camera's [default: flu].",
+            help="Directions of the body's x, y and z: forward, left, up (ROS), or right, "
+            "down, forward (camera) [default: flu].",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -54,8 +54,8 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses-point",
             metavar="FORWARD,LEFT,UP",
-            help="Where their body is, metres from the sensor [default: the ground below it; with "
-            "rdf, the left camera].",
+            help="Position of the body, metres from the sensor [default: the ground below it; "
+            "with rdf, the left camera].",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -64,7 +64,7 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses-times",
             metavar="FILE",
-            help="The times of a KITTI file, one a line [default: those of the frames].",
+            help="Times of a KITTI file, one per line [default: those of the frames].",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -73,8 +73,8 @@ class PoseFlags(NamedTuple):
         typer.Option(
             "--poses-offset",
             metavar="S",
-            help="Seconds to add to their times to give GNSS time [default: 0; with rdf, that of "
-            "the images].",
+            help="Seconds to add to the times of the poses to give GNSS time [default: 0; with "
+            "rdf, that of the images].",
             rich_help_panel=_PANEL,
         ),
     ] = None

@@ -31,7 +31,7 @@ def command(
     cell: options.Cell = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Tell which sessions and frames a cell's value comes from, and what each said.
+    """List the sessions and frames behind a cell's value, and what each of them saw.
 
     Examples:
 

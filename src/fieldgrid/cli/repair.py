@@ -15,19 +15,19 @@ def command(
     map_: options.MapArgument,
     upgrade: Annotated[
         bool,
-        typer.Option("--upgrade", help="Only bring a map of an older format to the present one."),
+        typer.Option("--upgrade", help="Only upgrade a map of an older format."),
     ] = False,
     in_place: Annotated[
-        bool, typer.Option("--in-place", help="Keep no copy of the map as it was.")
+        bool, typer.Option("--in-place", help="Keep no copy of the old map.")
     ] = False,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Rebuild the tiles, pictures and layers of a map from its stored frames.
+    """Rebuild the tiles, images and layers of a map from its stored frames.
 
-    The frames themselves, poses included, are not changed, and the map only if it verifies
-    afterwards. As it was, it is kept beside itself as NAME.before-repair.gpkg.
+    Frames and poses are not changed. The map is replaced only if the rebuilt map verifies. The old
+    map is kept beside it as NAME.before-repair.gpkg.
 
     Examples:
 

@@ -36,17 +36,21 @@ def command(
     ] = None,
     goal: Annotated[
         str | None,
-        typer.Option("--to", metavar="E,N[,HEADING]", help="Goal; without a heading any will do."),
+        typer.Option(
+            "--to",
+            metavar="E,N[,HEADING]",
+            help="Goal; without a heading, any heading is accepted.",
+        ),
     ] = None,
     cover: Annotated[
         bool,
-        typer.Option("--cover", help="Drive along all lanes, once each.", rich_help_panel=_COVER),
+        typer.Option("--cover", help="Drive all lanes once.", rich_help_panel=_COVER),
     ] = False,
     lanes: Annotated[
         str | None,
         typer.Option(
             metavar="ID,ID",
-            help="Only these, by the names of `fieldgrid rows`.",
+            help="Only these lanes, named as by `fieldgrid rows`.",
             rich_help_panel=_COVER,
         ),
     ] = None,
@@ -68,7 +72,7 @@ def command(
     ] = None,
     overlap: Annotated[
         float,
-        typer.Option(metavar="M", help="Worked twice between tracks.", rich_help_panel=_TRACKS),
+        typer.Option(metavar="M", help="Overlap of neighbouring tracks.", rich_help_panel=_TRACKS),
     ] = 0.0,
     direction: Annotated[
         float | None,
@@ -82,7 +86,7 @@ def command(
         str | None,
         typer.Option(
             metavar="edge|FILE",
-            help="Run beside the longest edge, or a line: .geojson, .csv.",
+            help="Follow the longest edge, or a line: .geojson, .csv.",
             rich_help_panel=_TRACKS,
         ),
     ] = None,
@@ -90,7 +94,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE.geojson",
-            help="Stay in this polygon [default: in what was seen].",
+            help="Stay in this polygon [default: in observed ground].",
             rich_help_panel=_TRACKS,
         ),
     ] = None,
@@ -98,7 +102,7 @@ def command(
         int | None,
         typer.Option(
             metavar="N",
-            help="Passes around the ground [default: as many as a turn takes].",
+            help="Passes around the ground [default: as many as a turn needs].",
             rich_help_panel=_TRACKS,
         ),
     ] = None,
@@ -128,7 +132,7 @@ def command(
         typer.Option(metavar="FILE.toml", help="The vehicle [default: 1 m wide, 1.8 m long]."),
     ] = None,
     allow_unknown: Annotated[
-        bool, typer.Option("--allow-unknown", help="Drive over ground that was not seen, too.")
+        bool, typer.Option("--allow-unknown", help="Also drive over unseen ground.")
     ] = False,
     obstacle_above: options.ObstacleAbove = 100,
     least_seen: Annotated[
@@ -142,7 +146,8 @@ def command(
         typer.Option(
             "--cell",
             metavar="M",
-            help="Cells to plan on [default: the map's, or a multiple from 0.2 m up].",
+            help="Cell size for planning [default: the map's, or a multiple of it, at least "
+            "0.2 m].",
             rich_help_panel=options.PART,
         ),
     ] = None,
@@ -154,12 +159,12 @@ def command(
 ) -> None:
     """Plan a route that a vehicle can drive.
 
-    What it sweeps touches no obstacle and no ground that was not seen. Where there is no route,
-    it says why and where, with exit status 1.
+    The swept area touches no obstacle and no unseen ground. If there is no route, the reason and
+    the position are reported, with exit status 1.
 
-    With --cover it works the lanes between rows; --from and --to may be left out. Lanes that
-    cannot be covered are listed with the reason, and the exit status is 1; the route of the
-    others is written. With --tracks too, it lays parallel tracks over ground without rows.
+    With --cover the route drives the lanes between rows; --from and --to are then optional. Lanes
+    that cannot be covered are listed with the reason, and the exit status is 1; the route of the
+    others is written. With --cover --tracks it drives parallel tracks over ground without rows.
 
     Examples:
 

@@ -29,15 +29,20 @@ def command(
     min_row: Annotated[float | None, typer.Option(metavar="M", help="Shortest row.")] = None,
     half_width: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Half width of a canopy, where no row shows both sides."),
+        typer.Option(
+            metavar="M", help="Half width of a canopy, used if no row was seen from both sides."
+        ),
     ] = None,
     obstacle_above: options.ObstacleAbove = 100,
     hole: Annotated[
         float,
-        typer.Option(metavar="M", help="Unseen ground counts as seen where no such square fits."),
+        typer.Option(
+            metavar="M",
+            help="Unseen ground counts as seen where no square of this side fits in it.",
+        ),
     ] = 0.25,
     headland: Annotated[
-        float, typer.Option(metavar="M", help="How far headlands reach from the plants.")
+        float, typer.Option(metavar="M", help="Depth of the headlands from the plants.")
     ] = 15.0,
     bounds: options.BoundsValues = None,
     at: options.At = None,
@@ -51,7 +56,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Write a field of AgOpenGPS: boundaries, and a track a lane.",
+            help="Write a field of AgOpenGPS: boundaries, and one track per lane.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -60,7 +65,7 @@ def command(
         bool,
         typer.Option(
             "--keep",
-            help="Put them into the map as layers, for `show --rows`, `view` and a GIS.",
+            help="Store the rows in the map as layers, for `show --rows`, `view` and a GIS.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
@@ -68,9 +73,9 @@ def command(
     wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
-    """Find rows and what lies between them, with their sigma.
+    """Find rows of plants and the lanes, gaps and headlands between them, with sigmas.
 
-    Prints a table of blocks, rows and lanes, as a check of the map: rows of one block are parallel
+    Prints a table of blocks, rows and lanes. It also checks the map: rows of one block are parallel
     and equally spaced.
 
     Examples:
@@ -150,7 +155,7 @@ def command(
             output.print_line(f"{written}")
 
 
-BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "its sd", "parallel to", "bend")
+BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "std dev", "parallel to", "bend")
 
 
 def block_rows(planting: Planting) -> list[tuple[str, ...]]:
@@ -205,7 +210,7 @@ def _print(planting: Planting) -> None:
 
     if not planting.rows:
         output.print_line(
-            "no rows found; --crop and --spacing say what to look for, --obstacle-above which "
+            "no rows found; check --crop and --spacing, and with --obstacle-above which "
             "cells are plants"
         )
         return

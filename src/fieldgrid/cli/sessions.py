@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 def command(
     map_: options.MapArgument,
     remove: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Take a session out; its evidence stays.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Remove a session from the map; its evidence stays in the file."
+        ),
     ] = None,
     restore: Annotated[
         str | None, typer.Option(metavar="NAME", help="Put a removed session back.")
@@ -26,8 +29,8 @@ def command(
         tuple[str, str] | None,
         typer.Option(
             metavar="NAME E,N[,TURN]",
-            help="Shift a session by metres east and north, turn it by degrees clockwise; "
-            "replaces an earlier shift, 0,0 undoes it.",
+            help="Shift a session by metres east and north and turn it by degrees clockwise. "
+            "Replaces an earlier shift; 0,0 removes it.",
         ),
     ] = None,
     rename: Annotated[
@@ -37,7 +40,7 @@ def command(
     wait_s: options.Wait = options.USUAL_WAIT_S,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the drives that a map was made from; remove, restore, shift or rename one.
+    """List the drives of a map; remove, restore, shift or rename one.
 
     Examples:
 

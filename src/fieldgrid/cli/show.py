@@ -41,7 +41,7 @@ def command(
     ctx: typer.Context,
     map_: MapOrFarm,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png", help="PNG, PDF or SVG.")],
-    figure: Annotated[Kind, typer.Option(help="Which of the paper's figures.")] = Kind.SHEET,
+    figure: Annotated[Kind, typer.Option(help="Which figure of the paper.")] = Kind.SHEET,
     cell: options.Cell = None,
     bounds: options.BoundsValues = None,
     at: options.At = None,
@@ -49,21 +49,23 @@ def command(
         str | None, typer.Option(metavar="SESSION", help="Only this session.")
     ] = None,
     layer: Annotated[
-        str, typer.Option(metavar="LAYER", help="What the cells show, as in `export`.")
+        str, typer.Option(metavar="LAYER", help="Layer to draw, as in `export`.")
     ] = "density",
     route: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A route that is drawn over the map: .geojson or .csv."),
+        typer.Option(metavar="FILE", help="Draw a route over the map: .geojson or .csv."),
     ] = None,
     rows: Annotated[
         bool,
-        typer.Option("--rows", help="Draw what `fieldgrid rows --keep` has left in the map, too."),
+        typer.Option(
+            "--rows", help="Also draw the rows that `fieldgrid rows --keep` stored in the map."
+        ),
     ] = False,
     averaging: Annotated[
         str,
         typer.Option(
             metavar="mean|paper",
-            help="How values that meet in a cell are combined [default: mean].",
+            help="How several values of a cell are combined [default: mean].",
             show_default=False,
         ),
     ] = "mean",

@@ -50,7 +50,7 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="Gears that are known: columns from, to (UTC), gear (forward, reverse).",
+            help="Known gears: columns from, to (UTC), gear (forward, reverse).",
             rich_help_panel="Poses",
         ),
     ] = None,
@@ -58,7 +58,7 @@ def command(
         str | None,
         typer.Option(
             metavar="KEY=COLUMN,...",
-            help="What the columns of a table are, as in lat=Breite,lon=Laenge.",
+            help="Names of the columns of a table, as in lat=Breite,lon=Laenge.",
             rich_help_panel=_LOG,
         ),
     ] = None,
@@ -66,7 +66,7 @@ def command(
         float | None,
         typer.Option(
             metavar="M",
-            help="How far the antenna sits ahead of the axle that does not steer.",
+            help="Distance of the antenna ahead of the non-steering axle.",
             rich_help_panel=_LOG,
         ),
     ] = None,
@@ -83,7 +83,7 @@ def command(
     figure: options.Figure = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write where the vehicle was, where it pointed and how sure that is, a row a GNSS fix.
+    """Write position, heading and gear of the vehicle with their sigmas, one row per GNSS fix.
 
     Examples:
 
@@ -176,7 +176,7 @@ def _fix_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
     longest_s = max((gap.seconds for gap in log.gaps), default=0.0)
     longest = f", the longest {longest_s:.1f} s" if log.gaps else ""
     yield "gaps without an accepted fix", f"{len(log.gaps)}{longest}"
-    yield "seams, where the solution moved", str(len(log.seams))
+    yield "seams (shifts of the solution)", str(len(log.seams))
 
 
 def _way_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
@@ -202,21 +202,24 @@ def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
     report = summary.report
     if report.offset is not None:
         lasting_m, sigmas = report.offset.lasting_m, report.offset.lasting_sigmas
-        told = f"{lasting_m:.3f} m, {sigmas:.2f} of what is stated"
-        yield "poses off their fixes, over 20 s", told
+        told = f"{lasting_m:.3f} m, {sigmas:.2f} of the stated error"
+        yield "pose minus fix, 20 s mean", told
     frame = report.georeference
     if frame is not None:
         unsure = "" if frame.by == "declared" else f" ± {frame.frame_heading_sigma_deg:.2f}"
-        yield f"frame of the poses heads ({frame.by})", f"{frame.frame_heading_deg:.2f}{unsure} °"
+        yield (
+            f"heading of the poses' frame ({frame.by})",
+            f"{frame.frame_heading_deg:.2f}{unsure} °",
+        )
     if frame is not None and frame.fixes:
         off_m = (frame.residual_median_m, frame.residual_p95_m, frame.residual_most_m)
         words = " / ".join(f"{one:.3f}" for one in off_m)
-        yield f"poses off {frame.fixes} fixes, median / 95 % / most", f"{words} m"
+        yield f"poses minus {frame.fixes} fixes, median / 95 % / most", f"{words} m"
     if report.gyro_bias_dps == report.gyro_bias_dps:  # not NaN: there is a gyro
         yield "gyro bias", f"{report.gyro_bias_dps:.3f} °/s"
     if report.recorded is not None:
         offset, sigma = report.recorded.offset_deg, report.recorded.offset_sigma_deg
-        yield "recorded heading off the nose", f"{offset:+.2f} ± {sigma:.2f} °"
+        yield "recorded minus estimated heading", f"{offset:+.2f} ± {sigma:.2f} °"
     if report.clock is not None:
         yield "image clock", f"{report.clock.offset_s:+.3f} ± {report.clock.sigma_s:.3f} s"
 

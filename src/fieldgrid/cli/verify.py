@@ -13,16 +13,16 @@ from fieldgrid.cli import options, output
 def command(
     map_: options.MapArgument,
     deep: Annotated[
-        bool, typer.Option("--deep", help="Make everything again from the frames, and compare.")
+        bool, typer.Option("--deep", help="Rebuild everything from the frames and compare.")
     ] = False,
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Check that a map is what was written, by the sums that it keeps of its rows.
+    """Check that a map is undamaged, by the sums that it stores of its rows.
 
-    With --deep, or where they do not fit, its evidence is checked against hashes, and all else made
-    again from it and compared. Exit status 1 when something is wrong. Examples:
+    With --deep, or if a sum does not match, the evidence is checked against its hashes, and
+    everything else is rebuilt from it and compared. Exit status 1 if something is wrong. Examples:
 
         fieldgrid verify vineyard.gpkg
 

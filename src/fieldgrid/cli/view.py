@@ -18,19 +18,22 @@ def command(
     ],
     recording: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FOLDER", help="Where images of frames are; may be given again."),
+        typer.Option(metavar="FOLDER", help="Folder with the images of frames; may be repeated."),
     ] = None,
     route: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="A route to draw: .geojson or .csv; may be given again."),
+        typer.Option(metavar="FILE", help="Draw a route: .geojson or .csv; may be repeated."),
     ] = None,
     datum_from: options.DatumFrom = None,
     port: Annotated[
-        int | None, typer.Option(metavar="N", min=1, max=65535, help="Any free one if not given.")
+        int | None, typer.Option(metavar="N", min=1, max=65535, help="Port [default: a free one].")
     ] = None,
     host: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Also for the local network; read-only by default."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address to serve on, for other machines too; then read-only by default.",
+        ),
     ] = None,
     read_only: Annotated[
         bool | None,
@@ -38,7 +41,10 @@ def command(
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.html", help="Write a page to send, up to 20 MB; serve nothing."),
+        typer.Option(
+            metavar="FILE.html",
+            help="Write a self-contained page of up to 20 MB and serve nothing.",
+        ),
     ] = None,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
@@ -47,7 +53,7 @@ def command(
 ) -> None:
     """Show maps in the browser: layers, sessions, why a cell is an obstacle, what changed.
 
-    The page needs no network. It stays until Ctrl+C.
+    The page needs no network. The server runs until Ctrl+C.
 
     Examples:
 

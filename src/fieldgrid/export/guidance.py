@@ -31,10 +31,12 @@ class TaskdataOptions(ShapeOptions):
     """What the terminal is to steer by."""
 
     guidance: Literal["drives", "lanes"] = setting(
-        "drives", "what a terminal steers by", flag=Flag("--guidance", "drives|lanes")
+        "drives", "source of the guidance lines", flag=Flag("--guidance", "drives|lanes")
     )
     crop: str = setting(
-        "vineyard", "whose rows make the lanes, as in `fieldgrid rows`", flag=Flag("--crop", "NAME")
+        "vineyard",
+        "crop whose rows define the lanes, as in `fieldgrid rows`",
+        flag=Flag("--crop", "NAME"),
     )
 
 

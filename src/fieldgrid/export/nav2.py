@@ -53,11 +53,11 @@ class Nav2Options(SpeedOptions):
     """How the map server is to read the picture, and where a vehicle is to be slow."""
 
     mode: Literal["trinary", "scale", "raw"] = setting(
-        "trinary", "what the grey values mean", flag=Flag("--mode", "trinary|scale|raw")
+        "trinary", "meaning of the grey values", flag=Flag("--mode", "trinary|scale|raw")
     )
     image: Literal["pgm", "png"] | None = setting(
         None,
-        "kind of the picture",
+        "image format",
         usual="pgm, of scale png",
         flag=Flag("--image", "pgm|png"),
     )

@@ -49,13 +49,13 @@ class CurveOptions(Settings):
 
     least_seen: float = setting(
         LEAST_SEEN,
-        "share of the map's own cells that must be seen in a larger one that is no obstacle",
+        "share of the map's own cells that must be seen in a larger cell without an obstacle",
         flag=Flag("--least-seen", "SHARE"),
     )
 
     least_drop_m: float = setting(
         LEAST_DROP_M,
-        "ground that falls away by so much is an obstacle; inf for none",
+        "a drop of the ground by this much is an obstacle; inf for none",
         flag=Flag("--least-drop", "M"),
         gt=0.0,
     )
@@ -81,11 +81,11 @@ class ShapeOptions(ObstacleOptions):
     """How obstacles become polygons."""
 
     min_area_m2: float = setting(
-        0.0, "leave out smaller obstacles", flag=Flag("--min-area", "M2"), ge=0.0, lt=1e9
+        0.0, "smallest obstacle area", flag=Flag("--min-area", "M2"), ge=0.0, lt=1e9
     )
     simplify_m: float | None = setting(
         None,
-        "move outlines by up to so much to straighten them",
+        "largest deviation of simplified outlines",
         usual="a cell",
         flag=Flag("--simplify", "M"),
         ge=0.0,

@@ -31,7 +31,7 @@ class SpeedOptions(CurveOptions):
 
     slow_percent: int | None = setting(
         None,
-        "speed of slow zones in percent of the highest, in a mask for the speed filter",
+        "speed in slow zones in percent of the maximum; writes a mask for the speed filter",
         usual="no mask",
         flag=Flag("--slow-percent", "1..99"),
         ge=1,
@@ -39,26 +39,30 @@ class SpeedOptions(CurveOptions):
     )
     slow_within_m: float = setting(
         1.0,
-        "slow so near to obstacles, keep-outs, turns and ground that was not seen",
+        "slow within this distance of obstacles, keep-outs, turns and unseen ground",
         flag=Flag("--slow-within", "M"),
         ge=0.0,
         le=50.0,
     )
     slow_seen_by: int = setting(
         0,
-        "slow where fewer frames saw a cell",
+        "slow where fewer frames than this saw a cell",
         flag=Flag("--slow-seen-by", "FRAMES"),
         ge=0,
         le=10**6,
     )
     slow_turns: Path | None = setting(
         None,
-        "slow at the turns of this route",
+        "slow in the turns of this route",
         usual="none",
         flag=Flag("--slow-turns", "ROUTE.csv"),
     )
     slow_radius_m: float = setting(
-        10.0, "radius below which a route turns", flag=Flag("--slow-radius", "M"), gt=0.0, le=1000.0
+        10.0,
+        "largest radius that counts as a turn of a route",
+        flag=Flag("--slow-radius", "M"),
+        gt=0.0,
+        le=1000.0,
     )
 
 

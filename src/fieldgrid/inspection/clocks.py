@@ -18,9 +18,9 @@ def clock_unknown(followed: int) -> Finding:
     """That the camera's motion in so many frames does not tell its clock."""
     return info(
         "clock-unknown",
-        f"The clock of the images cannot be told from {followed} frames: the drive is too even, "
-        "too short, or badly seen.",
-        "Weave a little, or turn on the spot, at the start of a drive.",
+        f"The clock offset of the images cannot be estimated from {followed} frames: the drive is "
+        "too uniform, too short, or has poor images.",
+        "Start a drive with a few turns.",
     )
 
 

@@ -104,16 +104,16 @@ def coverage_findings(found: Coverage | None, cell_m: float, asked: bool) -> Ite
     if found.grid_m <= 0.0:
         yield warning(
             "nothing-in-view",
-            "By its height and tilt the camera sees the ground only beyond the range up to which "
-            "points are used.",
+            "With its height and tilt, the camera sees the ground only beyond the largest range of "
+            "the points used.",
             "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
         )
     elif found.holes_share > HOLE_SHARE:
         yield warning(
             "holes",
             f"{100.0 * found.holes_share:.0f} % of the steps between usable frames are longer than "
-            f"the {found.grid_m:.1f} m that a local grid shows of the way.",
-            "Take more frames, or drive more slowly; the map has holes there.",
+            f"the {found.grid_m:.1f} m of path that a local grid covers.",
+            "The map has holes there; record more frames, or drive more slowly.",
         )
     supported_m = found.cell_m
     if supported_m is None or supported_m > cell_m:

@@ -17,8 +17,8 @@ from fieldgrid.build.camera_scale import (
     tells_heights,
 )
 from fieldgrid.build.doubt import doubted_cameras
+from fieldgrid.build.format_hints import format_hints, hint_sentence
 from fieldgrid.build.mirrored import doubted_mirror
-from fieldgrid.build.other_readings import other_readings, say_instead
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
     check_images,
@@ -43,12 +43,12 @@ from fieldgrid.inspection.fixes import (
     sync_findings,
     synchronisation,
 )
+from fieldgrid.inspection.frame_pass import Seen, Tell, look_at
 from fieldgrid.inspection.images import (
     image_findings,
     misalignment_findings,
     unread_findings,
 )
-from fieldgrid.inspection.looking import Seen, Tell, look_at
 from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import ground_seen, mount_findings
@@ -180,12 +180,12 @@ def _camera_findings(
         yield refusal(doubted.error, doubted.doubt)
         return
     if ground == 0:
-        readings = other_readings(recording, gridder, every)
+        readings = format_hints(recording, gridder, every)
         yield error(
             "no-ground",
             f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
             "heights above it are not known.",
-            say_instead(readings)
+            hint_sentence(readings)
             if readings
             else "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
         )

@@ -112,22 +112,22 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
         yield info(
             "fix-repeats",
             f"{repeats} of {log.fixes} fixes repeat the position before them and are left out.",
-            "The log is written more often than the receiver solves; nothing is lost by that.",
+            "The log is written more often than the receiver solves; no data are lost.",
         )
     written, faulty = log.fixes - repeats, log.fixes - log.accepted - repeats
     if faulty > REJECTED_SHARE * written:
         commonest = next(one for one in log.rejected if one.gate is not Gate.REPEAT)
         yield warning(
             "fixes-rejected",
-            f"{faulty} of {written} fixes are rejected, {commonest.fixes} of them like this: "
+            f"{faulty} of {written} fixes are rejected, {commonest.fixes} of them because: "
             f"{commonest.example}.",
             "Choose a better log with --gnss, or loosen the gates of [pose.gnss] in --config.",
         )
     if 0.0 < log.rate_hz < LEAST_RATE_HZ:
         yield warning(
             "fix-rate",
-            f"The fixes come at {log.rate_hz:.2f} Hz, and poses are not told over more than "
-            f"{MAX_GAP_NS / 1e9:.1f} s without one.",
+            f"The fixes come at {log.rate_hz:.2f} Hz, and there are no poses in gaps of more than "
+            f"{MAX_GAP_NS / 1e9:.1f} s.",
             "Let the receiver write 5 Hz or more.",
         )
     if log.gaps:
@@ -136,13 +136,13 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
             "fix-gaps",
             f"There are {len(log.gaps)} gaps without an accepted fix, the longest of "
             f"{longest.seconds:.1f} s.",
-            "Frames in them have no pose, unless gyro, wheels and camera carry it over.",
+            "Frames in them have no pose, unless gyro, wheels and camera bridge the gap.",
         )
     if log.seams:
         yield warning(
             "fix-seams",
-            f"The solution moves {len(log.seams)} times: {log.seams[0].reason}.",
-            "The map is torn there; prefer a log with one kind of solution throughout.",
+            f"The GNSS solution shifts {len(log.seams)} times: {log.seams[0].reason}.",
+            "The map has an offset there; prefer a log with one kind of solution throughout.",
         )
     if log.quantum_m > COARSE_QUANTUM_M:
         yield warning(
@@ -153,7 +153,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
     if summary.sigma_m is not None and summary.sigma_m > POOR_SIGMA_M:
         yield info(
             "fix-sigma",
-            f"The error of a fix is {summary.sigma_m:.2f} m, by its own word or as is usual for "
+            f"The error of a fix is {summary.sigma_m:.2f} m, as reported or as is typical of "
             f"{next(iter(summary.quality))}.",
             "Use correction data (RTK, PPP) for cells finer than that.",
         )
@@ -164,10 +164,10 @@ def sync_findings(sync: Sync) -> Iterator[Finding]:
     if sync.without_share > UNUSABLE_SHARE:
         yield info(
             "images-without-fix",
-            f"{100.0 * sync.without_share:.0f} % of the images lie in no pair of accepted fixes "
-            f"that is less than {MAX_GAP_NS / 1e9:.1f} s apart; the farthest is "
+            f"{100.0 * sync.without_share:.0f} % of the images lie between no two accepted "
+            f"fixes less than {MAX_GAP_NS / 1e9:.1f} s apart; the farthest is "
             f"{sync.most_s:.1f} s from a fix.",
-            "Their poses hang on gyro, wheels and camera; start the receiver before the camera.",
+            "Their poses rely on gyro, wheels and camera; start the receiver before the camera.",
         )
 
 
@@ -178,9 +178,9 @@ def pose_findings(frames: int, reasons: Counter[str]) -> Iterator[Finding]:
         count, reason = grouped_reasons(reasons)[0]
         yield warning(
             "frames-unusable",
-            f"{lost} of {frames} frames will have no usable pose, {count} of them like this: "
+            f"{lost} of {frames} frames will have no usable pose, {count} of them because: "
             f"{reason}.",
-            "Look at `fieldgrid track --figure`; another --gnss, --heading or --budget may do.",
+            "See `fieldgrid track --figure`; try another --gnss, --heading or --budget.",
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.choices import Doubt
 from fieldgrid.inspection.findings import Finding, error, warning
-from fieldgrid.inspection.looking import Unread
+from fieldgrid.inspection.frame_pass import Unread
 from fieldgrid.inspection.measures import Look
 from fieldgrid.vertical import SHIFT_ERROR_PX, Misalignment
 
@@ -43,15 +43,14 @@ def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:
     if misfits:
         yield error(
             "image-size",
-            f"{len(misfits)} of {looked} frames that were looked at are not those of the "
+            f"{len(misfits)} of {looked} examined frames do not fit the "
             f"calibration. First: {misfits[0].problem}",
-            "Give the calibration of these images: of their size, and not turned or cropped.",
+            "Give the calibration of these images, for their size and orientation, uncropped.",
         )
     elif unread:
         yield error(
             "images-unreadable",
-            f"{len(unread)} of {looked} frames that were looked at cannot be read. First: "
-            f"{unread[0].problem}",
+            f"{len(unread)} of {looked} examined frames cannot be read. First: {unread[0].problem}",
             "Restore the files, or leave these frames out of the recording.",
         )
 
@@ -68,7 +67,7 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
     if dark:
         yield warning(
             "images-dark",
-            f"{dark} of {count} pairs that were looked at are dark, the darkest with a mean of "
+            f"{dark} of {count} examined pairs are dark, the darkest with a mean of "
             f"{min(min(look.brightness) for look in looks):.0f} of 255.",
             "Expose longer, open the lens, or drive by day.",
         )
@@ -77,7 +76,7 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
         most = max(look.saturated_share for look in looks)
         yield warning(
             "images-saturated",
-            f"{saturated} of {count} pairs that were looked at are saturated, up to "
+            f"{saturated} of {count} examined pairs are saturated, up to "
             f"{100.0 * most:.0f} % of the image.",
             "Expose for the ground, not for the sky; shorten the exposure.",
         )
@@ -85,7 +84,7 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
     if blurred:
         yield warning(
             "images-blurred",
-            f"{blurred} of {count} pairs that were looked at are blurred: {_worst_blur(looks):.2f} "
+            f"{blurred} of {count} examined pairs are blurred: {_worst_blur(looks):.2f} "
             f"by Crete's measure, where sharp images have 0.2 to 0.3 and {BLURRED:g} is a blur of "
             "1.5 pixels.",
             "Focus and clean the lenses, and shorten the exposure.",
@@ -94,10 +93,10 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
     if plain:
         yield warning(
             "images-plain",
-            f"{plain} of {count} pairs that were looked at show fewer than {FEWEST_POINTS} points "
+            f"{plain} of {count} examined pairs show fewer than {FEWEST_POINTS} points "
             f"with depth; the median is {np.median([look.points for look in looks]):.0f}.",
-            "If the images are not fogged or featureless, look at the calibration, and whether "
-            "left and right are of one moment.",
+            "If the images are not fogged or featureless, check the calibration, and that left and "
+            "right are synchronised.",
         )
     unequal = share(lambda look: _ratio(look) > EXPOSURE_RATIO)
     if unequal:
@@ -106,7 +105,7 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
             "exposure-differs",
             f"Left and right differ in brightness by a factor of {ratio:.2f} (median of {count} "
             "pairs).",
-            "Let one camera's exposure and gain drive both.",
+            "Use the same exposure and gain for both cameras.",
         )
 
 
@@ -115,22 +114,22 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
     if found is None:
         return
     told = (
-        f"In {found.matches} matches the right images lie {found.median_px:+.2f} pixels lower than "
-        f"the left ones, {found.residual_px:.2f} up or down"
+        f"In {found.matches} matches the right images are {found.median_px:+.2f} pixels lower than "
+        f"the left ones, {found.residual_px:.2f} in absolute value"
     )
-    remedy = "Calibrate the pair anew; give the rectification that belongs to these images."
+    remedy = "Calibrate the pair again, or give the rectification of these images."
     if found.residual_px > SHIFT_ERROR_PX:
         yield error(
-            Doubt.VERTICAL_MISALIGNMENT.value, f"{told}; rows must match to match pixels.", remedy
+            Doubt.VERTICAL_MISALIGNMENT.value, f"{told}; stereo matching needs equal rows.", remedy
         )
     elif found.residual_px > SHIFT_WARN_PX:
         yield warning("vertical-misalignment", f"{told}: the calibration has drifted.", remedy)
     if found.scatter_px > SCATTER_PX:
         yield warning(
             "vertical-scatter",
-            f"The rows of left and right are shifted by {found.scatter_px:.2f} pixels more or less "
-            "from pair to pair.",
-            "Trigger both cameras at once, and look whether one is loose.",
+            f"The row offset of left and right varies by {found.scatter_px:.2f} pixels from pair "
+            "to pair.",
+            "Trigger both cameras at once, and check that neither is loose.",
         )
 
 

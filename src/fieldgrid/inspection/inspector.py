@@ -10,7 +10,7 @@ from fieldgrid.build import estimate_drive
 from fieldgrid.errors import CalibrationError, FieldgridError, NoFramesError, RecordingError
 from fieldgrid.inspection.drive import pose_notes, with_fixes, with_frames
 from fieldgrid.inspection.findings import Finding, error, in_order, info, warning
-from fieldgrid.inspection.looking import Tell
+from fieldgrid.inspection.frame_pass import Tell
 from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import rig_findings

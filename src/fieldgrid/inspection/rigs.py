@@ -50,9 +50,9 @@ def rig_findings(rig: Rig) -> Iterator[Finding]:
     if at_camera and abs(lever.up_m - height_m) < 1e-3:
         yield warning(
             "lever-arm-zero",
-            "The mounting says that the antenna sits in the middle of the camera, 0 m away.",
-            "Measure gnss_antenna_from_camera_mid_flu_m, [forward, left, up] in metres: what is "
-            "forgotten of it misplaces the whole map.",
+            "The mounting has a zero lever arm: the antenna is in the middle of the camera.",
+            "Measure gnss_antenna_from_camera_mid_flu_m, [forward, left, up] in metres: an error "
+            "shifts the whole map.",
         )
     elif lever.up_m < 0.2:
         yield warning(
@@ -69,10 +69,9 @@ def rig_findings(rig: Rig) -> Iterator[Finding]:
     if rig.rear_axle_forward_m is None:
         yield info(
             "axle-unknown",
-            "The mounting does not say where the axle is that does not steer; it is taken to lie "
-            "below the antenna.",
-            "Add camera_mid_from_rear_axle_ground_flu_m; a metre turns headings by 11° at a "
-            "radius of 5 m.",
+            "The mounting does not name the non-steering axle; it is assumed below the antenna.",
+            "Add camera_mid_from_rear_axle_ground_flu_m; an error of a metre turns headings by 11° "
+            "at a turning radius of 5 m.",
         )
     yield from _lens_findings(rig.sensor)
 
@@ -88,7 +87,7 @@ def _lens_findings(sensor: Sensor) -> Iterator[Finding]:
                 "principal-point",
                 f"The calibration has its principal point {name} = {centre_px:.1f} px in an image "
                 f"of {size_px} px, far from the middle.",
-                "Look whether it is for another size or an image that was turned or cropped.",
+                "Check that it is for this image size, and not for a rotated or cropped image.",
             )
     view_deg = math.degrees(2.0 * math.atan(sensor.width_px / (2.0 * focal_px)))
     if not NARROWEST_DEG <= view_deg <= WIDEST_DEG:
@@ -96,7 +95,7 @@ def _lens_findings(sensor: Sensor) -> Iterator[Finding]:
             "focal-length",
             f"The calibration gives a view of {view_deg:.0f}° across, by a focal length of "
             f"{focal_px:.0f} px in an image {sensor.width_px} px wide.",
-            "Look whether it is for another size; the focal length is in pixels.",
+            "Check that it is for this image size; the focal length is in pixels.",
         )
 
 
@@ -145,7 +144,7 @@ def mount_findings(
     if abs(off_m) > max(HEIGHT_SHARE * mount.height_m, CLEAR_SIGMAS * seen.height_sigma_m):
         yield warning(
             "mounting-height",
-            f"The ground lies {height_m:.2f} ± {seen.height_sigma_m:.2f} m below the camera in "
+            f"The ground is {height_m:.2f} ± {seen.height_sigma_m:.2f} m below the camera in "
             f"{seen.frames} frames; the mounting says {mount.height_m:.2f} m.",
             remedy.format("camera_height_above_ground_m"),
         )
@@ -156,7 +155,7 @@ def mount_findings(
         if abs(seen_deg - said_deg) > max(LEAN_DEG, CLEAR_SIGMAS * sigma_deg):
             yield warning(
                 f"mounting-{what}",
-                f"By the ground the camera's {what} is {seen_deg:.1f} ± {sigma_deg:.1f}° in "
+                f"From the ground, the camera's {what} is {seen_deg:.1f} ± {sigma_deg:.1f}° in "
                 f"{seen.frames} frames; the mounting says {said_deg:.1f}°.",
                 remedy.format(key),
             )

@@ -109,8 +109,8 @@ def _order_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]
             "backward-stamps",
             f"{summary.backward} stamps of {stream.name} are earlier than the one before, by up "
             f"to {farthest_s:.3f} s.",
-            "Their messages are put in order of their stamps; if the clock was set during the "
-            "drive, take the part before or after that.",
+            "Messages are sorted by their stamps. If the clock was set during the drive, use only "
+            "the part before or after that.",
         )
     if summary.repeated > REPEATED_SHARE * max(summary.messages, 1):
         yield warning(
@@ -143,9 +143,9 @@ def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
     if gaps_s.size:
         yield warning(
             "gap",
-            f"{stream.name} has {gaps_s.size} gaps, the longest of {gaps_s.max():.1f} s, beside a "
+            f"{stream.name} has {gaps_s.size} gaps, the longest of {gaps_s.max():.1f} s, at a "
             f"period of {period_s:.3f} s.",
-            "Look for a disk or a bus that was too slow, or a receiver that lost its sky.",
+            "Check for a disk or bus that was too slow, or a receiver without sky view.",
         )
 
 
@@ -210,7 +210,7 @@ def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
             "clock-jump",
             f"The stamps of {stream.name} jump by {-by_s:+.3f} s against the time of receipt, "
             f"{when_s:.1f} s after its start ({len(jumps)} jumps in all).",
-            "Do not set the clock during a drive; take the part before or after the jump.",
+            "Do not set the clock during a drive; use only the part before or after the jump.",
         )
         return
     drift_ppm = _drift_ppm(delay)
@@ -224,7 +224,7 @@ def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
             "clock-drift",
             f"The stamps of {stream.name} drift by {-drift_ppm:+.0f} ppm against the time of "
             f"receipt, {abs(drift_ppm) * 1e-6 * over_s:.3f} s over the drive.",
-            "Discipline the clock of that sensor (PTP, NTP, PPS); one offset cannot mend a drift.",
+            "Synchronise the clock of that sensor (PTP, NTP, PPS); an offset cannot fix drift.",
         )
 
 
@@ -241,10 +241,10 @@ def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
     if APART_S < abs(apart_s) <= MAX_OFFSET_S:
         yield info(
             "stamp-delays",
-            f"From stamp to being written down it takes {image_s:+.3f} s in {image.name} and "
+            f"Messages are recorded {image_s:+.3f} s after their stamp in {image.name} and "
             f"{fix_s:+.3f} s in {fix.name}.",
-            f"If both arrive at once, their clocks differ, and --time-offset {apart_s:.3f} would "
-            "mend it; compare it with the offset that the drive itself shows.",
+            f"If both have the same latency, their clocks differ, and --time-offset {apart_s:.3f} "
+            "corrects it; compare it with the offset estimated from the drive.",
         )
 
 

@@ -22,7 +22,7 @@ from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import check_images
 from fieldgrid.build.session import NewSession, check_names
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
-from fieldgrid.live.kept import About, Kept
+from fieldgrid.live.session_folder import About, SessionFolder
 from fieldgrid.mapfile import Patience, create_map, open_map
 from fieldgrid.pose import tells_attitude
 from fieldgrid.recording import DriveOptions, Recording, open_drive
@@ -31,8 +31,8 @@ from fieldgrid.settings.declare import first_problem
 from fieldgrid.transfer import check_cell_sizes
 
 NOT_LEVELLED = (
-    "The drive tells how its vehicle leans, which is known to the end of it only, so live grids "
-    "stay square to the ground ahead. They are placed by the full attitude; to have them level, "
+    "The drive has roll and pitch, but they are complete only after it, so live grids are "
+    "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
     "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
 )
 
@@ -68,7 +68,7 @@ def finish_session(
     how long another writer of the map is waited for. On an error the drive stays where it is kept,
     and the error says how to finish it.
     """
-    with Kept(Path(out), None) as kept:
+    with SessionFolder(Path(out), None) as kept:
         return finish(kept, overrides or {}, patience)
 
 
@@ -86,7 +86,7 @@ def finish_from(
     settings, and remove what the session has kept: the map has the frames that were dropped, too,
     and grids that are level where the drive tells how its vehicle leans. ConfigError for a
     recording that lacks a frame of the session: it is of another drive."""
-    with Kept(Path(out), None) as kept:
+    with SessionFolder(Path(out), None) as kept:
         about = kept.drive.about
         with open_drive(recording, options) as drive:
             found = drive.recording()
@@ -120,13 +120,15 @@ def finish_from(
 
 def discard_session(out: str | Path) -> tuple[str, int]:
     """Remove what a session that was ended has kept; its name, and how many frames it had."""
-    with Kept(Path(out), None) as kept:
+    with SessionFolder(Path(out), None) as kept:
         name, frames = kept.drive.about.name, len(kept.drive.frames)
         kept.remove()
     return name, frames
 
 
-def finish(kept: Kept, overrides: Overrides, patience: Patience | None = None) -> SessionReport:
+def finish(
+    kept: SessionFolder, overrides: Overrides, patience: Patience | None = None
+) -> SessionReport:
     """The same of a folder that is open."""
     started = time.perf_counter()
     about = kept.drive.about
@@ -147,7 +149,7 @@ def finish(kept: Kept, overrides: Overrides, patience: Patience | None = None) -
 
 
 def _placed(
-    kept: Kept, recording: Recording, settings: BuildSettings, patience: Patience
+    kept: SessionFolder, recording: Recording, settings: BuildSettings, patience: Patience
 ) -> SessionReport:
     about, staged, out = kept.drive.about, kept.staged(), kept.out
     session = NewSession(recording, settings, None, None, about.name, 1, skips_bad=True)

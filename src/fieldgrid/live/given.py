@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import ConfigError
-from fieldgrid.live.sensed import Rows, rows_of
+from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.motion import Motion
 from fieldgrid.recording.given_poses import motion_of_body
 from fieldgrid.recording.motion_files import check_axes

@@ -15,7 +15,7 @@ from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.live.live import Live
 from fieldgrid.live.results import What
-from fieldgrid.live.sensed import Rows
+from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.recording import Frame
 
 JOIN_S = 6.0

@@ -18,15 +18,15 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.finish import check_target, finish
+from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
-from fieldgrid.live.kept import About, Kept
-from fieldgrid.live.lag import GIVEN_KEPT_S
 from fieldgrid.live.options import LiveOptions
-from fieldgrid.live.perceiving import Perceiver
-from fieldgrid.live.posing import Poser
+from fieldgrid.live.perceiver import Perceiver
+from fieldgrid.live.poser import Poser
 from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
-from fieldgrid.live.sensed import Rows, rows_of
+from fieldgrid.live.sensor_rows import Rows, rows_of
+from fieldgrid.live.session_folder import About, SessionFolder
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import Patience
@@ -89,7 +89,7 @@ class Live(Closing):
         warm_up(gridder, odometry=odometry)
         warm_up_poses(rig, settings)
         self.name, self.rig, self._settings = name, rig, settings
-        self._kept = Kept(Path(map_path), about)
+        self._kept = SessionFolder(Path(map_path), about)
         drive = self._kept.drive
         self._lock = threading.Lock()
         self._nmea = NmeaStream(late_epochs=1)
@@ -347,7 +347,7 @@ class Live(Closing):
             self._deliverer.join(CLIENT_S)
 
     def push_rows(self, part: str, rows: Rows) -> None:
-        """Rows of a part of the motion (`live.sensed.PARTS`), in any order, or of poses."""
+        """Rows of a part of the motion (`live.sensor_rows.PARTS`), in any order, or of poses."""
         self._check_open()
         if not len(rows.time_ns):
             return

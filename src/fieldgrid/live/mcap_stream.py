@@ -18,7 +18,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
 from fieldgrid.live.receiver import ReceiverStream
-from fieldgrid.live.sensed import rows_of
+from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
 from fieldgrid.recording.bag.mounts import is_optical, optical

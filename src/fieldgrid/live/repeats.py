@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from fieldgrid.build.stuck import REPEATED, StuckCamera
-from fieldgrid.live.perceiving import Seen
+from fieldgrid.live.perceiver import Seen
 from fieldgrid.trajectory import Pose, Status
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from fieldgrid.fixes import Fix
 from fieldgrid.live.given import GIVEN_ROWS, rows_of_body
 from fieldgrid.live.live import Live
-from fieldgrid.live.sensed import PARTS, Rows
+from fieldgrid.live.sensor_rows import PARTS, Rows
 from fieldgrid.recording import Recording
 
 BATCH_NS = 20_000_000

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.live.sensed import Rows
+from fieldgrid.live.sensor_rows import Rows
 
 FIXES, FRAMES = "fixes", "frames"
 

@@ -12,8 +12,8 @@ from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import LocalGrid
-from fieldgrid.live.lag import Trailing
-from fieldgrid.live.sensed import rows_of
+from fieldgrid.live.fixed_lag import FixedLagSmoother
+from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.window import Placed, RollingWindow
 from fieldgrid.odometry import Step
 from fieldgrid.quality import Quality
@@ -28,7 +28,7 @@ _DATUM = Datum(45.0, 5.0, 200.0)
 
 def warm_up_poses(rig: Rig, settings: BuildSettings) -> None:
     """Estimate a made-up drive to the north, place a grid at its end, and forget both."""
-    trailing = Trailing(rig, settings, _DATUM, _SECONDS)
+    trailing = FixedLagSmoother(rig, settings, _DATUM, _SECONDS)
     noise_m = np.random.default_rng(0).normal(0.0, 0.01, (round(_SECONDS * _RATE_HZ), 2))
     for k, (east_m, north_m) in enumerate(noise_m.tolist()):
         seconds = k / _RATE_HZ

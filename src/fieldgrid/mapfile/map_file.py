@@ -26,7 +26,6 @@ from fieldgrid.mapfile.database import (
 )
 from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.kept import keep_features
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
@@ -35,6 +34,7 @@ from fieldgrid.mapfile.root import check_root, seal
 from fieldgrid.mapfile.row_sums import RowCounter
 from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
+from fieldgrid.mapfile.stored_features import keep_features
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.upgrade import upgrade, upgraded
 from fieldgrid.mapfile.verification import repair

@@ -23,7 +23,6 @@ from fieldgrid.mapfile.content import MapContent, extent_of, read_change, sessio
 from fieldgrid.mapfile.database import reading
 from fieldgrid.mapfile.evidence import Evidence, loader, reaches
 from fieldgrid.mapfile.header import Header, check_plane
-from fieldgrid.mapfile.kept import Kept, read_kept
 from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
@@ -31,6 +30,7 @@ from fieldgrid.mapfile.provenance import Provenance, trace
 from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.stored_features import StoredFeatures, read_stored_features
 from fieldgrid.mapfile.transform import Transform
 from fieldgrid.mapfile.verification import HealthReport, verify
 from fieldgrid.mapfile.view import DECISION_LAYERS, DROP_LAYERS, MapView
@@ -105,10 +105,10 @@ class MapReader:
             marks = read_marks(self._connection, removed=removed)
         return tuple(mark for mark in marks if within is None or mark.lies_in(within))
 
-    def kept_features(self) -> Kept | None:
+    def kept_features(self) -> StoredFeatures | None:
         """What was found in the map and is kept in it as layers; None where that is nothing."""
         with reading(self._connection, self.path):
-            return read_kept(self._connection)
+            return read_stored_features(self._connection)
 
     def metadata(self, name: str) -> SessionMetadata:
         """All that is kept of a session beside its frames, for `add_session_of` of another map."""

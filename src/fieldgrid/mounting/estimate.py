@@ -19,10 +19,10 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.measured import Measured, mean_of
 from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
+from fieldgrid.mounting.ground_steps import ground_steps
 from fieldgrid.mounting.ground_under_vehicle import MountSamples, ground_under_vehicle
 from fieldgrid.mounting.plane import Plane
 from fieldgrid.mounting.selection import stretches, usual_every
-from fieldgrid.mounting.ways import ways
 from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
 from fieldgrid.recording import DriveOptions, Frame, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
@@ -214,11 +214,11 @@ def _estimated(
     rough = _middle(planes)
     motions = _motions(looks, joined, rig, rough)
     found, plane = ground_under_vehicle([look.patches for look in looks], motions, rough)
-    steps = ways(motions, plane)
+    steps = ground_steps(motions, plane)
     under = len(found.frame) >= FEWEST_STANDS
     if not under:
         found = _ahead(looks)
-        steps = ways(motions, rough)
+        steps = ground_steps(motions, rough)
     height, tilt, roll = _means(found, under)
     axle = rig.rear_axle_forward_m
     moved = travel(steps, None if axle is None else -axle)

@@ -36,12 +36,12 @@ NEAR_M = 1.0
 _HEADINGS = 24
 
 REMEDY = (
-    "give other places or a smaller vehicle, or where the ground is known to be free, "
+    "give another start or goal, a smaller vehicle, or, if the unseen ground is known to be free, "
     "--allow-unknown"
 )
 
 
-_MARK_REMEDY = "give other places, or take the mark out with `fieldgrid mark --remove`"
+_MARK_REMEDY = "give another start or goal, or remove the mark with `fieldgrid mark --remove`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,17 +198,17 @@ def find_way(
         east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
         stopped_by = ground.what_is_at(east, north)
         raise NoRouteError(
-            f"There is no way {what} for a vehicle {vehicle.width_m:g} m wide, "
+            f"There is no path {what} for a vehicle {vehicle.width_m:g} m wide, "
             f"which is stopped by {stopped_by}",
             east, north, REMEDY if stopped_by != KEEPOUT_MARK else _MARK_REMEDY,
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
-        searched = "the search ended without a way" if found.exhausted else "none was found in time"
+        searched = "no path exists" if found.exhausted else "no path was found in time"
         raise NoRouteError(
-            f"Ground that a disc in the vehicle may pass leads {what}, but {searched} that all "
-            f"{vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m of it can drive, "
-            f"with {vehicle.clearance_m:g} m beside it and a turning radius of "
+            f"A disc inside the vehicle could pass {what}, but {searched} that the whole vehicle "
+            f"of {vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m can drive, with a "
+            f"clearance of {vehicle.clearance_m:g} m and a turning radius of "
             f"{vehicle.turning_radius_m:g} m{'' if vehicle.reverse else ', and no reverse'}; the "
             "search came nearest",
             found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, REMEDY,
@@ -226,7 +226,7 @@ def checked_route(
     fault = find_fault(path, ground, vehicle)
     if fault is not None:
         raise NoRouteError(
-            f"The way that was found fails its check, for {fault.reason}",
+            f"The planned route fails its check: {fault.reason}",
             fault.east_m, fault.north_m, "report this with the map",
         )  # fmt: skip
     clearance = searcher.gaps_m(samples[:, :3], NEAR_M)
@@ -237,8 +237,8 @@ def check_place(name: str, place: tuple[float, ...]) -> None:
     """Raise ConfigError for numbers that are no place; `name` says what it is for."""
     if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
         raise ConfigError(
-            f"A {name} of {place!r} is no place; give metres east and north, and a heading in "
-            "degrees where it matters."
+            f"A {name} of {place!r} is not a position; give metres east and north, and a heading "
+            "in degrees if it matters."
         )
 
 
@@ -259,7 +259,7 @@ def free_poses(searcher: Searcher, place: tuple[float, ...], name: str, seen: Bo
         raise NoRouteError(
             f"{what} is off the map, which spans {seen.west_m:.1f}..{seen.east_m:.1f} m east and "
             f"{seen.south_m:.1f}..{seen.north_m:.1f} m north,",
-            place[0], place[1], "give another place",
+            place[0], place[1], "give another position",
         )  # fmt: skip
     first = np.array([0.0])
     standing = Path(first + place[0], first + place[1], first + headings[0], np.array([1]), first)
@@ -267,5 +267,5 @@ def free_poses(searcher: Searcher, place: tuple[float, ...], name: str, seen: Bo
     assert fault is not None
     raise NoRouteError(
         f"{what} is not free: {fault.reason}", fault.east_m, fault.north_m,
-        "give another place or heading, or a smaller vehicle",
+        "give another position or heading, or a smaller vehicle",
     )  # fmt: skip

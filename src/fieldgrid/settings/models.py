@@ -40,14 +40,14 @@ class MapSettings(Settings):
 
     cell_m: float | None = setting(
         None,
-        "universal cell, L_U, not below L_L; of a new map",
+        "universal cell of a new map, L_U, at least L_L",
         usual="that of the local grid",
         flag=Flag("--cell", "M"),
         gt=0.0,
     )
     transfer: Transfer | None = setting(
         None,
-        "local to universal cells: centre (the paper), or area (no holes); of a new map",
+        "transfer to universal cells of a new map: centre (the paper) or area (no holes)",
         usual="centre",
         flag=Flag("--transfer", "centre|area"),
     )
@@ -65,10 +65,10 @@ class StereoSettings(Settings):
         None, "side of the compared blocks, odd", usual="9, of bm 15", ge=3, le=51
     )
     uniqueness_percent: int = setting(
-        10, "by how much the best match must beat the second", ge=0, le=50
+        10, "margin of the best match over the second best", ge=0, le=50
     )
     left_right_px: int = setting(
-        1, "how far the match back from the right image may be off; 0 is no check", ge=0, le=10
+        1, "largest left-right difference of a match; 0 switches the check off", ge=0, le=10
     )
     speckle_px: int = setting(100, "smaller blobs of disparity are dropped", ge=0, le=10_000)
     speckle_step_px: int = setting(2, "disparity step within a blob", ge=1, le=16)
@@ -115,13 +115,13 @@ class DensitySettings(Settings):
     )
     max_range_m: float = setting(
         15.0,
-        "farthest points used; fewer where the range is unsure",
+        "farthest points used; less where the range sigma is too large",
         flag=Flag("--max-range", "M"),
         gt=1.0,
         le=200.0,
     )
     max_range_sigma_m: float = setting(
-        0.2, "points whose range is less sure are left out", gt=0.01, le=10.0
+        0.2, "points with a larger range sigma are left out", gt=0.01, le=10.0
     )
     range_exponent: float = setting(
         2.0, "2 for facing surfaces, 3 for the ground and walls alongside", ge=0.0, le=4.0
@@ -129,10 +129,14 @@ class DensitySettings(Settings):
     reference_range_m: float = setting(8.0, "R0", gt=0.5, le=100.0)
     max_gain: float = setting(4.0, "cap of (R/R0)^p", ge=1.0, le=100.0)
     min_points: int = setting(
-        5, "fewer in a cell are no obstacle; a lidar needs at most 2", ge=1, le=1000
+        5, "fewer points in a cell are no obstacle; a lidar needs at most 2", ge=1, le=1000
     )
-    min_ground_points: int = setting(2, "fewer do not make a cell free", ge=1, le=1000)
-    saturation_m2_per_m3: float = setting(0.2, "what 255 stands for", gt=0.0, le=100.0)
+    min_ground_points: int = setting(
+        2, "fewer ground points do not make a cell free", ge=1, le=1000
+    )
+    saturation_m2_per_m3: float = setting(
+        0.2, "the density that is stored as 255", gt=0.0, le=100.0
+    )
 
     @model_validator(mode="after")
     def _slice_has_height(self) -> DensitySettings:
@@ -172,25 +176,30 @@ class GateLimits(Settings):
     # u-blox keeps a fixed solution for 60 s without corrections, NavCom for 15 s, and the error
     # then grows by a few cm a minute: after half a minute it is still that of RTK.
     max_age_s: float = setting(
-        30.0, "age of a correction of the carrier phase (RTK)", gt=0.0, le=3600.0
+        30.0, "largest age of a carrier-phase correction (RTK)", gt=0.0, le=3600.0
     )
     # PPP and SBAS send orbits and clocks every few minutes, and receivers use them for as long
     # (NovAtel 360 s): beside the decimetres that such a fix is good for, age says little.
     max_code_age_s: float = setting(
-        300.0, "age of a correction of SBAS, DGPS or PPP", gt=0.0, le=3600.0
+        300.0, "largest age of an SBAS, DGPS or PPP correction", gt=0.0, le=3600.0
     )
     speed_margin_mps: float = setting(
-        1.0, "how far a fix may leave the even motion of those around it", ge=0.0, le=20.0
+        1.0,
+        "largest deviation of a fix from the steady motion of its neighbours, as a speed",
+        ge=0.0,
+        le=20.0,
     )
-    max_acceleration_mps2: float = setting(4.0, "the same, by acceleration", gt=0.0, le=50.0)
-    max_speed_mps: float = setting(40.0, "where fixes are missing", gt=0.0, le=500.0)
-    max_climb_mps: float = setting(3.0, "up or down, where fixes are missing", gt=0.0, le=100.0)
-    timing_s: float = setting(0.1, "how late the stamp of a fix may be", ge=0.0, le=5.0)
-    sigmas: float = setting(4.0, "how many standard deviations are noise", gt=0.0, le=20.0)
+    max_acceleration_mps2: float = setting(4.0, "the same, as an acceleration", gt=0.0, le=50.0)
+    max_speed_mps: float = setting(40.0, "largest speed where fixes are missing", gt=0.0, le=500.0)
+    max_climb_mps: float = setting(
+        3.0, "largest vertical speed where fixes are missing", gt=0.0, le=100.0
+    )
+    timing_s: float = setting(0.1, "largest delay of the time stamp of a fix", ge=0.0, le=5.0)
+    sigmas: float = setting(4.0, "deviations up to so many sigma count as noise", gt=0.0, le=20.0)
     moved_fixes: int = setting(
-        10, "a solution that has moved is followed after so many fixes", ge=2, le=10_000
+        10, "a GNSS solution that has shifted is followed after so many fixes", ge=2, le=10_000
     )
-    moved_s: float = setting(3.0, "and after so long", ge=0.0, le=600.0)
+    moved_s: float = setting(3.0, "and after this time", ge=0.0, le=600.0)
 
     @field_validator("allowed_quality", mode="before")
     @classmethod
@@ -221,42 +230,41 @@ class PoseSettings(Settings):
 
     heading: str = setting(
         "smooth",
-        "where headings come from: smooth (all that the drive carries), course (the paper), "
-        "recorded, constant:DEG",
+        "source of headings: smooth (all sensors), course (the paper), recorded, constant:DEG",
         flag=Flag("--heading", "smooth|course|recorded|constant:DEG"),
     )
     accuracy_m: float | None = setting(
         None,
-        "1-sigma error of a fix along one axis, in place of what the receiver states",
-        usual="what the receiver states, else what is usual for the quality",
+        "1-sigma error of a fix along one axis, instead of what the receiver reports",
+        usual="as the receiver reports, otherwise typical for the quality",
         flag=Flag("--accuracy", "M"),
         gt=0.0,
         le=100.0,
     )
     quality: Quality | None = setting(
         None,
-        "quality of all fixes, in place of what the log says: rtk-fixed, rtk-float and so on",
+        "quality of all fixes, instead of the logged one: rtk-fixed, rtk-float and so on",
         usual="what the log says",
         flag=Flag("--quality", "NAME"),
     )
     starts: GearName | None = setting(
         None,
-        "the gear that a drive starts in, where its positions do not tell",
-        usual="what is likelier",
+        "gear at the start of a drive, if its positions leave it open",
+        usual="the likelier one",
         flag=Flag("--starts", "forward|reverse"),
     )
     gear_spans: tuple[GearSpan, ...] = setting(
-        (), "gears that are known: start_ns, stop_ns, gear (forward or reverse)", usual="none"
+        (), "known gears: start_ns, stop_ns, gear (forward or reverse)", usual="none"
     )
     frame_origin: FrameOrigin | None = setting(
         None,
-        "where the frame of --poses has its origin: latitude, longitude, height",
+        "origin of the frame of --poses: latitude, longitude, height",
         usual="by the fixes",
         flag=Flag("--frame-origin", "LAT,LON,HEIGHT"),
     )
     frame_heading_deg: float | None = setting(
         None,
-        "heading of the forward axis of that frame (x, of camera axes z): 90 where x is east",
+        "heading of the forward axis of that frame (x; with camera axes z): 90 if x points east",
         usual="by the fixes",
         flag=Flag("--frame-heading", "DEG"),
         ge=-360.0,
@@ -264,39 +272,42 @@ class PoseSettings(Settings):
     )
     visual_odometry: bool = setting(
         True,
-        "whether smooth uses the camera's own motion",
+        "whether smooth uses visual odometry",
         flag=Flag("--visual-odometry/--no-visual-odometry", ""),
     )
     cell_budget_m: float | None = setting(
         None,
-        "how far off a cell at the far end of a grid may be, 1-sigma, by heading and position in "
-        "the receiver's own frame",
+        "largest 1-sigma error of a cell at the far end of a grid, from heading and position; "
+        "the receiver's slow error is not counted",
         usual="map.cell_m, at least 0.25",
         flag=Flag("--budget", "M"),
         gt=0.0,
         le=10.0,
     )
     max_heading_sigma_deg: float = setting(
-        3.0, "poses that are less sure are rejected", gt=0.0, le=90.0
+        3.0, "poses with a larger sigma are rejected", gt=0.0, le=90.0
     )
     max_position_sigma_m: float = setting(
         2.0,
-        "poses that are less sure are rejected; absolute, the receiver's slow error included",
+        "poses with a larger absolute sigma are rejected; the receiver's slow error is included",
         gt=0.0,
         le=100.0,
     )
     max_gear_doubt: float = setting(
-        0.02, "poses that may as well be in the other gear are rejected", gt=0.0, le=0.5
+        0.02, "poses with a larger probability of the other gear are rejected", gt=0.0, le=0.5
     )
     max_heading_offset_deg: float = setting(
-        5.0, "a recorded heading farther off the drive's own is an error", gt=0.0, le=45.0
+        5.0,
+        "a larger offset of the recorded heading from the estimated one is an error",
+        gt=0.0,
+        le=45.0,
     )
     baseline_m: float | None = setting(
-        None, "over which course is fitted", usual="200 sigma, 4 to 12", gt=0.1, le=100.0
+        None, "distance over which course is fitted", usual="200 sigma, 4 to 12", gt=0.1, le=100.0
     )
     min_turn_radius_m: float = setting(
         1.0,
-        "a heading that jumps farther than this allows is rejected (course, recorded)",
+        "a heading change that needs a smaller radius is rejected (course, recorded)",
         gt=0.0,
         le=50.0,
     )

@@ -1,0 +1,312 @@
+"""Frames to local grids while the vehicle drives: two at a time, in order, and a queue that has an
+end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+from fieldgrid.build import BadFrame
+from fieldgrid.build.perception import Perceived
+from fieldgrid.build.report import StageTimes
+from fieldgrid.build.staging import Found, stage_frame
+from fieldgrid.errors import FieldgridError, MapWriteError
+from fieldgrid.frame_ground import FrameGround
+from fieldgrid.grids import LocalGrid
+from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
+from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.live.stamps import Stamps
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.mapfile import StagedFrame
+from fieldgrid.odometry import Features, Step, step
+from fieldgrid.recording import CloudFrame, Frame, StereoFrame
+from fieldgrid.sweep import Way
+
+WORKERS = 2
+"""Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
+
+
+MOST_HELD = 20
+"""Frames that are stamped ahead of all else; of more the oldest are left out."""
+
+
+class Seen(NamedTuple):
+    """A frame that was perceived, its grid guarded against drops. `step` is the camera's to it from
+    the last one that `is_kept`."""
+
+    frame_id: str
+    time_ns: int
+    grid: LocalGrid
+    ground_found: bool
+    step: Step | None
+    is_kept: bool
+    pushed_s: float
+    images_sha256: tuple[str, ...] = ()
+
+
+class _Waiting(NamedTuple):
+    """`is_again`: it is the last frame before a restart, pushed again."""
+
+    frame: Frame
+    pushed_s: float
+    is_again: bool
+
+
+class Perceiver:
+    """Takes frames in order of time, and keeps and tells what they saw.
+
+    The points of a cloud are carried to its stamp by the `way` around it, where that is known.
+    When as many wait as may, the oldest of them is dropped: what is in front of the vehicle now
+    matters more than what was.
+    """
+
+    def __init__(
+        self,
+        kept: SessionFolder,
+        gridder: LocalGridder,
+        *,
+        odometry: bool,
+        stamps: Stamps,
+        most_waiting: int,
+        tell: Callable[[LiveResult], None],
+        pass_on: Callable[[Seen], None],
+        way: Callable[[int], Way | None],
+    ) -> None:
+        self._kept, self._gridder, self._odometry = kept, gridder, odometry
+        self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
+        self._way, self._stamps = way, stamps
+        self._pushing = threading.Lock()
+        self._held: list[tuple[Frame, str]] = []
+        self._refuted = 0
+        self._queue: deque[_Waiting] = deque()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._taken = self._done = 0
+        self._last: Features | None = None
+        frames = kept.drive.frames
+        last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
+        self._newest_ns = last_ns
+        # The last frame before the restart, pushed again, is looked at for the step from it.
+        self._again_ns = last_ns if odometry else None
+        self.frames = len(frames)
+        self.dropped = kept.drive.dropped
+        self.late = 0
+        self._disk_full = False
+        self._threads = [
+            threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
+            for _ in range(WORKERS)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def push(self, frame: Frame, *, wait: bool) -> bool:
+        """Let a frame be perceived; False where it is not, since it is not newer than the one
+        before or since no frame is taken any more. With `wait` it waits for its turn where none
+        may be dropped. One that is stamped ahead of all else is held until it is clear what time it
+        is."""
+        with self._pushing:
+            judged = self._stamps.frame(self._time_ns(frame))
+            self._leave_refuted()
+            if judged.why:
+                self._held.append((frame, judged.why))
+                if len(self._held) > MOST_HELD:
+                    self._leave(*self._held.pop(0))
+                return True
+            self._let_in()
+            return self._put(frame, wait=wait)
+
+    def _let_in(self) -> None:
+        """Let frames be perceived that were held."""
+        held, self._held = self._held, []
+        for frame, _ in held:
+            self._put(frame, wait=True)
+
+    def _leave_refuted(self) -> None:
+        """Leave frames out that were held, where it came out that they are of another time."""
+        if self._refuted != self._stamps.refuted:
+            self._refuted, held, self._held = self._stamps.refuted, self._held, []
+            for frame, why in held:
+                self._leave(frame, why)
+
+    def _leave(self, frame: Frame, why: str) -> None:
+        self.late += 1
+        text = f"Frame {frame.frame_id} {why}; it was left out."
+        self._tell(LiveEvent(What.FRAME_LATE, text, self._time_ns(frame)))
+
+    def _time_ns(self, frame: Frame) -> int:
+        """When a frame was taken, by the receiver's clock."""
+        return frame.time_ns + self._gridder.rig.image_time_offset_ns
+
+    def _put(self, frame: Frame, *, wait: bool) -> bool:
+        time_ns = self._time_ns(frame)
+        dropped = None
+        with self._changed:
+            is_again = time_ns == self._again_ns and self._last is None
+            is_late = self._newest_ns is not None and time_ns <= self._newest_ns and not is_again
+            if not is_late:
+                if wait:
+                    self._changed.wait_for(lambda: self._closed or len(self._queue) < self._most)
+                if self._closed:
+                    return False
+                if len(self._queue) >= self._most:
+                    dropped = self._queue.popleft().frame
+                    self.dropped += 1
+                self._queue.append(_Waiting(frame, time.monotonic(), is_again))
+                self._newest_ns, self._again_ns = time_ns, None
+                self._changed.notify_all()
+        if is_late:
+            self._leave(frame, "is not newer than the one before")
+        if dropped is not None:
+            self._kept.add_dropped(dropped.frame_id, dropped.time_ns)
+            text = (
+                f"Frame {dropped.frame_id} was dropped, since newer ones wait: {self.dropped} so "
+                "far."
+            )
+            self._tell(LiveEvent(What.FRAME_DROPPED, text, time_ns))
+        return not is_late
+
+    def drain(self, timeout_s: float | None = None) -> bool:
+        """Wait until every frame is perceived; False when that takes longer."""
+        self._end_doubt()
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: not self._queue and self._done == self._taken, timeout_s
+            )
+
+    def _end_doubt(self) -> None:
+        """Nothing more comes by which it could be told of what time frames are that are held."""
+        with self._pushing:
+            self._leave_refuted()
+            self._let_in()
+
+    def close(self) -> None:
+        """Perceive what waits, and end."""
+        self._end_doubt()
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join()
+
+    def _run(self) -> None:
+        """Stage frames beside the other threads, and do what follows when it is their turn."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._queue or self._closed)
+                if not self._queue:
+                    return
+                waiting, turn = self._queue.popleft(), self._taken
+                self._taken += 1
+                self._changed.notify_all()
+            problem, looked, pair = None, None, None
+            try:
+                way = self._way_of(waiting.frame)
+                looked = stage_frame(
+                    waiting.frame,
+                    self._gridder,
+                    odometry=self._odometry,
+                    way=way,
+                    gridded=partial(self._gridded, waiting, turn),
+                )
+            except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
+                problem = error
+            self._await(turn)
+            try:
+                if looked is not None:
+                    pair = self._keep(waiting, *looked)
+            except Exception as error:  # noqa: BLE001 - as above
+                problem = error
+            if problem is not None:
+                reason = str(problem) if isinstance(problem, FieldgridError) else repr(problem)
+                self._bad(waiting.frame, reason)
+            with self._changed:
+                self._done += 1
+                self._changed.notify_all()
+            if pair is not None:
+                self._keep_pair(pair, waiting.frame)
+
+    def _await(self, turn: int) -> None:
+        """Wait until all frames before are kept."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._done == turn)
+
+    def _gridded(self, waiting: _Waiting, turn: int, grid: LocalGrid, ground: FrameGround) -> None:
+        """Tell a grid once those before it are told and kept, and before the rest of its frame is
+        looked at: whoever drives by it need not wait for that."""
+        self._await(turn)
+        if not waiting.is_again:
+            frame = waiting.frame
+            time_ns = self._time_ns(frame)
+            latency_s = time.monotonic() - waiting.pushed_s
+            self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
+
+    def _way_of(self, frame: Frame) -> Way | None:
+        """Of a cloud, how the vehicle went while it was taken, as far as that is known by now."""
+        if not isinstance(frame, CloudFrame):
+            return None
+        way = self._way(self._time_ns(frame))
+        if way is None:
+            self._kept.add_as_seen(frame.frame_id)
+        return way
+
+    def _bad(self, frame: Frame, reason: str) -> None:
+        time_ns = self._time_ns(frame)
+        self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
+        text = f"Frame {frame.frame_id} cannot be used: {reason}"
+        self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
+
+    def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> int | None:
+        """Keep a frame and pass it on; its number where its images are to be kept, too."""
+        frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
+        time_ns = frame.time_ns + rig.image_time_offset_ns
+        # Behind it the stage file may have frames of which the journal does not know.
+        if waiting.is_again:
+            self._last = seen.features
+            return None
+        start = time.thread_time()
+        found: Found = None
+        if self._last is not None and seen.features is not None:
+            found = step(self._last, seen.features, rig)
+        odometry_s = seen.odometry_s + time.thread_time() - start
+        is_kept = True
+        try:
+            number = kept.stage.append(staged)
+        except MapWriteError as error:
+            is_kept = False
+            if not self._disk_full:
+                text = f"{error} Frames are not kept until there is room; the mapping goes on."
+                self._tell(LiveEvent(What.DISK, text, time_ns))
+            self._kept.add_dropped(frame.frame_id, frame.time_ns)
+            self.dropped += 1
+        else:
+            if self._disk_full:
+                text = "The disk takes frames again."
+                self._tell(LiveEvent(What.DISK, text, time_ns))
+            self._last = seen.features
+            self.frames += 1
+            times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
+            kept.add_frame(number, frame.frame_id, found, times)
+        self._disk_full = not is_kept
+        one_step = found if isinstance(found, Step) else None
+        guarded = seen.grid.guarded(seen.ground.drops_cm)
+        self._pass_on(
+            Seen(
+                *(frame.frame_id, time_ns, guarded, seen.ground.refined),
+                *(one_step, is_kept, waiting.pushed_s, seen.sources_sha256),
+            )
+        )
+        return number if is_kept and kept.claim_pair(number, time_ns) else None
+
+    def _keep_pair(self, number: int, frame: Frame) -> None:
+        """Keep the images of a frame; no other frame waits for that."""
+        if not isinstance(frame, StereoFrame):
+            return
+        try:
+            self._kept.add_pair(number, *frame.images())
+        except FieldgridError as error:
+            text = f"The images of frame {frame.frame_id} cannot be kept: {error}"
+            self._tell(LiveEvent(What.INPUT, text, self._time_ns(frame)))

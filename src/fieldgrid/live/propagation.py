@@ -1,0 +1,70 @@
+"""Pose of a frame newer than the latest estimate, propagated by visual odometry."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from fieldgrid.angles import wrap_deg
+from fieldgrid.odometry import Step
+from fieldgrid.pose import Budget
+from fieldgrid.settings import PoseSettings
+from fieldgrid.trajectory import Pose
+
+CARRIED_S = 2.0
+"""A step carries a pose on that was estimated so long before the step begins, or less. How long the
+step itself takes does not matter: its error says what it is worth."""
+
+MOST_SHARE = 0.5
+"""Of what a cell may be off, the way since then may take so much."""
+
+STILL_MPS = 0.05
+
+
+class PropagatedPose(NamedTuple):
+    """A pose and its gear, and what was added to it since it was estimated: seconds, those of them
+    before its last step, and 1-sigma errors of the place and of the heading."""
+
+    pose: Pose
+    gear: int
+    since_s: float = 0.0
+    before_s: float = 0.0
+    added_m: float = 0.0
+    added_deg: float = 0.0
+
+    def on(self, time_ns: int, step: Step) -> PropagatedPose:
+        """The pose after a step of the camera."""
+        pose, took_s = self.pose, (time_ns - self.pose.time_ns) / 1e9
+        phi = math.radians(pose.heading_deg)
+        # An error of the heading moves the end of the step sideways.
+        step_m = math.hypot(step.forward_m, step.right_m)
+        off_m = math.hypot(step.sigma_m, step_m * math.radians(pose.heading_sigma_deg))
+        speed_mps = step.forward_m / took_s if took_s > 0.0 else pose.speed_mps
+        return PropagatedPose(
+            Pose(
+                time_ns,
+                pose.east_m + step.right_m * math.cos(phi) + step.forward_m * math.sin(phi),
+                pose.north_m - step.right_m * math.sin(phi) + step.forward_m * math.cos(phi),
+                pose.up_m,
+                float(wrap_deg(pose.heading_deg + step.turn_deg)),
+                math.hypot(pose.position_sigma_m, off_m),
+                math.hypot(pose.heading_sigma_deg, step.sigma_deg),
+                speed_mps,
+                pose.status,
+            ),
+            self.gear if abs(speed_mps) < STILL_MPS else (1 if speed_mps > 0.0 else -1),
+            self.since_s + took_s,
+            self.since_s,
+            math.hypot(self.added_m, off_m),
+            math.hypot(self.added_deg, step.sigma_deg),
+        )
+
+    def is_good(self, settings: PoseSettings, budget: Budget) -> bool:
+        """Whether it is still good enough for the window, as the pose was that it began with."""
+        off_m = math.hypot(self.added_m, budget.reach_m * math.radians(self.added_deg))
+        return (
+            self.before_s <= CARRIED_S
+            and off_m <= MOST_SHARE * budget.cell_m
+            and self.pose.heading_sigma_deg <= settings.max_heading_sigma_deg
+            and self.pose.position_sigma_m <= settings.max_position_sigma_m
+        )

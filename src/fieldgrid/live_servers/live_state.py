@@ -1,0 +1,159 @@
+"""The state of a live session that clients show, also as plain values."""
+
+from __future__ import annotations
+
+import base64
+import io
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from fieldgrid.array_types import Float32, UInt8
+from fieldgrid.live import LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.trajectory import Status
+
+MOST_PATH = 20_000
+"""Poses of the path that are kept: half an hour at ten frames a second."""
+
+MOST_EVENTS = 30
+
+AGE_UNIT_S, SIGMA_UNIT_M = 0.25, 0.01
+MOST_UNITS, NEVER = 254, 255
+
+
+class Step(NamedTuple):
+    """A settled pose of the path, metres, and its gear; `is_good` as far as it is in the map."""
+
+    east_m: float
+    north_m: float
+    gear: int
+    is_good: bool
+
+
+class LiveState:
+    """Takes results of a session from any thread, and keeps what a new client is shown: the
+    newest window, the path, the latest events. It is bounded and never blocks.
+
+    `on_change` is called after each window and event, in the thread that gave it.
+    """
+
+    def __init__(self, session: str = "", on_change: Callable[[], None] | None = None) -> None:
+        self.session, self._on_change = session, on_change
+        self._lock = threading.Lock()
+        self._window: LiveWindow | None = None
+        self._path: deque[Step] = deque(maxlen=MOST_PATH)
+        self._events: deque[tuple[int, LiveEvent]] = deque(maxlen=MOST_EVENTS)
+        self._walked = self._said = 0
+        self._drawn: tuple[LiveWindow, dict[str, Any]] | None = None
+        self.number = 0
+        """Counts windows and events."""
+
+    def take(self, result: LiveResult) -> None:
+        """Take a result."""
+        with self._lock:
+            if isinstance(result, LivePose):
+                pose = result.pose
+                if result.is_settled and np.isfinite(pose.east_m):
+                    is_good = pose.status is not Status.REJECTED
+                    self._path.append(Step(pose.east_m, pose.north_m, result.gear, is_good))
+                    self._walked += 1
+                return
+            if isinstance(result, LiveWindow):
+                self._window = result
+            elif isinstance(result, LiveEvent) and result.what is not What.FRAME_DROPPED:
+                self._events.append((self._said, result))
+                self._said += 1
+            else:
+                return
+            self.number += 1
+        if self._on_change is not None:
+            self._on_change()
+
+    def told(self, walked: int = 0, said: int = 0) -> dict[str, Any]:
+        """All that is known now as plain values for JSON, but of the path and the events what is
+        new to who has `walked` so many poses and heard so many events `said`."""
+        with self._lock:
+            window, number = self._window, self.number
+            path = [
+                (round(step.east_m, 3), round(step.north_m, 3), step.gear, step.is_good)
+                for step in _last(self._path, self._walked - walked)
+            ]
+            events = [(event.what.value, event.text) for k, event in self._events if k >= said]
+            counted = {"walked": self._walked, "said": self._said}
+        told: dict[str, Any] = {"session": self.session, "number": number, **counted}
+        told |= {"path": path, "events": events, "window": None}
+        if window is not None:
+            told["window"] = self._drawn_of(window)
+        return told
+
+    def _drawn_of(self, window: LiveWindow) -> dict[str, Any]:
+        """The window as it is shown, made once for all clients."""
+        drawn = self._drawn
+        if drawn is None or drawn[0] is not window:
+            drawn = self._drawn = (window, _window(window))
+        return drawn[1]
+
+
+def _last(steps: deque[Step], count: int) -> list[Step]:
+    return list(steps)[max(len(steps) - count, 0) :] if count > 0 else []
+
+
+def _window(window: LiveWindow) -> dict[str, Any]:
+    """A window for the page: what it says of itself, and its cells as a picture."""
+    datum, fixes = window.costmap.datum, window.fixes
+    east_m, north_m, _ = datum.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    seen = np.isfinite(east_m + north_m)
+    places = np.round(np.stack([east_m, north_m], axis=1)[seen], 3).tolist()
+    said = zip(places, fixes.quality[seen].tolist(), window.used[seen].tolist(), strict=True)
+    pose = None
+    if window.pose is not None:
+        pose = {
+            "east_m": _known(window.pose.east_m),
+            "north_m": _known(window.pose.north_m),
+            "heading_deg": _known(window.pose.heading_deg),
+            "position_sigma_m": _known(window.pose.position_sigma_m),
+            "heading_sigma_deg": _known(window.pose.heading_sigma_deg),
+            "speed_mps": _known(window.pose.speed_mps),
+            "gear": window.gear,
+            "is_good": window.pose.status is not Status.REJECTED,
+        }
+    return {
+        **window.as_dict(),
+        "datum": {
+            "lat_deg": datum.lat_deg,
+            "lon_deg": datum.lon_deg,
+            "height_m": datum.height_m,
+        },
+        "cell_m": window.costmap.lattice.cell_m,
+        "pose": pose,
+        "fixes": [(*place, quality, is_used) for place, quality, is_used in said],
+        "cells": base64.b64encode(draw_cells(window)).decode("ascii"),
+    }
+
+
+def draw_cells(window: LiveWindow) -> bytes:
+    """The cells as PNG, row 0 in the north: the cost in red; the age in green, in quarters of a
+    second; how far off the cell may be in blue, in centimetres. Ages and errors are rounded up,
+    254 that or more, 255 not known."""
+    parts = (
+        window.costmap.costs,
+        _units(window.age_s, AGE_UNIT_S),
+        _units(window.sigma_m, SIGMA_UNIT_M),
+    )
+    written = io.BytesIO()
+    pixels = np.ascontiguousarray(np.stack(parts, axis=-1)[::-1])
+    Image.fromarray(pixels, "RGB").save(written, "PNG", compress_level=1)
+    return written.getvalue()
+
+
+def _units(values: Float32, unit: float) -> UInt8:
+    scaled = np.clip(np.ceil(values * np.float32(1.0 / unit)), 0.0, MOST_UNITS)
+    return np.where(np.isnan(scaled), np.float32(NEVER), scaled).astype(np.uint8)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,128 @@
+"""Features found in a map and stored in it for a GIS, the viewer and figures.
+
+They are tables of features, `found_` and their kind, and no evidence: no digest covers them. What
+they were found in is noted with them, so that whoever reads them can tell whether the map has
+changed since.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from fieldgrid.errors import MapError
+from fieldgrid.mapfile.geometry import encode_shape, shape_of
+from fieldgrid.mapfile.schema import SRS_ID
+from fieldgrid.vectors import Feature
+
+_PREFIX = "found_"
+_SAYS = "Found by fieldgrid in the map of SHA-256 "
+_TYPES = {bool: "BOOLEAN", int: "INTEGER", float: "REAL"}
+
+
+class StoredFeatures(NamedTuple):
+    """Features stored in a map, and the root digest of the map in which they were found."""
+
+    features: tuple[Feature, ...]
+    root_sha256: str
+
+
+def keep_features(
+    connection: sqlite3.Connection, features: Sequence[Feature], root_sha256: str
+) -> None:
+    """Put features into a map in place of those that it has, within the caller's transaction."""
+    for table, _ in _tables(connection):
+        for of in ("gpkg_geometry_columns", "gpkg_contents"):
+            connection.execute(f"DELETE FROM {of} WHERE table_name = ?", (table,))
+        connection.execute(f"DROP TABLE {_quoted(table)}")
+    for kind in dict.fromkeys(feature.kind for feature in features):
+        _keep(connection, kind, [one for one in features if one.kind == kind], root_sha256)
+
+
+def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | None:
+    """The features that a map keeps, None where it keeps none; MapError for damaged ones."""
+    found: list[Feature] = []
+    root = ""
+    for table, says in _tables(connection):
+        root = says.removeprefix(_SAYS)
+        try:
+            rows = connection.execute(f"SELECT * FROM {_quoted(table)} ORDER BY fid")
+            names = [column[0] for column in rows.description][2:]
+            found += [
+                Feature(
+                    table.removeprefix(_PREFIX),
+                    shape_of(geom),
+                    dict(zip(names, values, strict=True)),
+                )
+                for _, geom, *values in rows
+            ]
+        except (ValueError, TypeError) as error:
+            raise MapError(
+                f"The layer {table} of the map is damaged ({error}); find it again with "
+                "`fieldgrid rows --keep`."
+            ) from error
+    return StoredFeatures(tuple(found), root) if found else None
+
+
+def _tables(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    """The tables of kept features with their descriptions, in the order they were made. By both
+    name and description: no other table is dropped, whatever a map says of it."""
+    return connection.execute(
+        "SELECT table_name, description FROM gpkg_contents WHERE substr(description, 1, ?) = ? "
+        "AND substr(table_name, 1, ?) = ? ORDER BY rowid",
+        (len(_SAYS), _SAYS, len(_PREFIX), _PREFIX),
+    ).fetchall()
+
+
+def _keep(
+    connection: sqlite3.Connection, kind: str, features: Sequence[Feature], root_sha256: str
+) -> None:
+    table = f"{_PREFIX}{kind}"
+    names = list(dict.fromkeys(name for one in features for name in one.properties))
+    values = [[_plain(one.properties.get(name)) for name in names] for one in features]
+    types = (
+        next((_TYPES.get(type(v), "TEXT") for v in column if v is not None), "TEXT")
+        for column in zip(*values, strict=True)
+    )
+    columns = ", ".join(
+        f"{_quoted(name)} {type_}" for name, type_ in zip(names, types, strict=True)
+    )
+    connection.execute(
+        f"CREATE TABLE {_quoted(table)} "
+        f"(fid INTEGER PRIMARY KEY, geom GEOMETRY NOT NULL, {columns})"
+    )
+    places = ", ".join("?" * (len(names) + 1))
+    listed = ", ".join(_quoted(name) for name in names)
+    connection.executemany(
+        f"INSERT INTO {_quoted(table)} (geom, {listed}) VALUES ({places})",
+        [(encode_shape(one.geometry), *row) for one, row in zip(features, values, strict=True)],
+    )
+    bounds = [one.geometry.bounds for one in features]
+    connection.execute(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, min_x, min_y, "
+        "max_x, max_y, srs_id) VALUES (?, 'features', ?, ?, ?, ?, ?, ?, ?)",
+        (
+            table,
+            table,
+            f"{_SAYS}{root_sha256}",
+            *(pick(box[k] for box in bounds) for k, pick in enumerate((min, min, max, max))),
+            SRS_ID,
+        ),
+    )
+    shapes = {one.geometry.geom_type.upper() for one in features}
+    connection.execute(
+        "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)",
+        (table, shapes.pop() if len(shapes) == 1 else "GEOMETRY", SRS_ID),
+    )
+
+
+def _plain(value: Any) -> Any:
+    """A property as a column takes it: NULL for what is not known."""
+    if isinstance(value, tuple):
+        return " ".join(str(one) for one in value)
+    return None if isinstance(value, float) and value != value else value
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'

@@ -1,0 +1,233 @@
+"""What a session keeps is there again, whatever was cut off or damaged; a kill loses one frame."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fieldgrid.errors import MapError
+from fieldgrid.fixes import Fix
+from fieldgrid.live import Live, finish_session, live_folder, replay
+from fieldgrid.live.journal import Journal, read_journal
+from fieldgrid.live.sensor_rows import fix_from_json, fix_to_json
+from fieldgrid.live.session_folder import MOST_PAIRS, SessionFolder
+from fieldgrid.quality import Quality
+from fieldgrid.recording import open_recording
+from tests.build.making import content
+from tests.cli.conftest import in_a_process
+from tests.live.making import begin
+
+pytestmark = pytest.mark.usefixtures("worked_out_once")
+
+
+def test_a_journal_that_is_cut_off_has_every_record_before(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        for k in range(20):
+            assert journal.append("rows", [k, "ä" * k, 0.1 * k])
+        assert journal.sync()
+    records, whole = list(read_journal(path)), path.read_bytes()
+    assert [value[0] for _, value in records] == list(range(20))
+    for end in random.Random(3).sample(range(24, len(whole)), 40):
+        path.write_bytes(whole[:end])
+        found = list(read_journal(path))
+        assert found == records[: len(found)]
+        with Journal(path) as journal:
+            assert journal.append("fix", end)
+        assert list(read_journal(path)) == [*found, ("fix", end)]
+
+
+class SmallDisk:
+    """Takes bytes while there is room, of the last write a part."""
+
+    def __init__(self, room: int) -> None:
+        self.room, self._pwrite = room, os.pwrite
+
+    def pwrite(self, file: int, data: bytes | bytearray, offset: int) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        part = bytes(data[: self.room])
+        self.room -= len(part)
+        return self._pwrite(file, part, offset)
+
+
+def test_a_full_disk_loses_only_what_memory_does_not_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, disk = tmp_path / "journal", SmallDisk(1_000_000)
+    with Journal(path) as journal:
+        disk.room = 1_000
+        monkeypatch.setattr("fieldgrid.live.journal.os.pwrite", disk.pwrite)
+        monkeypatch.setattr("fieldgrid.live.journal.MAX_WAITING_BYTES", 20_000)
+        # A minute of a receiver and a gyro.
+        taken = [journal.append("rows", [k, 0.1 * k]) for k in range(6000)]
+        assert not journal.sync()
+        assert taken[0]
+        assert not taken[-1]
+        assert journal.lost > 0
+        assert len(list(read_journal(path))) == sum(taken)
+        disk.room = 1 << 30
+        assert journal.sync()
+        assert journal.append("rows", [6000, 0.0])
+    kept = [value[0] for _, value in read_journal(path)]
+    assert len(kept) == 6001 - journal.lost
+    assert kept == [*range(len(kept) - 1), 6000]
+
+
+def test_a_damaged_record_costs_itself_alone(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        for k in range(9):
+            journal.append("rows", k)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x55
+    path.write_bytes(data)
+    values = [value for _, value in read_journal(path)]
+    assert len(values) == 8
+    with Journal(path) as journal:
+        journal.append("rows", 9)
+    assert [value for _, value in read_journal(path)] == [*values, 9]
+    path.write_bytes(b"something else altogether")
+    with pytest.raises(MapError, match="no journal"):
+        Journal(path)
+
+
+def test_a_fix_comes_back_as_it_was() -> None:
+    fix = Fix(1, 0.1 + 0.2, -4.7, 1e-9, Quality.RTK_FIXED, 9, None, None, 0.017)
+    assert fix_from_json(json.loads(json.dumps(fix_to_json(fix)))) == fix
+
+
+def staged(drive: Path, out: Path) -> Path:
+    """The folder of a session that has pushed a whole drive and was ended."""
+    with open_recording(drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    return live_folder(out)
+
+
+def test_files_that_are_cut_off_anywhere_lose_their_end_only(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    """A power cut may leave either file shorter than the other."""
+    out = tmp_path / "m.gpkg"
+    folder = staged(short_drive, out)
+    whole = {name: (folder / name).read_bytes() for name in ("journal", "frames.grids")}
+    frames = [f"{k:06d}" for k in range(20, 26)]
+    draw = random.Random(11)
+    for _ in range(12):
+        for name, data in whole.items():
+            (folder / name).write_bytes(data[: draw.randrange(len(data) // 2, len(data) + 1)])
+        with SessionFolder(out, None) as kept:
+            had = [entry.frame_id for entry in kept.staged().entries]
+            assert had == frames[: len(had)]
+    # The last of these is gone on with, and is the map of a build.
+    with open_recording(short_drive) as recording, begin(recording, out) as live:
+        assert live.counts.frames == len(had) < len(frames)
+        replay(live, recording, rate=None)
+    assert content(out) == content(built)
+
+
+def test_an_end_that_was_killed_after_the_commit_is_not_done_twice(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    folder = staged(short_drive, out)
+    shutil.copy(built, out)
+    (note,) = finish_session(out).notes
+    assert note == "The drive was in the map already."
+    assert content(out) == content(built)
+    assert not folder.exists()
+
+
+def test_some_pairs_over_all_of_the_drive_are_kept(short_drive: Path, tmp_path: Path) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        pair = next(iter(recording.frames())).images()
+        kept = live._kept
+        for number in range(100):
+            if kept.claim_pair(number, 600_000_000 * number):
+                kept.add_pair(number, *pair)
+        numbers = sorted(int(path.name[:8]) for path in live.folder.glob("*-left.png"))
+        live.stop()
+    assert len(numbers) <= MOST_PAIRS
+    assert numbers == list(range(0, 100, numbers[1]))
+    assert numbers[-1] >= 80
+
+
+def test_of_frames_that_follow_fast_few_pairs_are_kept(short_drive: Path, tmp_path: Path) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        claimed = [k for k in range(30) if live._kept.claim_pair(k, 10**18 + 100_000_000 * k)]
+        live.stop()
+    assert claimed == [0, 5, 10, 15, 20, 25]
+
+
+def test_no_frame_waits_for_the_pair_of_another(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk may take long for a pair; the other thread goes on meanwhile."""
+    free, begun, add = threading.Event(), threading.Event(), SessionFolder.add_pair
+
+    def slow(kept: SessionFolder, number: int, left: Any, right: Any) -> None:
+        if number == 0:
+            begun.set()
+            assert free.wait(60)
+        add(kept, number, left, right)
+
+    monkeypatch.setattr(SessionFolder, "add_pair", slow)
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording, begin(recording, out) as live:
+        replay(live, recording, rate=None)
+        assert begun.wait(60)
+        assert live.counts.frames == 6
+        free.set()
+    assert content(out) == content(built)
+
+
+def test_one_program_at_a_time_has_a_session(short_drive: Path, tmp_path: Path) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        with pytest.raises(MapError, match="Another program"):
+            Live(tmp_path / "m.gpkg", recording.rig, name=recording.name)
+        live.stop()
+
+
+def killed_after(lines: int, drive: Path, out: Path) -> list[str]:
+    """Replay in a process that is killed when it has told so much; the frames of which it told."""
+    arguments = ("live", "-o", out, "--replay", drive, "--rate", "max", "--json")
+    told: list[str] = []
+    with subprocess.Popen(in_a_process(*arguments), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for count, line in enumerate(process.stdout):
+            if line.startswith('{"grid"'):
+                told.append(json.loads(line)["grid"])
+            if told and count >= lines:
+                os.kill(process.pid, signal.SIGKILL)
+    return told
+
+
+def test_a_kill_loses_the_last_frame_at_most_and_the_session_goes_on(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out, draw = tmp_path / "m.gpkg", random.Random(5)
+    told: list[str] = []
+    for _ in range(2):
+        told += killed_after(draw.randrange(2, 6), short_drive, out)
+        with SessionFolder(out, None) as kept:
+            had = [entry.frame_id for entry in kept.staged().entries]
+        # What was told may be one ahead of what is kept.
+        assert len(had) >= len(set(told)) - 1
+    with open_recording(short_drive) as recording, begin(recording, out) as live:
+        replay(live, recording, rate=None)
+    assert content(out) == content(built)
