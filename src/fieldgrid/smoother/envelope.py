@@ -45,12 +45,12 @@ class Envelope(NamedTuple):
     def own(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n] of states a and b of each node, of a matrix in this shape."""
         high, low = max(a, b), min(a, b)
-        return values[self._row(high) + self._width() - STATES + low]
+        return np.asarray(values[self._row(high) + self._width() - STATES + low])
 
     def with_before(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n - 1] of state a of each node but the first and state b of the one before
         it."""
-        return values[(self._row(a) + self._width() - 2 * STATES + b)[1:]]
+        return np.asarray(values[(self._row(a) + self._width() - 2 * STATES + b)[1:]])
 
     def _row(self, state: int) -> Int64:
         return self.start[:-1] + state * self._width()
