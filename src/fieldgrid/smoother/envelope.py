@@ -141,10 +141,9 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(shape, values, right):  # type: ignore[no-untyped-def]
-    """The solutions [n, m] of the systems whose factor is in `values`, for right sides [n, m]."""
+def solve(shape, values, x):  # type: ignore[no-untyped-def]
+    """Replace right sides [n, m] by the solutions of the systems whose factor is in `values`."""
     first, start = shape[0], shape[1]
-    x = right.copy()
     for node in range(len(first)):
         f, at = first[node], start[node]
         width = STATES * (node - f + 1)
@@ -164,7 +163,6 @@ def solve(shape, values, right):  # type: ignore[no-untyped-def]
                 x[i, m] /= values[own + width - STATES + a]
                 for k in range(width - STATES + a):
                     x[STATES * f + k, m] -= values[own + k] * x[i, m]
-    return x
 
 
 @kernel
