@@ -32,7 +32,7 @@ class Quality(IntEnum):
     @classmethod
     def of_code(cls, code: int) -> Quality:
         """The quality of a code of GGA, `UNKNOWN` for one that the standard does not have."""
-        return cls(code) if 0 <= code <= cls.SBAS else cls.UNKNOWN
+        return _OF_CODE.get(code, _UNKNOWN)
 
     @classmethod
     def named(cls, text: str) -> Quality:
@@ -76,6 +76,10 @@ _TABLE = {
     Quality.SIMULATED: _Row("simulated", 5.0),
     Quality.SBAS: _Row("SBAS", 0.5),
 }
+
+# A log has a code a fix, and calling an enumeration takes longer than reading the field.
+_UNKNOWN = Quality.UNKNOWN
+_OF_CODE = {int(quality): quality for quality in Quality if quality >= 0}
 
 CARRIER = frozenset({Quality.RTK_FIXED, Quality.RTK_FLOAT})
 """Qualities whose corrections are of the carrier phase."""

@@ -118,6 +118,7 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
         np.where(known, values[at], np.nan) for values in (track.east_m, track.north_m, track.up_m)
     )
     lat, lon, height = track.datum.to_geodetic(east, north, up)
+    named = {status: status.value for status in Status}
     yield from zip(
         map(str, track.time_ns[at].tolist()),
         _decimals(lat, 9),
@@ -129,7 +130,7 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
         _decimals(np.where(directed, sigma, np.nan), 3),
         _decimals(np.where(known, track.speed_mps[at], np.nan), 3),
         (str(g) if k else "" for g, k in zip(track.gear[at].tolist(), known.tolist(), strict=True)),
-        (track.status[k].value for k in at.tolist()),
+        (named[track.status[k]] for k in at.tolist()),
         (track.reason[k] for k in at.tolist()),
         strict=True,
     )
@@ -138,7 +139,9 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
 def _decimals(values: Float64, digits: int) -> list[str]:
     """Numbers with a fixed count of decimals, never -0; '' for what is not finite."""
     rounded = np.round(np.where(np.isfinite(values), values, np.nan), digits) + 0.0
-    return ["" if value != value else f"{value:.{digits}f}" for value in rounded.tolist()]
+    # A long drive has millions of them: an f-string would read its format for each.
+    text = f"%.{digits}f"
+    return ["" if value != value else text % value for value in rounded.tolist()]
 
 
 class Spread(NamedTuple):

@@ -11,9 +11,10 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 from fieldgrid.mapfile.root import root_in_meta
 from fieldgrid.mapfile.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES
@@ -55,7 +56,7 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
 
 def sum_of(connection: sqlite3.Connection, table: str) -> str:
     """The sum of a table as its rows give it now."""
-    as_usual, connection.text_factory = connection.text_factory, _digits
+    as_usual, connection.text_factory = connection.text_factory, bytearray
     try:
         return _written(sum(map(_of_row, connection.execute(f"SELECT * FROM {table}"))))
     finally:
@@ -169,29 +170,47 @@ def _columns(connection: sqlite3.Connection, tables: Sequence[str]) -> Mapping[s
 
 
 def _hashable(column: str) -> str:
-    """A value as it is hashed: text as :func:`_digits` gives it."""
+    """A value as it is hashed: text as x and the digits of its bytes."""
     return f"CASE typeof({column}) WHEN 'text' THEN 'x' || hex({column}) ELSE {column} END"
 
 
-def _digits(text: bytes) -> str:
-    """Text as the digits of its bytes, which need be no UTF-8."""
-    return f"x{text.hex().upper()}"
+class _Form(NamedTuple):
+    """How a row of values of some types is hashed: a line of values, then the blobs."""
+
+    line: str
+    blobs: tuple[int, ...]
+    texts: tuple[int, ...]
 
 
-_AS_WRITTEN: Mapping[type, Callable[[Any], str]] = {
-    bytes: lambda blob: f"[{len(blob)}]",
-    str: lambda digits: f'"{digits}"',
-    int: repr,
-    float: repr,
-    type(None): lambda _: "null",
+_AS_WRITTEN: Mapping[type, str] = {
+    bytes: "[%d]",  # a blob by its length
+    bytearray: '"x%s"',  # a text by the digits of its bytes, which need be no UTF-8
+    str: '"%s"',  # such digits already
+    int: "%r",
+    float: "%r",
+    type(None): "null%.0s",  # which writes nothing of the value
 }
+
+
+@lru_cache
+def _form_of(types: tuple[type, ...]) -> _Form:
+    """Rows of one table have few forms, and a map has many rows."""
+    line = ",".join(_AS_WRITTEN[kind] for kind in types)
+    blobs = tuple(k for k, kind in enumerate(types) if kind is bytes)
+    texts = tuple(k for k, kind in enumerate(types) if kind is bytearray)
+    return _Form(f"[{line}]\n", blobs, texts)
 
 
 def _of_row(row: Sequence[Any]) -> int:
     """The SHA-256 of a row: a line of values, a blob as a list of its length, then the blobs."""
-    line = ",".join([_AS_WRITTEN[type(value)](value) for value in row])
-    blobs = [value for value in row if type(value) is bytes]
-    hashed = hashlib.sha256(b"".join((b"[", line.encode(), b"]\n", *blobs)))
+    form, values = _form_of(tuple(map(type, row))), list(row)
+    for k in form.texts:
+        values[k] = row[k].hex().upper()
+    for k in form.blobs:
+        values[k] = len(row[k])
+    hashed = hashlib.sha256((form.line % tuple(values)).encode())
+    for k in form.blobs:
+        hashed.update(row[k])
     return int.from_bytes(hashed.digest(), "big")
 
 

@@ -92,12 +92,9 @@ def judged(
 ) -> Trajectory:
     """Rows of the grid origin, each with its verdict."""
     refused = refusals(table, settings, budget)
-    good = np.where(table.resting, Status.HELD, Status.OK).tolist()
-    verdicts = zip(refused, good, table.remark, strict=True)
-    status, reason = zip(
-        *((Status.REJECTED, why) if why else (Status(ok), said) for why, ok, said in verdicts),
-        strict=True,
-    )
+    good = [Status.HELD if rests else Status.OK for rests in table.resting.tolist()]
+    status = [Status.REJECTED if why else ok for why, ok in zip(refused, good, strict=True)]
+    reason = [why or remark for why, remark in zip(refused, table.remark, strict=True)]
     return Trajectory(
         datum=datum,
         time_ns=table.time_ns,
@@ -110,8 +107,8 @@ def judged(
         speed_mps=table.speed_mps,
         gear=table.gear,
         quality=table.quality,
-        status=status,
-        reason=reason,
+        status=tuple(status),
+        reason=tuple(reason),
         heading_source=heading_source,
     )
 

@@ -88,6 +88,7 @@ def smooth(
         )
     else:
         found = roughly(problem, start, constants)
+        del start  # as large as the solution, of a long drive
         steering_noise = likeliest_noise(problem, found)
         found = adapted(problem, found, steering_noise)
     return _with_sigmas(problem, found, steering_noise)

@@ -99,7 +99,8 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
         measured.turned_rad,
         np.diff(measured.time_s),
     )
-    followed = solve(linear.system.shape, linear.system.values, border)
+    followed = border.copy()
+    solve(linear.system.shape, linear.system.values, followed)
     if len(linear.active):
         shared = linear.coupling.T @ border
         followed -= linear.coupling @ (inverse(linear.schur) @ shared)

@@ -45,12 +45,12 @@ class Envelope(NamedTuple):
     def own(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n] of states a and b of each node, of a matrix in this shape."""
         high, low = max(a, b), min(a, b)
-        return values[self._row(high) + self._width() - STATES + low]
+        return np.asarray(values[self._row(high) + self._width() - STATES + low])
 
     def with_before(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n - 1] of state a of each node but the first and state b of the one before
         it."""
-        return values[(self._row(a) + self._width() - 2 * STATES + b)[1:]]
+        return np.asarray(values[(self._row(a) + self._width() - 2 * STATES + b)[1:]])
 
     def _row(self, state: int) -> Int64:
         return self.start[:-1] + state * self._width()
@@ -141,10 +141,9 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(shape, values, right):  # type: ignore[no-untyped-def]
-    """The solutions [n, m] of the systems whose factor is in `values`, for right sides [n, m]."""
+def solve(shape, values, x):  # type: ignore[no-untyped-def]
+    """Replace right sides [n, m] by the solutions of the systems whose factor is in `values`."""
     first, start = shape[0], shape[1]
-    x = right.copy()
     for node in range(len(first)):
         f, at = first[node], start[node]
         width = STATES * (node - f + 1)
@@ -164,7 +163,6 @@ def solve(shape, values, right):  # type: ignore[no-untyped-def]
                 x[i, m] /= values[own + width - STATES + a]
                 for k in range(width - STATES + a):
                     x[STATES * f + k, m] -= values[own + k] * x[i, m]
-    return x
 
 
 @kernel

@@ -82,8 +82,9 @@ class System(NamedTuple):
     total: Float64
 
 
-def empty_system(shape: Envelope, values: Float64 | None = None) -> System:
-    """Normal equations that nothing has been added to, in the memory of `values` if given."""
+def empty_system(shape: Envelope, values: Float64 | None = None, *, coupled: bool = True) -> System:
+    """Normal equations that nothing has been added to, in the memory of `values` if given. Where
+    nothing measures a constant, none is `coupled` with the states and the border has no rows."""
     n = STATES * shape.nodes
     if values is None:
         values = np.empty(shape.size)
@@ -92,7 +93,7 @@ def empty_system(shape: Envelope, values: Float64 | None = None) -> System:
         shape,
         values,
         np.zeros(n),
-        np.zeros((n, CONSTANTS)),
+        np.zeros((n if coupled else 0, CONSTANTS)),
         np.zeros((CONSTANTS, CONSTANTS)),
         np.zeros(CONSTANTS),
         np.zeros(2),

@@ -123,6 +123,7 @@ def converged(
     for rounds in range(1, most_rounds + 1):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         found = improved(problem, found, linear, off)
+        del linear, off  # a long drive's equations are large, and the next round makes its own
         moved_m = np.abs(found.last_change[:, : model.PHI]).max(axis=1)
         turned = np.abs(found.last_change[:, model.PHI])
         settled = (moved_m < enough * ENOUGH_M) & (turned < enough * ENOUGH_RAD)
@@ -134,18 +135,23 @@ def converged(
 
 
 def improved(problem: Problem, found: Solution, linear: Linear, off: Residuals) -> Solution:
-    """One round: the solution of the linear equations, and the weights for the next."""
+    """One round: the solution of the linear equations, whose right side becomes it, and the
+    weights for the next."""
     system, active = linear.system, linear.active
-    step = solve(system.shape, system.values, system.right[:, None])[:, 0]
-    aside = system.right_constants - system.border.T @ step
+    step = system.right
+    solve(system.shape, system.values, step[:, None])
     turn = np.zeros(model.CONSTANTS)
-    turn[active] = inverse(linear.schur) @ aside[active]
-    change = (step - linear.coupling @ turn[active]).reshape(found.x.shape)
+    if len(active):
+        aside = system.right_constants - system.border.T @ step
+        turn[active] = inverse(linear.schur) @ aside[active]
+        step -= linear.coupling @ turn[active]
+    change = step.reshape(found.x.shape)
     # A first guess may be far off: no node turns by more than a radian a round.
     shrink = max(1.0, float(np.abs(change[:, model.PHI]).max()))
+    moved = change / shrink if shrink > 1.0 else change
     stated = stated_weights(problem.measured, found.weights.steering)
     return Solution(
-        found.x + change / shrink,
+        found.x + moved,
         found.constants + turn / shrink,
         _robust(stated, off),
         found.rounds + 1,
@@ -159,7 +165,9 @@ def linearized(
     """The factored normal equations about a state, and how far each measurement is off. `held` for
     a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""
     measured = problem.measured
-    system = model.empty_system(problem.shape, problem.values)
+    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), len(measured.step) > 0
+    active = np.flatnonzero(np.array(given, dtype=np.bool_))
+    system = model.empty_system(problem.shape, problem.values, coupled=active.size > 0)
     model.add_motion(
         system,
         x,
@@ -190,13 +198,15 @@ def linearized(
     prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *model.SCALE_SIGMAS]) ** 2
     system.corner[np.diag_indices(model.CONSTANTS)] += prior
     system.right_constants[:] -= prior * constants
-    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), len(measured.step) > 0
-    active = np.flatnonzero(np.array(given, dtype=np.bool_))
     log_determinant = float(factor(system.shape, system.values))
     if not np.isfinite(log_determinant):
         raise np.linalg.LinAlgError("the normal equations of a drive are not positive definite")
-    coupling = solve(system.shape, system.values, system.border[:, active])
-    schur = system.corner[np.ix_(active, active)] - system.border[:, active].T @ coupling
+    coupling = np.zeros((len(system.right), 0))
+    schur = system.corner[np.ix_(active, active)]
+    if len(active):
+        coupling = system.border[:, active]
+        solve(system.shape, system.values, coupling)
+        schur = schur - system.border[:, active].T @ coupling
     return Linear(system, log_determinant, active, coupling, schur), off
 
 

@@ -98,6 +98,7 @@ def adapted(problem: Problem, found: Solution, steering_noise: float) -> Solutio
         steering = local_steering(
             *(curvature, known.own(k, k), known.with_before(k, k)), measured.time_s, steering_noise
         )
+        del linear, off, known  # large, and the next round makes its own
         weights = found.weights._replace(steering=np.where(blind, usual, steering))
         found = found._replace(weights=weights)
     return converged(problem, found.x, found.constants, found.weights)
