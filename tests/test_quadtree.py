@@ -59,6 +59,8 @@ def views(draw: st.DrawFn) -> MapView:
     return view_of(density[:height, :width], observed[:height, :width], i0, j0)
 
 
+METRES = st.floats(-3.0, 4.0).map(lambda value: round(value, 3))
+
 SIDES = st.sets(st.integers(1, 4)).map(lambda more: (0, *sorted(more)))
 
 
@@ -194,7 +196,7 @@ def test_what_is_in_doubt_is_neither_free_nor_an_obstacle() -> None:
     assert found.squares.state.tolist() == [1, 1, 1, 2]
 
 
-@given(views(), st.floats(0.0, 3.0), st.lists(st.tuples(*[st.floats(-3.0, 4.0)] * 2), min_size=1))
+@given(views(), st.floats(0.0, 3.0), st.lists(st.tuples(METRES, METRES), min_size=1))
 def test_squares_near_a_line_are_cells(
     view: MapView, within_m: float, line: list[tuple[float, float]]
 ) -> None:

@@ -85,8 +85,8 @@ class _Level(NamedTuple):
             return self
         wide = _Level._make(np.zeros(shape, one.dtype) for one in self)
         wide.lowest[:] = wide.least[:] = _NONE
-        for one, values in zip(wide, self, strict=True):
-            one[place] = values
+        for name in self._fields:
+            getattr(wide, name)[place] = getattr(self, name)
         return wide
 
     @property
