@@ -55,7 +55,7 @@ LAYERS = (
     ("attitude", "frame_ground"),
     ("pose", "localgrid", "recording", "layers", "cost"),
     ("mapfile", "track_formats"),
-    ("evidence", "farm"),
+    ("evidence", "farm", "quadtree"),
     ("align", "rows", "route", "changes"),
     ("coverage",),
     ("export", "costmap", "figures", "track", "evaluation"),

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fieldgrid.live import Live
     from fieldgrid.mapfile import Mark, MarkKind, merge_maps, open_map
     from fieldgrid.mounting import estimate_mount
+    from fieldgrid.quadtree import Near, Quadtree
     from fieldgrid.recording import DriveOptions, PoseBody, open_drive, open_recording
     from fieldgrid.route import Route, Vehicle, plan_route, read_vehicle
     from fieldgrid.rows import Crop, Planting, find_rows
@@ -59,9 +60,11 @@ _HOMES = {
     "LocalGrid": "grids",
     "Mark": "mapfile",
     "MarkKind": "mapfile",
+    "Near": "quadtree",
     "Planting": "rows",
     "Pose": "trajectory",
     "PoseBody": "recording",
+    "Quadtree": "quadtree",
     "Route": "route",
     "Selection": "export",
     "Tracks": "coverage",
@@ -111,9 +114,11 @@ __all__ = [
     "LocalGrid",
     "Mark",
     "MarkKind",
+    "Near",
     "Planting",
     "Pose",
     "PoseBody",
+    "Quadtree",
     "Route",
     "Selection",
     "Tracks",

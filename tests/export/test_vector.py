@@ -6,6 +6,7 @@ import dataclasses
 import json
 import sqlite3
 import subprocess
+import zipfile
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -107,7 +108,9 @@ def read_gpkg(path: Path) -> Features:
 
 def read_shapefiles(path: Path) -> Features:
     found: Features = {}
-    for name in ("obstacle", "trajectory", "pose", "footprint"):
+    zipped = path.suffix == ".zip"
+    parts = zipfile.ZipFile(path).namelist() if zipped else [one.name for one in path.iterdir()]
+    for name in sorted(part[:-4] for part in parts if part.endswith(".shp")):
         with shapefile.Reader(f"{path}/{name}.shp") as reader:
             found[name] = [
                 Feature(

@@ -229,6 +229,30 @@ def test_the_rule_cell_by_cell(transfer: Transfer, cell_m: float) -> None:
     np.testing.assert_array_equal(fold.cells()["moved_drives"].ravel(), expected)
 
 
+@pytest.mark.parametrize("heading_deg", [50.0, 200.0])
+def test_the_rule_whichever_way_a_frame_looks_and_up_to_its_edges(heading_deg: float) -> None:
+    """Blots anywhere in the frame, most of them in the first frames only."""
+    random = np.random.default_rng(8)
+    spec, lattice = GridSpec(10.0, 15.0, 0.05), Lattice(0.1)
+    corners = random.integers(0, (spec.n_y - 3, spec.n_x - 3), (60, 2))
+    corners[:8, 1], corners[8:16, 1] = 0, spec.n_x - 4
+    fold = WindowFold(lattice, WINDOW, Transfer.CENTRE, FOLDED)
+    told = [Told() for _ in range(WINDOW.width * WINDOW.height)]
+    for k, at in enumerate(lane(0.0, count=7, step_m=0.07)):
+        grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), random.random(spec.shape) < 0.8)
+        for j, i in corners[: 60 if k < 3 else 3]:
+            grid.density[j : j + 4, i : i + 4] = random.choice([60, 200])
+            grid.observed[j : j + 4, i : i + 4] = True
+        grid.density[~grid.observed] = 0
+        pose = replace(at, north_m=8.0, time_ns=int(k * 0.6e9), heading_deg=heading_deg + k)
+        fold.add(FrameCells(grid, {}), pose)
+        tell(told, grid, pose, lattice)
+    seen = fold.cells().observed.ravel()
+    expected = seen & [one.clear >= 2 and one.clear + one.stood >= 4 for one in told]
+    assert expected.sum() > 20
+    np.testing.assert_array_equal(fold.cells()["moved_drives"].ravel(), expected)
+
+
 class Told:
     """What is known of one cell."""
 

@@ -76,6 +76,25 @@ def test_cells_seen_once_cost_no_more_than_their_density() -> None:
     assert max(sizes[1:]) < 20
 
 
+@pytest.mark.parametrize("base", [True, False])
+@pytest.mark.parametrize("name", ["height", "ground", "relief", "drop", "occupancy"])
+def test_what_a_drive_lacks_costs_nothing_although_it_is_expected(name: str, base: bool) -> None:
+    random = np.random.default_rng(2)
+    weight = random.integers(0, 99, SHAPE).astype(np.uint64)
+    weight[:3, :5] = 0
+    weight[3, 5] = 7
+    density = {"weight": weight, "sum": weight * np.uint64(40)}
+    channels = stored_channels(GROUPS[name], base=base)
+    for zero in (nothing(SHAPE), np.zeros(SHAPE, np.uint64)):
+        cells = {**density, **{channel: zero for channel, _ in channels}}
+        expectation = Expectation(cells, base=base)
+        blob = encode_tile(GROUPS[name], cells, box_of(weight), expectation, base=base)
+        assert len(blob) < 60
+        read = decode_tile(GROUPS[name], blob, Expectation(cells, base=base), "tile", base=base)
+        assert set(read) == {channel for channel, _ in channels}
+        assert not any(values.any() for values in read.values())
+
+
 @pytest.mark.parametrize("name", ["standing", "relief", "drop"])
 def test_channels_that_are_0_everywhere_are_stored_as_zeros_are(name: str) -> None:
     weight = np.zeros(SHAPE, np.uint64)

@@ -1,4 +1,4 @@
-"""What of a map has a shape: obstacles, trajectories, poses and footprints, in layers."""
+"""What of a map has a shape: obstacles, trajectories, poses, footprints and squares, in layers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,27 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
 from fieldgrid.export.obstacles import trace_obstacles
-from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.squares import square_layer
+from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import FrameRecord, MapFile
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import to_universal
 from fieldgrid.vectors import FeatureLayer
 
-LAYERS = ("footprint", "obstacle", "mark", "trajectory", "pose")
-"""The layers of features there are, as they are to be drawn: footprints lie under obstacles."""
+LAYERS = ("footprint", "obstacle", "mark", "trajectory", "pose", "quadtree")
+"""The layers of features there are, as they are to be drawn: footprints lie under obstacles. The
+quadtree is for itself."""
 
 
 def feature_layers(
     universal: MapFile,
     selection: Selection,
-    options: ShapeOptions | None = None,
-    names: Sequence[str] = LAYERS,
+    options: ShapeOptions | None,
+    names: Sequence[str],
+    squares: QuadtreeOptions | None = None,
 ) -> list[FeatureLayer]:
     """The layers asked for, in that order, cut off at the selection's bounds.
 
@@ -40,12 +44,15 @@ def feature_layers(
             raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
     sessions, area = selection.sessions(universal), selection.area(universal)
     drives = trajectories(universal, selection)
+    above = OBSTACLE_ABOVE if options is None else options.obstacle_above
+    quadtree = squares or QuadtreeOptions()
     make: dict[str, Callable[[], FeatureLayer]] = {
         "mark": lambda: _within(_marks(universal), area),
         "obstacle": lambda: _obstacles(universal, selection, options),
         "trajectory": lambda: _lines(drives, area),
         "pose": lambda: _within(_poses(drives), area),
         "footprint": lambda: _within(_footprints(universal, sessions), area),
+        "quadtree": lambda: _within(square_layer(universal, selection, quadtree, above), area),
     }
     return [make[name]() for name in names]
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from fieldgrid.cost import LEAST_DROP_M, LEAST_SEEN, CostCurve
+from fieldgrid.errors import ConfigError
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.quadtree import LOSS
 from fieldgrid.settings import Flag, Settings, setting
 
 
@@ -91,3 +93,39 @@ class ShapeOptions(ObstacleOptions):
         ge=0.0,
         le=10.0,
     )
+
+
+class QuadtreeOptions(Settings):
+    """Of squares of several sizes: see `fieldgrid.Quadtree`."""
+
+    quadtree_loss: float = setting(
+        LOSS,
+        "density by which a cell may differ from the mean of its square",
+        flag=Flag("--quadtree-loss", "0..255"),
+        ge=0.0,
+        le=255.0,
+    )
+    quadtree_sides: str | None = setting(
+        None,
+        "sides that squares may have, the first that of a cell, in metres",
+        usual="1, 2, 4 ... 256 cells",
+        flag=Flag("--quadtree-sides", "M,M"),
+    )
+    quadtree_seen: float = setting(
+        1.0,
+        "share that must be seen of a square larger than a cell",
+        flag=Flag("--quadtree-seen", "SHARE"),
+        gt=0.0,
+        le=1.0,
+    )
+
+    def sides_m(self) -> tuple[float, ...] | None:
+        """The sides as numbers, None for all. ConfigError for what is no number."""
+        if self.quadtree_sides is None:
+            return None
+        try:
+            return tuple(float(side) for side in self.quadtree_sides.split(","))
+        except ValueError as error:
+            raise ConfigError(
+                f"{self.quadtree_sides!r} are no sides of squares; give metres, such as 0.05,0.4."
+            ) from error

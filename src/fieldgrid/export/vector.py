@@ -18,7 +18,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import LAYERS, feature_layers
-from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
 from fieldgrid.export.registry import Exported, Format, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
@@ -32,6 +32,7 @@ _FLATGEOBUF = "features of a map of fieldgrid"
 
 _SHAPEFILE_NAMES = {
     "mean_density": "mean_dens",
+    "min_density": "min_dens",
     "max_density": "max_dens",
     "heading_deg": "head_deg",
     "heading_sigma_deg": "head_sig",
@@ -42,13 +43,13 @@ _SHAPEFILE_BYTES = 254
 """Of a text in UTF-8."""
 
 
-class FeatureOptions(ShapeOptions):
-    """Which features, and how obstacles become polygons."""
+class FeatureOptions(ShapeOptions, QuadtreeOptions):
+    """Which features, how obstacles become polygons, and cells squares."""
 
     features: str | None = setting(
         None,
-        "kinds of features: obstacle, trajectory, pose, footprint",
-        usual="all",
+        "kinds of features: obstacle, trajectory, pose, footprint, quadtree",
+        usual="all but quadtree",
         flag=Flag("--features", "A,B"),
     )
 
@@ -269,9 +270,10 @@ def _layers(
             "Writing features needs pyogrio and shapely, which are not installed; "
             "run: pip install 'fieldgrid[gis]'"
         ) from error
-    usual = ",".join(name for name in LAYERS if name != "mark" or universal.marks())
+    left_out = {"quadtree"} if universal.marks() else {"quadtree", "mark"}
+    usual = ",".join(name for name in LAYERS if name not in left_out)
     names = tuple(name.strip() for name in (options.features or usual).split(","))
-    return feature_layers(universal, selection, options, names)
+    return feature_layers(universal, selection, options, names, options)
 
 
 def _rows(layers: Sequence[FeatureLayer]) -> tuple[tuple[str, str], ...]:

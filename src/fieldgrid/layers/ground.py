@@ -46,7 +46,7 @@ class _Terrain:
     weights, weights times centimetres; how many have a slope, and its rise to east and north."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
-        self._shape = 6, cells
+        self._shape = cells, 6
         self._sums: Int64 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
@@ -71,7 +71,7 @@ class _Terrain:
         )
 
     def channels(self) -> UInt64:
-        return nothing(self._shape) if self._sums is None else self._sums.view(np.uint64)
+        return nothing(self._shape[::-1]) if self._sums is None else self._sums.T.view(np.uint64)
 
 
 def weights(spec: GridSpec, position_sigma_m: float) -> Int64:
@@ -94,39 +94,37 @@ def _halvings(sigma_m: float) -> int:
 
 @kernel
 def add_terrain(ground_cm, cell, shift, unit, weights, up_cm, reach, cos, sin, sums):  # type: ignore[no-untyped-def]
-    """Add a frame's heights [n_y, n_x] to `sums` [6, cells], where its parts land.
+    """Add a frame's heights [n_y, n_x] to `sums` [cells, 6], where its parts land.
 
     `cos` and `sin` of the heading turn a difference of centimetres between neighbouring cells into
     the rise to east and north.
     """
     n_y, n_x = ground_cm.shape
+    by = np.uint32(reach)
     for r in range(cell.shape[0]):
-        j = r >> shift
+        j = np.uint32(r >> shift)
+        weight = unit * weights[j]
+        inside = reach <= j < n_y - reach
         for c in range(cell.shape[1]):
-            k = cell[r, c]
-            i = c >> shift
-            if k < 0 or ground_cm[j, i] == NO_GROUND_CM:
+            i = np.uint32(c >> shift)
+            height = ground_cm[j, i]
+            if cell[r, c] < 0 or height == NO_GROUND_CM:
                 continue
-            weight = unit * weights[j]
-            sums[0, k] += unit
-            sums[1, k] += weight
-            sums[2, k] += weight * (up_cm + ground_cm[j, i])
-            if j < reach or j >= n_y - reach or i < reach or i >= n_x - reach:
+            k = np.uint32(cell[r, c])
+            sums[k, 0] += unit
+            sums[k, 1] += weight
+            sums[k, 2] += weight * (up_cm + height)
+            if not inside or i < reach or i >= n_x - reach:
                 continue
-            left, right = ground_cm[j, i - reach], ground_cm[j, i + reach]
-            near, far = ground_cm[j - reach, i], ground_cm[j + reach, i]
-            if (
-                left == NO_GROUND_CM
-                or right == NO_GROUND_CM
-                or near == NO_GROUND_CM
-                or far == NO_GROUND_CM
-            ):
+            left, right = ground_cm[j, i - by], ground_cm[j, i + by]
+            near, far = ground_cm[j - by, i], ground_cm[j + by, i]
+            if min(min(left, right), min(near, far)) == NO_GROUND_CM:
                 continue
             to_right = (np.int64(right) - np.int64(left)) / (2.0 * reach)
             ahead = (np.int64(far) - np.int64(near)) / (2.0 * reach)
-            sums[3, k] += unit
-            sums[4, k] += unit * np.int64(np.floor(cos * to_right + sin * ahead + 0.5))
-            sums[5, k] += unit * np.int64(np.floor(cos * ahead - sin * to_right + 0.5))
+            sums[k, 3] += unit
+            sums[k, 4] += unit * np.int64(np.floor(cos * to_right + sin * ahead + 0.5))
+            sums[k, 5] += unit * np.int64(np.floor(cos * ahead - sin * to_right + 0.5))
 
 
 def _over(cells: Cells, total: str, count: str) -> tuple[AnyArray, Bool]:

@@ -113,9 +113,13 @@ def add_looks(  # type: ignore[no-untyped-def]
     half, around = 0.5 * n_x, int(0.71 / (per_m * local_m) + 0.5)
     # What stands by its local cell and those around, as far as a cell of the window reaches.
     stands, hits = np.zeros((n_y, n_x), dtype=np.bool_), np.zeros((n_y, n_x), dtype=np.uint8)
+    # How many cells of a row before each were seen, and how many of them are not free.
+    before, others = np.zeros((n_y, n_x + 1), np.int32), np.zeros((n_y, n_x + 1), np.int32)
     for r in range(n_y):
         for c in range(n_x):
             value = density[r, c]
+            before[r, c + 1] = before[r, c] + observed[r, c]
+            others[r, c + 1] = others[r, c] + (observed[r, c] and value > FREE_UP_TO)
             if not observed[r, c] or value <= FREE_UP_TO:
                 continue
             for j in range(max(r - around, 0), min(r + around + 1, n_y)):
@@ -124,8 +128,19 @@ def add_looks(  # type: ignore[no-untyped-def]
                     if value > OBSTACLE_ABOVE:
                         hits[j, i] = min(hits[j, i] + 1, 255)
     for cell_j in range(j0, j0 + height):
-        for cell_i in range(i0, i0 + width):
-            away_e, away_n = (cell_i + 0.5) / per_m - east_m, (cell_j + 0.5) / per_m - north_m
+        away_n = (cell_j + 0.5) / per_m - north_m
+        # The columns between the sides of the grid, and between its ends, a cell more on each side.
+        first, last = i0, i0 + width
+        for slope, low, high in (
+            (cos, away_n * sin - half * local_m, away_n * sin + half * local_m),
+            (sin, -away_n * cos, n_y * local_m - away_n * cos),
+        ):
+            if abs(slope) > 1e-3:
+                low, high = (east_m + low / slope) * per_m, (east_m + high / slope) * per_m
+                first = max(first, int(np.floor(min(low, high))) - 1)
+                last = min(last, int(np.floor(max(low, high))) + 2)
+        for cell_i in range(first, last):
+            away_e = (cell_i + 0.5) / per_m - east_m
             x = (away_e * cos - away_n * sin) / local_m
             y = (away_e * sin + away_n * cos) / local_m
             r, c = int(np.floor(y)), int(np.floor(x + half))
@@ -150,31 +165,33 @@ def add_looks(  # type: ignore[no-untyped-def]
             away_m = local_m * np.sqrt(x * x + y * y)
             if away_m < NEAREST_M or away_m > AS_NEAR * near_m[k]:
                 continue
+            # All places within the margin, row by row from the middle, where most are refused.
+            reach = (MARGIN_M + MARGIN_SHARE * away_m) / local_m
+            clear, whole, seen, places = True, int(reach), 0, 0
+            for n in range(2 * whole + 1):
+                dj = (n + 1) // 2 if n % 2 else -(n // 2)
+                aside = int(np.sqrt(reach * reach - dj * dj))
+                if aside * aside + dj * dj > reach * reach:  # the root was rounded up
+                    aside -= 1
+                places += 2 * aside + 1
+                j, left, right = r + dj, max(c - aside, 0), min(c + aside + 1, n_x)
+                if j < 0 or j >= n_y:
+                    continue
+                if others[j, right] > others[j, left]:
+                    clear = False
+                    break
+                seen += before[j, right] - before[j, left]
+            if not clear or seen < SEEN_SHARE * places:
+                continue
             # The line of sight, in steps of half a cell.
             steps = int(2.0 * (1.0 - HIDDEN_FROM) * away_m / local_m) + 1
-            clear = True
             for n in range(1, steps + 1):
                 share = 1.0 - (1.0 - HIDDEN_FROM) * n / steps
                 j, i = int(y * share), int(np.floor(x * share + half))
                 if observed[j, i] and density[j, i] > OBSTACLE_ABOVE:
                     clear = False
                     break
-            reach = (MARGIN_M + MARGIN_SHARE * away_m) / local_m
-            whole, seen, places = int(reach), 0, 0
-            for dj in range(-whole, whole + 1):
-                if not clear:
-                    break
-                for di in range(-whole, whole + 1):
-                    if di * di + dj * dj > reach * reach:
-                        continue
-                    j, i = r + dj, c + di
-                    places += 1
-                    if j >= 0 and j < n_y and i >= 0 and i < n_x and observed[j, i]:
-                        seen += 1
-                        if density[j, i] > FREE_UP_TO:
-                            clear = False
-                            break
-            if clear and seen >= SEEN_SHARE * places:
+            if clear:
                 looks[k, 1], when_ns[k, 2] = min(looks[k, 1] + 1, 255), time_ns
 
 

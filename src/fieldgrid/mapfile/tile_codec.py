@@ -92,6 +92,9 @@ def encode_tile(
 ) -> bytes:
     """The blob of a group's channels, uint64 [256, 256] each."""
     names = stored_channels(group, base=base)
+    if all(is_nothing(cells[name]) or not cells[name].any() for name, _ in names):
+        # All outside of the box is 0, so that what was expected in vain is not written down.
+        box = Box(box.first_row, box.first_column, box.first_row, box.first_column)
     area = box.shape[0] * box.shape[1]
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
