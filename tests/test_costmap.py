@@ -295,8 +295,8 @@ def test_the_costs_are_those_of_the_whole_however_it_is_cut(
         layers = ("max", "peak", "seen_share", *universal.deciding(cell_m))
         view = universal.read(cell_m=cell_m, layers=tuple(dict.fromkeys(layers)))
         whole = CostCurve().cost(*view.decision(layer))
-        monkeypatch.setattr(blocks, "_ROWS", 8)
-        monkeypatch.setattr(blocks, "_COLUMNS", 16)
+        monkeypatch.setattr(blocks, "_ROWS", 24)  # still less than the inflation reaches
+        monkeypatch.setattr(blocks, "_COLUMNS", 32)
         monkeypatch.setattr(costmap, "_BLOCK_CELLS", 100)
         cut = Costmap.from_map(universal, cell_m=cell_m, layer=layer)
         np.testing.assert_array_equal(cut.costs, whole)

@@ -53,6 +53,12 @@ def test_every_option_shows_its_default_once(name: str, fieldgrid: Run) -> None:
         assert line.count("default:") <= 1, line
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_shows_how_it_is_used(name: str, fieldgrid: Run) -> None:
+    examples = re.split(r"Examples?:", fieldgrid(name, "--help").output(), maxsplit=1)[-1]
+    assert f"fieldgrid {name}" in examples
+
+
 def test_options_are_grouped(fieldgrid: Run) -> None:
     text = fieldgrid("build", "--help").output()
     headings = re.findall(r"^(\w.*):$", text, re.MULTILINE)

@@ -121,6 +121,8 @@ MODES: dict[str, tuple[str, set[str]]] = {
     "no file": ("mount DRIVE", {"write", "gnss", "topic", "mounting", "time_offset", "every",
                                 "figure", "jobs"}),
     "removal": ("sessions MAP --remove june", {"remove"}),
+    "undone": ("align MAP --undo", {"undo", "session", "wait_s"}),
+    "a page": ("view MAP --html x.html", {"html", "route"}),
 }  # fmt: skip
 VALUES = {
     "cell": ["0.5"],
@@ -133,6 +135,8 @@ VALUES = {
     "antenna": ["1", "2", "3"],
     "shift": ["june", "0,0"],
     "rename": ["june", "july"],
+    "port": ["5"],
+    "reach": ["3"],
 }
 
 
@@ -156,6 +160,35 @@ def test_an_option_that_cannot_count_is_refused(
         assert flag in usage or "--remove" in usage, (flag, usage)
         tried += 1
     assert tried > 0
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "flag"),
+    [
+        ("rows MAP --overwrite", "--overwrite"),
+        ("rows MAP --speed-limit 5", "--speed-limit"),
+        ("rows MAP --agopengps fields --speed-limit 5", "--speed-limit"),
+        ("mark MAP --overwrite", "--overwrite"),
+        ("mark MAP --name x", "--name"),
+        ("farm FOLDER --overwrite", "--overwrite"),
+        ("farm FOLDER --cog", "--cog"),
+        ("farm FOLDER --jobs 1", "--jobs"),
+        ("farm FOLDER --stac catalogue --jobs 1", "--jobs"),
+        ("route MAP --from 0,0,0 --to 1,1,0 --tracks", "--tracks"),
+        ("route MAP --cover --headland-passes 2", "--headland-passes"),
+        ("verify MAP --scheduler tcp://127.0.0.1:1", "--scheduler"),
+        ("live --replay DRIVE -o x.gpkg --gnss-log x.nmea", "--gnss-log"),
+    ],
+)
+def test_an_option_without_the_one_that_it_is_for_is_refused(
+    text: str, flag: str, fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    map_ = tmp_path / "field.gpkg"
+    shutil.copy(two_lanes_map, map_)
+    places = {"MAP": map_, "DRIVE": make_drive(), "FOLDER": tmp_path}
+    before = tree(tmp_path)
+    assert flag in fieldgrid(*[places.get(word, word) for word in text.split()]).usage()
     assert tree(tmp_path) == before
 
 

@@ -9,6 +9,7 @@ import pytest
 from fieldgrid.gnss import parse_nmea
 from fieldgrid.gnss.gps_time import unix_ns
 from fieldgrid.gnss.nmea_framing import unicore_crc
+from fieldgrid.quality import Quality
 from tests.gnss.sentences import NOON, SECOND, gga, parse, rmc, sentence
 
 # As receivers wrote them.
@@ -33,6 +34,11 @@ BESTNAV = (  # the manual's example, but its CRC is wrong there
     b'116.2365102982,65.8312,-8.4925,WGS84,1.2221,1.1053,2.1970,"0",0.400,0.200,50,28,28,0,1,'
     b"12,12,41,SOL_COMPUTED,DOPPLER_VELOCITY,0.000,0.000,0.0046,335.592288,0.0045,0.0194,0.0123"
     b"*3e3517dd\r\n"
+)
+BESTPOS = (
+    b"#BESTPOSA,COM1,0,60.5,FINESTEERING,2166,327153.000,02000000,b1f6,16248;SOL_COMPUTED,WAAS,"
+    b'51.15043699323,-114.03067932462,1096.9772,-17.0000,WGS84,0.6074,0.5792,0.9564,"131",7.000,'
+    b"0.000,42,34,34,28,00,0b,1f,37*47bbdc4f\r\n"
 )
 PVTSLN = (
     b"#PVTSLNA,79,GPS,FINE,2377,93246900,0,0,18,8;SINGLE,188.1621,34.60324214605,"
@@ -244,3 +250,18 @@ def test_the_better_source_of_a_heading_is_believed_also_when_it_has_none() -> N
     for first, second in ((hdt, invalid), (invalid, hdt), (hdt, lost), (lost, hdt)):
         assert heading_of(first, second) == (None, None, None)
     assert heading_of(hdt, tra) == heading_of(tra, hdt) == (11.0, None, 4)
+
+
+def test_the_position_of_novatel() -> None:
+    (fix,) = parse(BESTPOS)
+    assert fix.time_ns == unix_ns(2166, 327_153_000_000_000)
+    assert (fix.lat_deg, fix.lon_deg) == (51.15043699323, -114.03067932462)
+    assert fix.height_m == pytest.approx(1096.9772 - 17.0)
+    assert (fix.quality, fix.satellites, fix.age_s) == (Quality.SBAS, 34, 7.0)
+    assert fix.sigma_m == pytest.approx(math.hypot(0.6074, 0.5792) / math.sqrt(2.0))
+
+
+def test_novatel_without_a_clock_or_a_solution_says_nothing() -> None:
+    body = BESTPOS[1:-11].decode()
+    for change in (("FINESTEERING", "COARSE"), ("SOL_COMPUTED,WAAS", "INSUFFICIENT_OBS,NONE")):
+        assert parse(log(body.replace(*change))) == []

@@ -144,6 +144,39 @@ def test_opencv_as_the_file_prescribes(folder: Path) -> None:
         assert ("if they are raw, say so" in "".join(found.notes)) == (rectified is None)
 
 
+def test_the_two_files_of_opencvs_own_program(folder: Path) -> None:
+    """They call the matrices of the lenses M1 and M2, and do not say the size of the images."""
+    m = by_opencv(D1, D2)
+    whole = opencv(R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
+    (folder / "stereo_opencv.yaml").write_text(whole)
+    expected = read_calibration(folder).camera
+    (folder / "stereo_opencv.yaml").unlink()
+    lenses = opencv(K1=None, K2=None, R=None, T=None, M1=K1, M2=K2).splitlines()
+    lenses = [line for line in lenses if not line.startswith("image_")]
+    (folder / "intrinsics.yml").write_text("\n".join(lenses))
+    fails(folder, r"extrinsics\.yml cannot be read")
+    places = opencv(K1=None, D1=None, K2=None, D2=None, R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
+    places_lines = [line for line in places.splitlines() if not line.startswith("image_")]
+    (folder / "extrinsics.yml").write_text("\n".join(places_lines))
+    fails(folder, "image_width is None; add the image size")
+    for named in (None, "intrinsics.yml"):
+        check(read_calibration(folder, named, False, SIZE), (D1, D2), m)
+        found = read_calibration(folder, named, None, SIZE)
+        assert found.camera == expected
+        assert found.notes[0].startswith("intrinsics.yml with extrinsics.yml describes how to")
+        assert found.notes[1].endswith("that of the first one is taken, 320 x 240 px.")
+    for other in ((640, 480), (160, 120)):
+        with pytest.raises(CalibrationError, match="158, 121 px, is not that of images of"):
+            read_calibration(folder, None, False, other)
+    (folder / "intrinsics.yml").unlink()
+    fails(folder, r"intrinsics\.yml cannot be read")
+
+
+def test_a_calibration_in_squares_of_the_board_is_refused(folder: Path) -> None:
+    (folder / "stereo_opencv.yaml").write_text(opencv(T=T / 0.01))
+    fails(folder, "give the translation in metres", rectified=False)
+
+
 def test_a_fisheye_of_opencv_must_be_named(folder: Path) -> None:
     path = folder / "stereo_opencv.yaml"
     path.write_text(opencv(D1=FISH1, D2=FISH2))

@@ -74,6 +74,8 @@ def test_times_are_read_as_they_are_written(
         ("time=x,time_units=s", f"{START_S}"),
         ("time=x,time_units=gps_s", f"{START_S - 315_964_800 + 18}"),
         ("time=x,time_units=gps_ms", f"{START_S - 315_964_800 + 18}000"),
+        ("time=x,time_units=gps_ns", f"{START_S - 315_964_800 + 18}000000000"),
+        ("time=x,time_zone=GPST", "2024/06/01 12:00:18.000"),
         ("time=x,time_zone=-04:00", "2024-06-01 08:00:00"),
         ("time=x,time_zone=+2", "2024-06-01T14:00:00"),
         ("time=x,time_zone=utc", "2024-06-01T12:00:00"),
@@ -462,3 +464,96 @@ def test_a_time_of_day_alone(tmp_path: Path) -> None:
     fails(tmp_path, text, r"time '10:30:11.25' can not be read .* time_epoch=")
     fix = only(tmp_path, text, "time_epoch=2011-06-15T00:00:00Z")
     assert fix.time_ns == 1_308_133_811_250_000_000
+
+
+# --- as other programs write them
+
+
+@pytest.mark.parametrize("name", ["GPST", "gpst", "Time (GPST)"])
+def test_dates_of_the_clock_of_gps(name: str, tmp_path: Path) -> None:
+    log = read(tmp_path, f"{name},lat,lon\n2024/06/01 12:00:18.5,41,-4\n")
+    assert log.fixes[0].time_ns == START_NS + 500_000_000
+    assert "date and time of GPS" in log.notes[0]
+    zoned = only(tmp_path, f"{name},lat,lon\n2024-06-01T12:00:00Z,41,-4\n")
+    assert zoned.time_ns == START_NS
+
+
+@pytest.mark.parametrize(
+    ("week", "tow"),
+    [
+        ("GPS Week", "Seconds of Week"),
+        ("week", "sow"),
+        ("GPSWeek", "GPSSeconds"),
+        ("WNc", "TOW"),
+        ("GWk", "GMS"),
+    ],
+)
+def test_weeks_of_gps_by_their_names(week: str, tow: str, tmp_path: Path) -> None:
+    of_week = "561618000" if tow == "GMS" else "561618.0"
+    assert only(tmp_path, f"{week},{tow},lat,lon\n2316,{of_week},41,-4\n").time_ns == START_NS
+
+
+def test_weeks_that_begin_anew_are_refused(tmp_path: Path) -> None:
+    fails(tmp_path, "week,tow,lat,lon\n268,561618,41,-4\n", "week 268 is before 1999.*add 2048")
+
+
+def test_a_time_of_week_is_no_time_by_itself(tmp_path: Path) -> None:
+    """Its milliseconds are as large as seconds since 1970 once were."""
+    text = "timestamp,timeOfWeek,lat,lon\n77000000,561618000,41,-4\n"
+    fails(tmp_path, text, r"no column with UTC times .*week=COLUMN,tow=COLUMN")
+
+
+@pytest.mark.parametrize(
+    ("name", "cell", "height_m"),
+    [
+        ("alt_ft", "1000", 304.8),
+        ("Altitude (feet)", "1000", 304.8),
+        ("Elevation [US ft]", "3937", 1200.0),
+        ("altitude (meters)", "750.5", 750.5),
+        ("alt", "1000 ft", 304.8),
+        ("alt", "750.5 m", 750.5),
+        ("alt_mm", "750500", 750.5),
+        ("alt_mm", "750.5 m", 750.5),
+    ],
+)
+def test_units_of_heights(name: str, cell: str, height_m: float, tmp_path: Path) -> None:
+    fix = only(tmp_path, f"time,lat,lon,{name}\n{START_S},41,-4,{cell}\n")
+    assert fix.height_m == pytest.approx(height_m, rel=1e-12)
+
+
+def test_a_height_in_an_unknown_unit_is_an_error(tmp_path: Path) -> None:
+    fails(tmp_path, f"time,lat,lon,alt\n{START_S},41,-4,7 ells\n", "alt '7 ells' is not a number")
+
+
+def test_heights_that_no_field_has_are_refused(tmp_path: Path) -> None:
+    """As of u-blox, PX4 and MAVLink, which count millimetres."""
+    text = f"time,lat,lon,alt\n{START_S},410000000,-40000000,800100\n"
+    fails(tmp_path, text, r"alt is 800100 m.*--columns height_units=mm for")
+    fix = only(tmp_path, text, "height_units=mm")
+    assert (fix.lat_deg, fix.height_m) == (pytest.approx(41.0), pytest.approx(800.1))
+
+
+def test_the_height_above_the_ellipsoid_goes_first(tmp_path: Path) -> None:
+    names = "alt,alt_ellipsoid", "altitude_msl_m,altitude_ellipsoid_m", "height,H-Ell"
+    for pair in names:
+        assert only(tmp_path, f"time,lat,lon,{pair}\n{START_S},41,-4,750,800\n").height_m == 800.0
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "said"),
+    [
+        ("Latitude [rad]", "Longitude [rad]", ""),
+        ("lat_rad", "lon_rad", ""),
+        ("lat", "lon", "lat_lon_units=rad"),
+    ],
+)
+def test_positions_in_radians(lat: str, lon: str, said: str, tmp_path: Path) -> None:
+    cells = f"{math.radians(41.65)!r},{math.radians(-4.72)!r}"
+    fix = only(tmp_path, f"time,{lat},{lon}\n{START_S},{cells}\n", said)
+    assert (fix.lat_deg, fix.lon_deg) == pytest.approx((41.65, -4.72), abs=1e-12)
+
+
+def test_topics_as_names(tmp_path: Path) -> None:
+    """As PlotJuggler writes them."""
+    text = f"__time,/fix/latitude,/fix/longitude,/fix/altitude\n{START_S}.0,41,-4,800\n"
+    assert only(tmp_path, text).height_m == 800.0

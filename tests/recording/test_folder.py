@@ -410,7 +410,7 @@ def test_an_opencv_calibration_that_cannot_be(
         ("a: !!python/object/apply:os.system ['true']", "is not YAML"),
         ("a: !!opencv-matrix 5", "is not YAML"),
         ("[" * 5000, "is not YAML"),
-        (opencv_yaml(OPENCV, None), "image_width is None; add the image size"),
+        ("image_width: wide\nimage_height: 480", "image_width is 'wide'; add the image size"),
         (opencv_yaml(OPENCV, (0, 48)), "images of 0 x 48 px"),
     ],
 )

@@ -79,3 +79,72 @@ def test_a_windows_path_does_not_lead_out(tmp_path: Path) -> None:
     table = f"frame_id,timestamp_utc_s,left,right\n0,{START_S},..\\x\\0.png,right/0.png\n"
     with pytest.raises(RecordingError, match="leads out of the recording"):
         read_frames(folder_with(tmp_path, table))
+
+
+def pair_in(folder: Path, stem: str = "0") -> Path:
+    for side in ("left", "right"):
+        (folder / side).mkdir(parents=True)
+        (folder / side / f"{stem}.png").touch()
+    return folder
+
+
+def table_of(left: str, right: str) -> str:
+    return f"frame_id,timestamp_utc_s,left,right\n0,{START_S},{left},{right}\n"
+
+
+def test_paths_from_the_root_into_the_folder(tmp_path: Path) -> None:
+    folder = pair_in(tmp_path / "drive")
+    (tmp_path / "link").symlink_to(folder)
+    for root in (folder, tmp_path / "link"):
+        table = table_of(f"{root}/left/0.png", f"{root}/right/0.png")
+        (folder / "frames.csv").write_text(table)
+        shots, notes = read_frames(root)
+        assert shots[0].files == ("left/0.png", "right/0.png")
+        assert notes == ()
+
+
+@pytest.mark.parametrize("root", ["/robot/june/drive", "C:\\june", "/robot/june/drive/left/.."])
+def test_a_recording_that_was_moved(root: str, tmp_path: Path) -> None:
+    """Its table names the files where they were recorded."""
+    folder = pair_in(tmp_path / "drive")
+    mark = "\\" if "\\" in root else "/"
+    table = table_of(*(mark.join((root, side, "0.png")) for side in ("left", "right")))
+    (folder / "frames.csv").write_text(table)
+    if ".." in root:
+        with pytest.raises(RecordingError, match="leads out of the recording"):
+            read_frames(folder)
+        return
+    shots, (note,) = read_frames(folder)
+    assert shots[0].files == ("left/0.png", "right/0.png")
+    assert "/left, which is not here; those of the same names in the recording are" in note
+
+
+def test_files_that_lie_elsewhere_are_refused(tmp_path: Path) -> None:
+    """Although files of the same names are in the recording: which are meant is not known."""
+    folder, other = pair_in(tmp_path / "drive"), pair_in(tmp_path / "other")
+    table = table_of(f"{other}/left/0.png", f"{other}/right/0.png")
+    (folder / "frames.csv").write_text(table)
+    with pytest.raises(RecordingError, match=r"leads out .* \(ln -s THEIR_FOLDER left\)"):
+        read_frames(folder)
+
+
+@pytest.mark.parametrize(
+    ("stem", "time_ns", "told"),
+    [
+        (f"{START_S}000000000", START_S * 10**9, ""),
+        (f"{START_S}.250000", START_S * 10**9 + 250_000_000, "s since 1970"),
+        (f"{START_S}250", START_S * 10**9 + 250_000_000, "ms since 1970"),
+        (f"{START_S}250000", START_S * 10**9 + 250_000_000, "us since 1970"),
+    ],
+)
+def test_times_as_names(stem: str, time_ns: int, told: str, tmp_path: Path) -> None:
+    shots, notes = read_frames(pair_in(tmp_path / "drive", stem))
+    assert shots[0].time_ns == time_ns
+    assert bool(notes) == bool(told)
+    assert told in "".join(notes)
+
+
+@pytest.mark.parametrize("stem", ["0", "000123", "0000000123", "20240601120000", "left_7"])
+def test_names_that_are_no_times(stem: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="is no UTC time in s, ms, us or ns; add frames"):
+        read_frames(pair_in(tmp_path / "drive", stem))

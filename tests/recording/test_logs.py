@@ -75,7 +75,7 @@ def test_an_empty_file_is_said_to_be_empty(data: bytes, path: Path) -> None:
     assert (len(log.fixes), log.notes) == (0, ("drive.dat: the file is empty.",))
 
 
-@pytest.mark.parametrize("data", [b"PK\x03\x04" + bytes(range(256)), b"just words\nof a diary\n"])
+@pytest.mark.parametrize("data", [b"\x7fELF" + bytes(range(256)), b"just words\nof a diary\n"])
 def test_what_is_no_log(data: bytes, path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(GnssError, match=r"drive\.dat is no bag and no GNSS log that is known"):

@@ -200,7 +200,7 @@ def test_clouds_of_few_points_say_nothing_of_the_lidar(tmp_path: Path) -> None:
 def test_a_cloud_whose_name_is_no_time(tmp_path: Path) -> None:
     drive = folder(tmp_path, ("clouds",))
     np.save(drive / "clouds" / "first.npy", cloud())
-    fails(drive, r"first\.npy is no UTC time in nanoseconds; rename")
+    fails(drive, r"first\.npy is no UTC time in s, ms, us or ns; rename")
 
 
 # --- tables and several kinds

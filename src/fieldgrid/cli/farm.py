@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    ctx: typer.Context,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", show_default=False)],
     verify: Annotated[
         bool, typer.Option("--verify", help="Verify each map; reads every file completely.")
@@ -55,8 +56,10 @@ def command(
     """
     from fieldgrid.farm import Farm, Health
 
-    if cog and stac is None:
-        raise typer.BadParameter("it is a part of a catalogue; give --stac", param_hint="--cog")
+    if stac is None:
+        options.refuse_idle(ctx, {"cog", "overwrite"}, "it is for a catalogue; give --stac")
+    if not verify:
+        options.refuse_idle(ctx, {"jobs"}, "it is for --verify; add that")
     with Farm(folder, verify=verify, jobs=jobs) as farm:
         blocks = farm.blocks
         written = None

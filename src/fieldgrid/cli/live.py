@@ -181,14 +181,13 @@ def command(
 
 def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
     """A usage error for what would be ignored with this source."""
-    every = {str(one.name) for one in ctx.command.params}
     idle = {"rate"} if replay is None else {"gnss_log"}
     idle |= {"topic"} if replay is None and sources.mcap is None else set()
     idle |= {"camera_fps"} if sources.camera is None else set()
     idle |= set(PoseFlags._fields) if replay is None and sources.mcap is None else set()
     idle |= {"poses", "poses_times"} if sources.mcap is not None else set()
     idle |= {"rig"} if sources.camera is None and sources.mcap is None else set()
-    options.refuse_given(ctx, every - idle, "this source does not take it; leave it out")
+    options.refuse_idle(ctx, idle, "this source does not take it; leave it out")
 
 
 def _drive(

@@ -18,6 +18,7 @@ _KINDS = "keepout|free|obstacle|place"
 
 
 def command(
+    ctx: typer.Context,
     map_: options.MapArgument,
     add: Annotated[
         Path | None,
@@ -96,6 +97,8 @@ def command(
     for flag, value in (("--kind", kind), ("--name", name), ("--note", note), ("--author", author)):
         if value and not is_new:
             raise typer.BadParameter("it is for a new mark only", param_hint=flag)
+    if out is None:
+        options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
     from fieldgrid.mapfile import MarkKind, Patience, open_map
     from fieldgrid.mapfile.marks import Mark, features, marks_of_geojson
     from fieldgrid.publish import refuse_input

@@ -200,6 +200,12 @@ def check_figure(path: Path | None) -> None:
         )
 
 
+def refuse_idle(ctx: typer.Context, idle: Collection[str], why: str) -> None:
+    """A usage error for the first of the `idle` parameters, by name, that was given; `why` says
+    what it is for."""
+    refuse_given(ctx, {str(one.name) for one in ctx.command.params} - set(idle), why)
+
+
 def refuse_given(ctx: typer.Context, taken: Collection[str], why: str) -> None:
     """A usage error for the first option or argument that was given and would be ignored.
 

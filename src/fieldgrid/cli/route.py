@@ -195,13 +195,11 @@ def command(
         for flag, given in (("--from", start), ("--to", goal)):
             if given is None:
                 raise typer.BadParameter("it is needed, unless there is --cover", param_hint=flag)
-    every = {str(one.name) for one in ctx.command.params}
-    if not cover:
-        options.refuse_given(ctx, every - _OF_COVER, "it is for --cover only")
+        options.refuse_idle(ctx, _OF_COVER, "it is for --cover only")
     elif tracks:
-        options.refuse_given(ctx, every - _OF_LANES, "it is for lanes, without --tracks")
+        options.refuse_idle(ctx, _OF_LANES, "it is for lanes, without --tracks")
     else:
-        options.refuse_given(ctx, every - _OF_TRACKS, "it is for --tracks only")
+        options.refuse_idle(ctx, _OF_TRACKS, "it is for --tracks only")
     origin, target = _place("--from", start), _place("--to", goal)
     low, high = options.spacing(spacing)
     if out is not None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    ctx: typer.Context,
     map_: options.MapArgument,
     out: Annotated[
         Path | None, options.out_file(".geojson, .gpkg, .csv, .kml, .dxf, or .osm for Lanelet2")
@@ -100,7 +101,11 @@ def command(
         raise typer.BadParameter(
             "it is for the map as it is now; leave --at out", param_hint="--keep"
         )
-    if out is not None:
+    if out is None:
+        options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --out")
+        if agopengps is None:
+            options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
+    else:
         refuse_input(out, [map_, *([truth] if truth else [])])
     low, high = options.spacing(spacing)
     planted = crop_named(crop).changed(

@@ -10,8 +10,11 @@ import typer
 
 from fieldgrid.cli import options, output
 
+_OF_SERVING = {"recording", "datum_from", "port", "host", "read_only", "browser"}
+
 
 def command(
+    ctx: typer.Context,
     maps: Annotated[
         list[Path],
         typer.Argument(metavar="MAP.gpkg...", help="Maps, or a folder of maps: a farm."),
@@ -72,6 +75,7 @@ def command(
             "it is for a folder of maps; a map keeps its own datum", param_hint="--datum-from"
         )
     if html is not None:
+        options.refuse_idle(ctx, _OF_SERVING, "--html serves nothing; leave it out")
         from fieldgrid.view import write_report
 
         report = write_report(maps, html, routes=route or ())

@@ -1,7 +1,7 @@
-"""Unicore's logs in ASCII, as UM98x receivers write them: a header, ``;``, and the fields.
+"""Logs in ASCII of Unicore's UM98x receivers and NovAtel's: a header, ``;``, and the fields.
 
-HEADINGA has the header of NovAtel and of older receivers: port, number, idle time, clock
-status, week, seconds. The newer logs have idle time, time system, clock status, week,
+HEADINGA and BESTPOSA have the header of NovAtel and of older receivers: port, number, idle time,
+clock status, week, seconds. The newer logs have idle time, time system, clock status, week,
 milliseconds. Time is GPS time; a receiver set to BeiDou time is not read.
 """
 
@@ -28,6 +28,7 @@ from fieldgrid.gnss.nmea_statements import (
 from fieldgrid.quality import Quality
 
 _CLOCK_SET = frozenset({b"FINE", b"FINESTEERING", b"FINEBACKUPSTEERING"})
+_NOVATEL_HEADERS = frozenset({b"HEADINGA", b"BESTPOSA"})
 _PAD = [b""] * 32
 
 _QUALITY = {
@@ -63,8 +64,8 @@ def uniheading(f: list[bytes], log: EpochLog) -> None:
         state(epoch, baseline_heading(BY_UNIHEADING, body[3], quality, number(body[6])))
 
 
-def bestnav(f: list[bytes], log: EpochLog) -> None:
-    """Position with its sigmas, age, satellites; speed in m/s and course."""
+def bestpos(f: list[bytes], log: EpochLog) -> None:
+    """Position with its sigmas, age and satellites; in BESTNAV with speed in m/s and course."""
     header, body = _parts(f)
     epoch = _epoch(header, log)
     if epoch is None:
@@ -129,7 +130,7 @@ def _parts(f: list[bytes]) -> tuple[list[bytes], list[bytes]]:
 
 def _epoch(header: list[bytes], log: EpochLog) -> Epoch | None:
     """The epoch of a header, None when the receiver's clock is not set or not GPS time."""
-    if header[0] == b"HEADINGA":
+    if header[0] in _NOVATEL_HEADERS:
         status, week, of_week, unit_ns = header[4], header[5], header[6], 1_000_000_000
     elif header[2] == b"GPS":
         status, week, of_week, unit_ns = header[3], header[4], header[5], 1_000_000
@@ -152,7 +153,8 @@ def _sigma_m(lat_std: bytes, lon_std: bytes) -> float | None:
 DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
     b"#UNIHEADINGA": uniheading,
     b"#HEADINGA": uniheading,
-    b"#BESTNAVA": bestnav,
+    b"#BESTNAVA": bestpos,
+    b"#BESTPOSA": bestpos,
     b"#PVTSLNA": pvtsln,
 }
 """By name."""

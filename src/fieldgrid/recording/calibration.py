@@ -11,6 +11,7 @@ from fieldgrid.recording.calibration_kalibr import read_kalibr
 from fieldgrid.recording.calibration_opencv import read_opencv
 from fieldgrid.recording.calibration_ros import read_ros
 from fieldgrid.recording.calibration_yaml import load_yaml
+from fieldgrid.recording.files import read_text
 
 __all__ = ["Calibration", "read_calibration"]
 
@@ -18,28 +19,43 @@ _OPENCV = "stereo_opencv.yaml"
 _ROS_LEFT, _ROS_RIGHT = "stereo_left_camera_info.yaml", "stereo_right_camera_info.yaml"
 _ROS_OWN = "left.yaml", "right.yaml"
 """As ROS's calibrator writes them."""
+_TWO_OPENCV = "intrinsics.yml", "extrinsics.yml"
+"""As OpenCV's stereo_calib writes them."""
 _KALIBR = "*camchain*.yaml"
+_NOT_READ = (
+    ("*.json", '"cameraData"', "DepthAI's calibration of an OAK camera"),
+    ("*.conf", "[STEREO]", "a ZED's factory calibration"),
+)
+"""Files of makers: how they are called, what is in them, what they are."""
 
 
 def read_calibration(
-    folder: Path, named: str | None = None, rectified: bool | None = None
+    folder: Path,
+    named: str | None = None,
+    rectified: bool | None = None,
+    size_px: tuple[int, int] | None = None,
 ) -> Calibration:
     """The camera by the files of `calibration/`; when there are OpenCV's and ROS's, they must
-    agree. Kalibr's is read where there is no other, and so are left.yaml and right.yaml of ROS.
+    agree. Where there is no other, left.yaml and right.yaml of ROS are read, else intrinsics.yml
+    with extrinsics.yml of OpenCV, else Kalibr's.
 
     `named` is the file to take, in the folder or in the recording around it. `rectified` is
-    whether the images are rectified, None when that is not said: then the files decide.
+    whether the images are rectified, None when that is not said: then the files decide. `size_px`
+    is the (width, height) of the images, for OpenCV's files that do not say it.
     """
     if named is not None:
-        return _read_named(folder, named, rectified)
+        return _read_named(folder, named, rectified, size_px)
     found = []
     if (folder / _OPENCV).exists():
-        found.append(read_opencv(folder / _OPENCV, rectified))
+        found.append(read_opencv(folder / _OPENCV, rectified, size_px))
     if (folder / _ROS_LEFT).exists() or (folder / _ROS_RIGHT).exists():
         found.append(read_ros(folder / _ROS_LEFT, folder / _ROS_RIGHT, rectified))
     own = [folder / name for name in _ROS_OWN]
     if not found and all(path.exists() for path in own):
         return read_ros(own[0], own[1], rectified)
+    lenses, places = (folder / name for name in _TWO_OPENCV)
+    if not found and (lenses.exists() or places.exists()):
+        return read_opencv(lenses, rectified, size_px, places)
     if not found:
         return read_kalibr(_camchain(folder), rectified)
     products = [calibration.camera.focal_baseline_px_m for calibration in found]
@@ -54,6 +70,13 @@ def read_calibration(
 def _camchain(folder: Path) -> Path:
     present = sorted(folder.glob(_KALIBR))
     if not present:
+        for pattern, words, what in _NOT_READ:
+            for path in sorted(folder.glob(pattern)):
+                if words in read_text(path, error=CalibrationError):
+                    raise CalibrationError(
+                        f"{path} is {what}, and not read; write what it says into {_OPENCV}: K1, "
+                        "D1, K2, D2, R and T (metres), image_width and image_height."
+                    )
         others = sorted(path.name for path in folder.glob("*.y*ml"))
         named = (
             f"; of {', '.join(others)[:300]}, name the one with both cameras in recording.toml: "
@@ -73,14 +96,18 @@ def _camchain(folder: Path) -> Path:
     return present[0]
 
 
-def _read_named(folder: Path, named: str, rectified: bool | None) -> Calibration:
+def _read_named(
+    folder: Path, named: str, rectified: bool | None, size_px: tuple[int, int] | None
+) -> Calibration:
     """The calibration in a file of any kind, which its content tells."""
     path = next((p for p in (folder / named, folder.parent / named) if p.exists()), folder / named)
     document = load_yaml(path)
     if "cam0" in document:
         return read_kalibr(path, rectified)
     if "camera_matrix" not in document:
-        return read_opencv(path, rectified)
+        places = path.with_name(path.name.replace("intrinsics", "extrinsics"))
+        of_two = "R" not in document and places != path
+        return read_opencv(path, rectified, size_px, places if of_two else None)
     if "left" not in path.name:
         raise CalibrationError(
             f"{path} is ROS's camera_info of one camera; name that of the left one, which has "

@@ -1,4 +1,5 @@
-"""`stereo_opencv.yaml`: K1 D1 K2 D2 R T R1 R2 P1 P2 as OpenCV's stereo calibration gives them."""
+"""OpenCV's stereo calibration: K1 D1 K2 D2 R T R1 R2 P1 P2 in `stereo_opencv.yaml`, or in the two
+files of its own program, with M1 and M2 for K1 and K2 and without the size of the images."""
 
 from __future__ import annotations
 
@@ -19,6 +20,9 @@ from fieldgrid.rectify import (
     rectify_by_projections,
 )
 
+_MOST_ASIDE = 0.2
+"""Of a side of an image, how far the middle of a lens may be from that of the image."""
+
 _RECTIFYING = ("R1", "R2", "P1", "P2")
 _BY_COUNT = {
     **{0: LensModel.NONE, 5: LensModel.PLUMB_BOB},
@@ -26,13 +30,48 @@ _BY_COUNT = {
 }
 
 
-def read_opencv(path: Path, rectified: bool | None) -> Calibration:
-    """The calibration in a file.
+def read_opencv(
+    path: Path,
+    rectified: bool | None,
+    size_px: tuple[int, int] | None = None,
+    extrinsics: Path | None = None,
+) -> Calibration:
+    """The calibration in a file, or in that of the lenses and in `extrinsics`.
 
     Where nobody says whether images are `rectified`, they are when the file has P1 and P2, and
-    when it knows of nothing that rectifying would change.
+    when it knows of nothing that rectifying would change. `size_px` is the (width, height) of the
+    images, where the file does not say it.
     """
-    document = load_yaml(path)
+    document = _document(path)
+    if extrinsics is not None:
+        document |= load_yaml(extrinsics)
+        path = path.with_name(f"{path.name} with {extrinsics.name}")
+    if size_px is None or {"image_width", "image_height"} & document.keys():
+        return _calibration(document, path, rectified)
+    width, height = size_px
+    _check_middle(document, path, size_px)
+    document |= {"image_width": width, "image_height": height}
+    note = (
+        f"{path.name} does not say the size of its images; that of the first one is taken, "
+        f"{width} x {height} px."
+    )
+    found = _calibration(document, path, rectified)
+    return found._replace(notes=(*found.notes, note))
+
+
+def _check_middle(document: Mapping[str, Any], path: Path, size_px: tuple[int, int]) -> None:
+    """Refuse a lens whose middle is not about that of the images: it is for images of another
+    size."""
+    middle_px = matrix(document, "K1", (3, 3), path)[:2, 2]
+    if (np.abs(middle_px / size_px - 0.5) > _MOST_ASIDE).any():
+        raise CalibrationError(
+            f"{path} does not say the size of its images, and the middle of the lens, "
+            f"{middle_px[0]:.0f}, {middle_px[1]:.0f} px, is not that of images of {size_px[0]} x "
+            f"{size_px[1]} px; add image_width and image_height, or calibrate with such images."
+        )
+
+
+def _calibration(document: Mapping[str, Any], path: Path, rectified: bool | None) -> Calibration:
     straight = _is_undistorted(document, path)
     projected = "P1" in document or "P2" in document
     if rectified is False or (rectified is None and not straight and not projected):
@@ -52,6 +91,15 @@ def read_opencv(path: Path, rectified: bool | None) -> Calibration:
     shift = matrix(document, "T", (3, 1), path)
     left, right = np.hstack([k_left, np.zeros((3, 1))]), np.hstack([k_right, k_right @ shift])
     return Calibration(camera_from_projections(left, right, size_px, str(path)))
+
+
+def _document(path: Path) -> dict[str, Any]:
+    """The entries of a file under the names of `stereo_opencv.yaml`."""
+    entries = load_yaml(path)
+    for theirs, ours in (("M1", "K1"), ("M2", "K2")):
+        if theirs in entries:
+            entries.setdefault(ours, entries[theirs])
+    return entries
 
 
 def _is_undistorted(document: Mapping[str, Any], path: Path) -> bool:

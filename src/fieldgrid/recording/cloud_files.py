@@ -40,7 +40,7 @@ def _time_ns(path: Path) -> int:
     if path.suffix.lower() in (".las", ".laz"):
         return las_time_ns(path, MAX_BYTES)
     raise RecordingError(
-        f"The cloud name {path.name} is no UTC time in nanoseconds; rename the clouds, or add "
+        f"The cloud name {path.name} is no UTC time in s, ms, us or ns; rename the clouds, or add "
         f"{TABLE} with frame_id, timestamp_utc_s, cloud."
     )
 

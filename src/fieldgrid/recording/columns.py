@@ -9,14 +9,20 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.recording.times import UNITS, zone_s
+from fieldgrid.recording.times import UNITS, zone_scale
 
 _SPEEDS = {
     "mps": 1.0, "m_s": 1.0, "mmps": 1e-3, "mm_s": 1e-3, "cm_s": 1e-2,
     "kmh": 1 / 3.6, "km_h": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704,
     "knots": 1852 / 3600, "knot": 1852 / 3600, "kn": 1852 / 3600, "kts": 1852 / 3600,
 }  # fmt: skip
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048}
+_US_FOOT_M = 1200 / 3937
+_LENGTHS = {
+    "m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0,
+    "ft": 0.3048, "feet": 0.3048, "foot": 0.3048,
+    "us_ft": _US_FOOT_M, "usft": _US_FOOT_M, "ftus": _US_FOOT_M, "us_survey_ft": _US_FOOT_M,
+    "us_survey_feet": _US_FOOT_M,
+}  # fmt: skip
 _ANGLES = {"deg": "deg", "degrees": "deg", "rad": "rad", "radians": "rad"}
 
 HEADING_UNITS = ("deg", "rad", "deg_ccw_east", "rad_ccw_east")
@@ -29,7 +35,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "lon": ("lon", "lng", "long", "longitude", "lon_dd", "longitude_dd", "lon_wgs84"),
     "height": (
         *("ellipsoidal_height", "ellipsoid_height", "height_ellipsoid", "height_ellipsoidal"),
-        *("height_above_ellipsoid", "hae", "height", "h", "up", "alt", "altitude", "elevation"),
+        *("height_above_ellipsoid", "h_ell", "hae", "alt_ellipsoid", "altitude_ellipsoid"),
+        *("height", "h", "up", "alt", "altitude", "elevation"),
         *("ele", "hmsl", "altitude_msl", "alt_msl", "msl"),
     ),
     "quality": (
@@ -74,14 +81,19 @@ _NAMES: dict[str, tuple[str, ...]] = {
         *("head_mot", "heading_of_motion", "heading_motion", "true_course", "bearing"),
     ),
     "date": ("date", "utc_date", "day"),
-    "week": ("week", "weekno", "week_number", "wn"),
+    "week": ("week", "weekno", "week_number", "wn", "wnc", "gwk", "gpsweek"),
     "tow": (
         *("tow", "itow", "time_of_week", "seconds_of_week", "i_tow", "tow_s", "itow_s"),
-        *("tow_ms", "itow_ms", "time_of_week_ms", "time_of_week_s"),
+        *("tow_ms", "itow_ms", "time_of_week_ms", "time_of_week_s", "sow", "seconds_in_week"),
+        *("week_seconds", "gms", "gpstow", "gpssow", "gpsseconds", "gps_seconds"),
     ),
 }  # fmt: skip
-_BEFORE = frozenset({"gps", "gnss", "field", "msg", "navsatfix", "rtk", "position", "pos", "rover"})
-_TIME_WORDS = frozenset({"time", "timestamp", "stamp", "datetime", "utc", "epoch", "t", "tstamp"})
+_BEFORE = frozenset(
+    {"gps", "gnss", "field", "msg", "navsatfix", "rtk", "position", "pos", "rover", "fix"}
+)
+_TIME_WORDS = frozenset(
+    {"time", "timestamp", "stamp", "datetime", "utc", "epoch", "t", "tstamp", "gpst"}
+)
 _NO_TIME_WORDS = frozenset(
     {"delta", "elapsed", "uptime", "duration", "zone", "timezone", "diff", "since", "boot", "fix"}
 )
@@ -89,8 +101,8 @@ _OPTIONS = (
     *("time_units", "time_zone", "time_epoch", "speed_units", "height_units", "heading_units"),
     *("lat_lon_units", "crs"),
 )
-LAT_LON_UNITS = ("deg", "ddmm", "e7")
-"""Of positions: degrees, degrees and minutes in one number as in NMEA, 1e-7 degrees."""
+LAT_LON_UNITS = ("deg", "ddmm", "e7", "rad")
+"""Of positions: degrees, degrees and minutes in one number as in NMEA, 1e-7 degrees, radians."""
 
 # Of a projection, in the place of latitude and longitude.
 _PROJECTED = {
@@ -136,7 +148,7 @@ class Columns:
                 known = ", ".join((*ROLES, *_OPTIONS))
                 raise ConfigError(f"Columns: {role!r} cannot be mapped; known are {known}.")
         for key, known_units in (
-            ("time_units", (*UNITS, "gps_s", "gps_ms")),
+            ("time_units", (*UNITS, *(f"gps_{unit}" for unit in UNITS))),
             ("speed_units", tuple(_SPEEDS)),
             ("height_units", tuple(_LENGTHS)),
             ("heading_units", HEADING_UNITS),
@@ -151,7 +163,7 @@ class Columns:
             raise ConfigError("Columns: crs is of metres; leave lat_lon_units out.")
         if self.time_zone:
             try:
-                zone_s(self.time_zone)
+                zone_scale(self.time_zone)
             except ValueError as problem:
                 raise ConfigError(f"Columns: time_zone {problem}; correct it.") from problem
         if self.time_epoch:
@@ -254,7 +266,9 @@ def time_candidates(header: Sequence[str]) -> list[str]:
     for name in header:
         words = set(re.sub(r"[^a-z0-9]+", " ", name.lower()).split())
         joined = re.fullmatch(r".*(?:time|stamp|epoch).*", name.lower()) is not None
-        if (words & _TIME_WORDS or joined) and not words & _NO_TIME_WORDS:
+        # What begins anew every week is no time by itself, though its size may look like one.
+        of_week = guess("tow", [name]) is not None
+        if (words & _TIME_WORDS or joined) and not words & _NO_TIME_WORDS and not of_week:
             others.append(name)
     return own + [name for name in others if name not in own]
 
@@ -267,6 +281,13 @@ def speed_factor(unit: str) -> float:
 def length_factor(unit: str) -> float:
     """Metres of one unit; 1 for one that is not known."""
     return _LENGTHS.get(unit, 1.0)
+
+
+def metres(cell: str) -> float | None:
+    """The length of a cell that has its unit with it, like 2625.5 ft; None of another."""
+    match = re.fullmatch(r"\s*([+-]?\d+(?:\.\d*)?)\s*([A-Za-z][A-Za-z .]*?)\.?\s*", cell)
+    unit = "" if match is None else re.sub(r"[ .]+", "_", match[2].lower())
+    return None if match is None or unit not in _LENGTHS else float(match[1]) * _LENGTHS[unit]
 
 
 def is_radians(unit: str) -> bool:

@@ -20,6 +20,7 @@ from fieldgrid.recording.columns import (
     how_to_say,
     is_radians,
     length_factor,
+    metres,
     speed_factor,
     take_apart,
 )
@@ -43,6 +44,7 @@ _NUMBERS = ("hdop", "age", "sigma", "accuracy", "speed", "heading", "heading_sig
 _WORDS_ONLY = frozenset(
     {"status", "fix_status", "fix_type", "fixtype", "fix", "carrier", "carrsoln"}
 )
+_HIGHEST_M = 10_000.0
 _FALSE = frozenset({"false", "no", "f", "n", "invalid", "0", "0.0"}) | NOTHING
 
 
@@ -193,9 +195,20 @@ class _Plan:
         if "height" not in self.places:
             return np.zeros(len(block.rows))
         said = self.columns.height_units
-        metres = length_factor(said) if said else self._length("height")
-        heights = self._numbers("height", block) * metres
+        unit_m = length_factor(said) if said else self._length("height")
+
+        def in_units(cell: str) -> float | None:
+            length_m = metres(cell)
+            return None if length_m is None else length_m / unit_m
+
+        heights = self.table.numbers(block, self.places["height"], in_units) * unit_m
         missing = np.isnan(heights)
+        if not missing.all() and np.median(np.abs(heights[~missing])) > _HIGHEST_M:
+            raise RecordingError(
+                f"{self.table.path}: {self.table.header[self.places['height']]} is "
+                f"{np.median(heights[~missing]):.12g} m, higher than any field; say its unit: "
+                f"{how_to_say(height_units='mm')}, or cm or ft."
+            )
         self.counts["rows without a height: taken as 0 m"] += int(missing.sum())
         return np.where(missing, 0.0, heights)
 

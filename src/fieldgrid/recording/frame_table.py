@@ -9,7 +9,9 @@ from typing import NamedTuple
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recording.images import SUFFIXES
+from fieldgrid.recording.in_folder import InFolder
 from fieldgrid.recording.stored import Shot, checked_shots
+from fieldgrid.recording.times import UNITS, guess_scale, to_utc_ns
 
 TimeOf = Callable[[Path], int]
 """The time of a file that its name does not tell, UTC in nanoseconds; RecordingError without."""
@@ -57,21 +59,31 @@ def read_frames(
         return (), ()
     path = folder / (table or TABLE)
     if table is not None or path.exists():
-        shots = _from_table(path, layout)
+        in_folder = InFolder(folder)
+        shots = _from_table(path, layout, in_folder)
         checked = checked_shots(shots, folder, layout.what, incomplete=layout.incomplete)
-        return checked, _out_of_order(shots, path)
+        return checked, (*_out_of_order(shots, path), *_moved(in_folder, path))
     shots, notes = _from_names(folder, layout)
     return checked_shots(shots, folder, layout.what), notes
 
 
-def _from_table(path: Path, layout: Layout) -> list[Shot]:
+def _moved(in_folder: InFolder, path: Path) -> tuple[str, ...]:
+    if not in_folder.elsewhere:
+        return ()
+    return (
+        f"{path.name} names files in {in_folder.elsewhere}, which is not here; those of the same "
+        "names in the recording are taken.",
+    )
+
+
+def _from_table(path: Path, layout: Layout, in_folder: InFolder) -> list[Shot]:
     shots: list[Shot] = []
     for line, row in read_table(path, needed_columns(layout), named=frame_columns):
         if len(shots) == MAX_FRAMES:
             raise RecordingError(
                 f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
             )
-        shots.append(shot_of_row(row, f"{path}, line {line}", layout))
+        shots.append(shot_of_row(row, f"{path}, line {line}", layout, in_folder))
     return shots
 
 
@@ -105,17 +117,22 @@ def frame_columns(header: list[str]) -> list[str]:
     return ["frame_id" if name == "id" else name for name in header]
 
 
-def shot_of_row(row: dict[str, str], where: str, layout: Layout) -> Shot:
-    """The frame that a row of a table tells; `where` is what an error calls the row."""
+def shot_of_row(
+    row: dict[str, str], where: str, layout: Layout, in_folder: Callable[[str], str]
+) -> Shot:
+    """The frame that a row of a table tells; `where` is what an error calls the row, `in_folder`
+    gives the path of a file in the recording."""
     for column in needed_columns(layout):
         if not row[column]:
             raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
     # Windows parts paths by backslashes.
-    files = tuple(row[column].replace("\\", "/") for column in layout.columns)
+    files = tuple(in_folder(row[column].replace("\\", "/")) for column in layout.columns)
     for name in files:
         if not is_inside(name):
             raise RecordingError(
-                f"{where}: {name!r} leads out of the recording; give a path inside its folder."
+                f"{where}: {name!r} leads out of the recording; give a path inside its folder, "
+                "where a link may stand for files that lie elsewhere (ln -s THEIR_FOLDER "
+                f"{layout.folders[0]})."
             )
     try:
         time_ns = parse_time_ns(row)
@@ -132,8 +149,17 @@ def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ..
         names = [found[stem] for found in listings]
         files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
         shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
+    told = _times_told(common)
     alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
-    return shots, (f"{alone} images without a partner skipped.",) if alone else ()
+    return shots, (*told, f"{alone} images without a partner skipped.") if alone else told
+
+
+def _times_told(names: Collection[str]) -> tuple[str, ...]:
+    """A remark on times as names that are not in nanoseconds."""
+    scale = guess_scale("", sorted(names)[:1], decimal_comma=False)
+    if scale is None or scale.places in (None, UNITS["ns"]):
+        return ()
+    return (f"The names of the files are times: {scale.describe()}.",)
 
 
 def file_time_ns(folder: Path, file: str, layout: Layout) -> int:
@@ -141,11 +167,15 @@ def file_time_ns(folder: Path, file: str, layout: Layout) -> int:
     try:
         return parse_time_ns({"time_ns": PurePath(file).stem})
     except ValueError:
+        stem = [PurePath(file).stem]
+        scale = guess_scale("", stem, decimal_comma=False)
+        if scale is not None and scale.places is not None:
+            return int(to_utc_ns(stem, scale, decimal_comma=False)[0])
         if layout.time_of is not None:
             return layout.time_of(folder / file)
         raise RecordingError(
             f"{folder} has no {TABLE}, and the {layout.file} name {PurePath(file).name} is no UTC "
-            f"time in nanoseconds; add {TABLE} with frame_id, timestamp_utc_s, "
+            f"time in s, ms, us or ns; add {TABLE} with frame_id, timestamp_utc_s, "
             f"{', '.join(layout.columns)}."
         ) from None
 

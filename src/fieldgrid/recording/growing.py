@@ -23,6 +23,7 @@ from fieldgrid.recording.frame_table import (
 from fieldgrid.recording.frames import Frame
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.images import ImageFile
+from fieldgrid.recording.in_folder import InFolder
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.sensors import read_seen
 from fieldgrid.recording.settings_file import (
@@ -60,6 +61,7 @@ class GrowingFolder:
     kind: FrameKind
     _settings: Settings
     _layout: Layout
+    _in_folder: InFolder
     _is_first: bool = True
     _names: list[set[str]] = field(default_factory=list)
     """Of each folder of the layout, what it held the last time."""
@@ -190,7 +192,8 @@ class GrowingFolder:
             if not any(cells):
                 return None
             cells += [""] * len(self._header)
-            return shot_of_row(dict(zip(self._header, cells, strict=False)), where, self._layout)
+            row = dict(zip(self._header, cells, strict=False))
+            return shot_of_row(row, where, self._layout, self._in_folder)
         cells, needed = frame_columns(cells), needed_columns(self._layout)
         if not set(needed) <= set(cells):
             raise RecordingError(f"{where} is no header with at least {', '.join(needed)}.")
@@ -227,4 +230,5 @@ def open_growing(path: str | Path, options: DriveOptions | None = None) -> Growi
         seen.kind,
         settings,
         seen.layout,
+        InFolder(path),
     )

@@ -36,6 +36,14 @@ def image_format(
     return ImageFormat(settings.bayer, bits), (note,)
 
 
+def stored_size_px(folder: Path, shots: Sequence[Shot]) -> tuple[int, int] | None:
+    """(width, height) of the first image; None where there is none yet, or it cannot be read."""
+    try:
+        return ImageFile(folder / shots[0].files[0]).size_px() if shots else None
+    except RecordingError:
+        return None
+
+
 def _deep_pixels(path: Path) -> Pixels | None:
     """The pixels of an image if they have 16 bits; what is wrong with an image is said when it is
     used."""

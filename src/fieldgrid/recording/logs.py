@@ -13,14 +13,17 @@ from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.files import DELIMITERS, open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.fix_table import read_fix_table
+from fieldgrid.recording.foreign import refuse_foreign
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.isoxml import is_time_log, read_time_log
 from fieldgrid.recording.options import DriveOptions
+from fieldgrid.recording.rtklib import SUFFIXES as SOLUTIONS
+from fieldgrid.recording.rtklib import is_solution, read_solution
 from fieldgrid.recording.settings_file import Settings
 from fieldgrid.recording.stream_log import looks_like_stream, read_stream
 from fieldgrid.recording.tables import COMMENTS, split_header
 
-SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"})
+SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"}) | SOLUTIONS
 """File name endings of GNSS logs, in lower case; ``.gz`` may follow."""
 
 _HEAD_BYTES = 1 << 16
@@ -78,8 +81,8 @@ def _is_binary_time_log(path: Path) -> bool:
 def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     """The fixes of a log, whose kind is told by its content.
 
-    NMEA, UBX or both; a table (`columns` says what its names do not); an ISO 11783-10 time
-    log (or the folder of a single one). Any but the last may be packed by gzip.
+    NMEA, UBX or both; a table (`columns` says what its names do not); a solution of RTKLIB; an
+    ISO 11783-10 time log (or the folder of a single one). Any but the last may be packed by gzip.
     """
     if is_time_log(path):
         return read_time_log(path)
@@ -87,10 +90,13 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
         head = stream.read(_HEAD_BYTES)
     if not head.strip(b"\0\r\n\t "):
         return FixLog(FixColumns.of([]), (f"{path.name}: the file is empty.",))
+    if is_solution(head):
+        return read_solution(path, columns)
     is_table = _looks_like_table(head)
     # Sentences in a column are a stream, unless it is said what the columns are.
     if looks_like_stream(head) and (columns is None or not is_table):
         return read_stream(path)
+    refuse_foreign(path, head)
     if is_table:
         return read_fix_table(path, columns)
     return read_stream(path)  # the receiver may have begun with something else
@@ -142,7 +148,7 @@ def open_log(path: Path, options: DriveOptions) -> Drive:
 
 FORMAT = Format(
     "GNSS log",
-    "a log of NMEA, UBX or a table, or an ISO 11783-10 time log",
+    "a log of NMEA, UBX, RTKLIB or a table, or an ISO 11783-10 time log",
     lambda path: path.is_file() or is_time_log(path),
     open_log,
 )

@@ -11,6 +11,7 @@ from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry, logs
 from fieldgrid.recording.columns import Columns
 from fieldgrid.recording.drive import Drive, Recording
 from fieldgrid.recording.fetched import fetch, is_url
+from fieldgrid.recording.foreign import about_folder, refuse_foreign
 from fieldgrid.recording.format import find_format, formats, register_format
 from fieldgrid.recording.frame_table import TABLE
 from fieldgrid.recording.given_poses import with_given_poses
@@ -46,23 +47,28 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         if path.name == TABLE:
             raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
         found = find_format(path)
-        if found is not None:
-            options = options or DriveOptions()
-            drive = replace(found.open(path, options), kind=found.name)
-            given = drive.pose_source
-            if options.poses is not None:
-                given = options.poses.over(given)
-            try:
-                return with_given_poses(drive, given)
-            except BaseException:
-                drive.close()
-                raise
+        if found is bag.FORMAT:
+            refuse_foreign(path)  # ZED's container is that of ROS, its content is not
+        if found is None:
+            kinds = "; ".join(f"{one.looks_for} ({one.name})" for one in formats())
+            raise RecordingError(
+                f"{path} is no recording; looked for {kinds}; give one of these."
+                f"{about_folder(path)}"
+            )
+        options = options or DriveOptions()
+        drive = replace(found.open(path, options), kind=found.name)
+        given = drive.pose_source
+        if options.poses is not None:
+            given = options.poses.over(given)
+        try:
+            return with_given_poses(drive, given)
+        except BaseException:
+            drive.close()
+            raise
     except OSError as problem:
         raise RecordingError(
             f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."
         ) from problem
-    kinds = "; ".join(f"{one.looks_for} ({one.name})" for one in formats())
-    raise RecordingError(f"{path} is no recording; looked for {kinds}; give one of these.")
 
 
 def open_recording(

@@ -11,7 +11,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import unprojected
-from fieldgrid.recording.columns import how_to_say
+from fieldgrid.recording.columns import how_to_say, is_radians, take_apart
 from fieldgrid.recording.tables import Block, Table
 
 _E7 = 1e8
@@ -28,7 +28,7 @@ _ANGLE = re.compile(
 
 class Places(NamedTuple):
     """Where a table has its positions: columns of latitude and longitude, or, in a projection
-    `crs`, of northing and easting. `units` are `deg`, `ddmm` or `e7`, '' for what is found."""
+    `crs`, of northing and easting. `units` are those of `LAT_LON_UNITS`, '' for what is found."""
 
     table: Table
     lat_place: int
@@ -44,6 +44,8 @@ class Places(NamedTuple):
             return unprojected(self.crs, lat, lon)
         if self.units == "ddmm":
             return _of_minutes(lat), _of_minutes(lon)
+        if self.units == "rad":
+            return np.degrees(lat), np.degrees(lon)
         return (lat * 1e-7, lon * 1e-7) if self.units == "e7" else (lat, lon)
 
     def settled(self) -> tuple[Places, tuple[str, ...]]:
@@ -54,6 +56,10 @@ class Places(NamedTuple):
         if self.units or self.crs:
             what = f"coordinates of {self.crs}" if self.crs else f"in {self.units}"
             return self, (f"{self.table.path.name}: positions {what}.",)
+        if all(
+            is_radians(take_apart(self._name(at)).unit) for at in (self.lat_place, self.lon_place)
+        ):
+            return self._replace(units="rad"), ()
         lat, lon = self.lat_lon(self.table.sample)
         known = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon))
         if not known.size:

@@ -17,7 +17,7 @@ from fieldgrid.recording.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
 from fieldgrid.recording.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
 from fieldgrid.recording.files import read_table
 from fieldgrid.recording.frame_table import PAIRS, TABLE, Layout, frame_columns, read_frames
-from fieldgrid.recording.image_format import image_format
+from fieldgrid.recording.image_format import image_format, stored_size_px
 from fieldgrid.recording.mounting import Mounting
 from fieldgrid.recording.settings_file import Settings
 from fieldgrid.recording.stored import FrameKind, PairKind, Shot
@@ -94,9 +94,11 @@ def _kinds(path: Path, settings: Settings) -> list[str]:
 def _pairs(
     path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
 ) -> Seen:
-    calibration = read_calibration(path / CALIBRATION, settings.calibration, settings.rectified)
-    rig = mounting.rig(calibration.camera, offset_ns)
     shots, notes = read_frames(path, settings.frames, layout)
+    calibration = read_calibration(
+        path / CALIBRATION, settings.calibration, settings.rectified, stored_size_px(path, shots)
+    )
+    rig = mounting.rig(calibration.camera, offset_ns)
     stored, image_notes = image_format(path, shots, settings)
     size_px = (rig.camera.width_px, rig.camera.height_px)
     kind = PairKind(size_px, calibration.rectifier, stored)

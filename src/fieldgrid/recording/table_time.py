@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.columns import Columns, epoch_s, guess, how_to_say, time_candidates
@@ -16,10 +18,12 @@ from fieldgrid.recording.times import (
     gps_week_ns,
     guess_scale,
     to_utc_ns,
-    zone_s,
+    zone_scale,
 )
 
 _OWN = ("time_ns", "timestamp_utc_s")
+_FIRST_WEEK = 1024
+"""Of August 1999: no drive is older, but a receiver may count modulo 1024."""
 
 
 class TimeColumn(NamedTuple):
@@ -71,8 +75,9 @@ def find_time(table: Table, columns: Columns) -> TimeColumn:
         tried = f" ({', '.join(_shown(table, n) for n in names)[:200]} can not be read as one)"
         raise RecordingError(
             f"{table.path} has no column with UTC times{tried if names else ''}; name it: "
-            f"{how_to_say(time='COLUMN')}, and, if need be, time_units=s, ms, us, ns, gps_s or "
-            "gps_ms; of a time that counts from the start of a drive or a week, or from midnight, "
+            f"{how_to_say(time='COLUMN')}, and, if need be, time_units=s, ms, us, ns, gps_s, "
+            "gps_ms, gps_us or gps_ns; of GPS's weeks, name both columns: week=COLUMN,tow=COLUMN; "
+            "of a time that counts from the start of a drive or a week, or from midnight, "
             "say when that was with time_epoch=2026-05-14T07:30:00Z; write a date with time like "
             "2026-05-14T07:30:00.25Z, or with its day first like 14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
@@ -102,7 +107,6 @@ def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:
 
 
 def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> TimeScale | None:
-    ahead_s = zone_s(columns.time_zone) if columns.time_zone else 0
     if columns.time_epoch:
         places = UNITS[columns.time_units or "s"]
         return TimeScale(places, origin_s=epoch_s(columns.time_epoch), declared=True)
@@ -110,9 +114,12 @@ def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> T
         unit = columns.time_units.removeprefix("gps_")
         return TimeScale(UNITS[unit], gps=unit != columns.time_units)
     scale = guess_scale(name.lower(), cells, table.decimal_comma)
-    if scale is not None and scale.places is None and ahead_s:
-        return scale._replace(zone_s=ahead_s)
-    return scale
+    if scale is None or scale.places is not None:
+        return scale
+    if columns.time_zone:
+        said = zone_scale(columns.time_zone)
+        return scale._replace(zone_s=said.zone_s, gps=said.gps and not scale.zoned)
+    return scale._replace(gps="gpst" in name.lower() and not scale.zoned)
 
 
 def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
@@ -120,6 +127,12 @@ def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
     tow = columns.names.get("tow") or guess("tow", table.header)
     if not (week and tow and week in table.header and tow in table.header):
         return None
+    weeks = table.numbers(table.sample, table.header.index(week))
+    if weeks.size and np.nanmax(weeks, initial=-np.inf) < _FIRST_WEEK and np.isfinite(weeks).any():
+        raise RecordingError(
+            f"{table.path}: GPS week {np.nanmax(weeks):.0f} is before 1999; if the receiver begins "
+            "anew after 1024 weeks, add 2048 to its weeks (1024 to those before April 2019)."
+        )
     place = table.header.index(tow)
     seconds = table.numbers(table.sample, place)
     # A week has 604,800 s; the time of week of a log that is longer than ten minutes tells.

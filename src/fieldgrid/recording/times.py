@@ -18,6 +18,9 @@ from fieldgrid.recording.tables import NOTHING
 NO_TIME = 0
 """What stands for an empty cell, and for a time before 1980: the receiver had none yet."""
 
+GPS_CLOCK = ("GPST", "GPS")
+"""How the clock of GPS time is called where a zone is asked for."""
+
 UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Units of a time as decimal places of nanoseconds."""
 
@@ -62,6 +65,8 @@ class TimeScale(NamedTuple):
     def describe(self) -> str:
         """The scale in words."""
         if self.places is None:
+            if self.gps:
+                return "date and time of GPS"
             zone = "" if self.zoned else ", no zone: taken as UTC"
             hours = f", {self.zone_s / 3600:+g} h" if self.zone_s else zone
             return f"date and time{hours}"
@@ -142,7 +147,8 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
     A cell that cannot be read raises :class:`UnreadableTimeError`, which has its place.
     """
     if scale.places is None:
-        return _valid(_civil_ns([_as_of_a_day(cell) for cell in cells], scale))
+        times_ns = _civil_ns([_as_of_a_day(cell) for cell in cells], scale)
+        return _valid(_of_gps_clock(times_ns) if scale.gps else times_ns)
     if decimal_comma:
         cells = [cell.replace(",", ".") for cell in cells]
     if scale.declared:
@@ -179,6 +185,11 @@ def _from_gps(weeks: Int64, of_week_ns: Int64) -> Int64:
         except ValueError:
             times_ns.append(NO_TIME)
     return np.array(times_ns, dtype=np.int64)
+
+
+def _of_gps_clock(times_ns: Int64) -> Int64:
+    """UTC of what a clock of GPS time showed, as if it had been UTC."""
+    return _from_gps(*np.divmod(times_ns - GPS_EPOCH_UNIX_S * _S, _WEEK_NS))
 
 
 def _valid(time_ns: Int64) -> Int64:
@@ -314,3 +325,9 @@ def zone_s(text: str) -> int:
         )
     seconds = int(match[2]) * 3600 + int(match[3] or 0) * 60
     return -seconds if match[1] == "-" else seconds
+
+
+def zone_scale(text: str) -> TimeScale:
+    """The scale of dates and times whose clock is that of a zone, as :func:`zone_s` reads it, or
+    GPST: that of GPS, which has no leap seconds."""
+    return TimeScale(gps=True) if text.upper() in GPS_CLOCK else TimeScale(zone_s=zone_s(text))

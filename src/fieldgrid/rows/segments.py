@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import correlate1d, gaussian_filter1d
-from scipy.signal import find_peaks
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -164,6 +163,8 @@ def _segments_of(
     points_m: Float64, middle_m: Float64, angle: float, crop: Crop
 ) -> list[tuple[Float64, Float64, float, int, float]]:
     """The rows of one patch as straight lines of the given direction, each turned as it fits."""
+    from scipy.signal import find_peaks  # late: it imports all of scipy.stats
+
     side = crop.patch_m
     along, across = _axes(angle)
     local = points_m - middle_m
