@@ -164,7 +164,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
                     return
 
         feed = process.stderr.readline().decode()
-        port = re.search(r"connects to tcp://127\.0\.0\.1:(\d+)\n", feed)
+        port = re.search(r"every client of tcp://127\.0\.0\.1:(\d+)\n", feed)
         assert port is not None
         link = re.search(
             r"follows the vehicle is (http://\S+/)#", process.stderr.readline().decode()

@@ -20,7 +20,7 @@ def test_a_survey_on_the_command_line(two_lanes_map: Path, tmp_path: Path, field
     survey.write_text(SURVEY)
     shown = fieldgrid("evaluate", two_lanes_map, survey, "--things")
     assert shown.status == 0
-    assert "false ones are not counted" in shown.out
+    assert "false objects are not counted" in shown.out
     result = json.loads(fieldgrid("evaluate", two_lanes_map, survey, "--json").out)
     person, row = result["kinds"]
     assert (person["found"], person["surveyed"], row["found"]) == (1, 2, 1)

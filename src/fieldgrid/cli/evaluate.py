@@ -177,9 +177,8 @@ def _print_scores(result: Evaluation) -> None:
         output.print_line(f"{result.unmatched_frames} frames of the map are not in this truth")
     if result.unlevelled_frames:
         output.print_line(
-            f"position errors hold the vehicle's lean: {result.unlevelled_frames} frames tell none "
-            "and are where the camera were if it stood level, the truth where it is; the cells are "
-            "compared as they lie"
+            f"position errors include roll and pitch: {result.unlevelled_frames} frames have none "
+            "and are placed as if the vehicle stood level, unlike the truth; cells are not affected"
         )
 
 
