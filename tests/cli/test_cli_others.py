@@ -402,7 +402,7 @@ def test_evaluate_json(fieldgrid: Run, two_lanes_map: Path) -> None:
     ("truth", "message"),
     [
         ("nowhere", "no truth folder .*nowhere; give the folder"),
-        (str(TWO_LANES), r"The truth folder lacks obstacle_raster_5cm\.npz; looked for"),
+        (str(TWO_LANES / "gnss"), r"The truth folder lacks obstacle_raster_5cm\.npz; looked for"),
     ],
 )
 def test_a_truth_that_is_none(
