@@ -190,6 +190,18 @@ def leapt(north_m: float, hole_share: float = 0.0) -> Damage:
     return received(change)
 
 
+def drifted(north_m: Callable[[float], float]) -> Damage:
+    """All positions lie north by what a share of the log is given."""
+
+    def change(share: float, _: int, fields: list[str]) -> list[str]:
+        where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
+        if where is not None and fields[where]:
+            fields[where] = f"{float(fields[where]) + north_m(share) / 1852.0:012.7f}"
+        return fields
+
+    return received(change)
+
+
 def _coarse(share: float, epoch: int, fields: list[str]) -> list[str]:
     """Four digits of a minute: 19 cm."""
     where = {"GGA": 2, "RMC": 3}.get(fields[0][2:])
@@ -286,6 +298,11 @@ DAMAGES: dict[str, Damage] = {
     "receiver 0.2 m off from the middle": leapt(0.2),
     "receiver 0.6 m off after a hole": leapt(0.6, 0.1),
     "receiver 1.5 m off from the middle": leapt(1.5),
+    "receiver drifts 2 m by the end": drifted(lambda share: 2.0 * share),
+    "receiver drifts 1 m by the end": drifted(lambda share: share),
+    "receiver drifts 1 m and back": drifted(
+        lambda share: math.sin(math.pi * min(max(2.0 * share - 0.5, 0.0), 1.0)) ** 2
+    ),
     "receiver of four digits": received(_coarse),
     "IMU turned by 90 deg": sensed(lambda s: s[:, [1, 0, 2, 4, 3, 5]] * [1, -1, 1, 1, -1, 1]),
     "IMU upside down": sensed(lambda s: s * [1, -1, -1, 1, -1, -1]),

@@ -16,6 +16,7 @@ from benchmarks import (
     heading_harvester,
     heading_honesty,
     heading_road,
+    heading_stops,
     heading_tractor,
     heading_vineyard,
 )
@@ -48,6 +49,12 @@ SECTIONS = (
         "simulated drives with gyros right and wrong, beside the truth",
         Path("."),
         heading_gyro.report,
+    ),
+    Section(
+        "stops",
+        "simulated vehicles that stop, positions only: errors in sigmas, driving and at rest",
+        Path("."),
+        heading_stops.report,
     ),
     Section(
         "doubt",

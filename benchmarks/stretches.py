@@ -34,7 +34,7 @@ def report() -> Iterator[str]:
     """A line for each denial, and their count."""
     random = np.random.default_rng(SEED)
     made = refused = denied = 0
-    by_camera = np.zeros(7, dtype=np.int64)
+    by_camera = np.zeros(8, dtype=np.int64)
     for name, logs in RENDERED:
         if not (DATA / name).exists():
             yield f"{name}: absent"
@@ -69,6 +69,7 @@ def report() -> Iterator[str]:
                     scale is not None and scale.is_off,
                     scale is not None and scale.stops,
                     any("solution leaps" in note for note in told.notes),
+                    any("the fixes drift" in note for note in told.notes),
                 )
                 by_camera += np.array(doubts)
                 for note in notes:
@@ -85,6 +86,7 @@ def report() -> Iterator[str]:
                 "scale",
                 "stops",
                 "leaps",
+                "drifts",
             ),
             by_camera.tolist(),
             strict=True,

@@ -290,8 +290,13 @@ def test_the_laws_of_motion(seed: int, gyro: bool) -> None:
     gradient = -jacobian.T @ (weight * r)
     close = {"rel": 1e-4, "abs": 1e-6 * np.abs(gradient).max()}
     assert right_side(system) == pytest.approx(gradient, **close)
-    # Only what is learnt of the steering changes how likely a drive is.
-    assert system.total[1] == pytest.approx(-np.log(way.steering).sum())
+    # Only what is learnt of steering and slow error changes how likely a drive is.
+    slow = np.log([first[1] for first in way.laws(x)[4:6]]).sum()
+    slow += sum(
+        np.log([law[1] for law in way.between(x[k], x[k + 1], k, h)[:2]]).sum()
+        for k, h in enumerate(way.step_s.tolist())
+    )
+    assert system.total[1] == pytest.approx(slow - np.log(way.steering).sum())
 
 
 @pytest.mark.parametrize("gyro", [True, False])

@@ -21,6 +21,7 @@ from fieldgrid.pose.clock import check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied import denied_by, unsure_declared
+from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
 from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
 from fieldgrid.pose.gears import gear_hints
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
@@ -152,6 +153,8 @@ def estimate_poses(
     yaw = camera_yaw(motion.steps, axle) if follows_path else None
     denied = denied_by(drive, declared, clocks)
     table = unsure_declared(_carried(table, rig, source), drive, denied)
+    drifts = drift(drive, axle, denied, clocks) if source.kind == "smooth" else None
+    table = unsure_drift(table, drive, drifts)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
@@ -177,6 +180,7 @@ def estimate_poses(
             ),
             *notes,
             *slope_notes(slope, rig),
+            *drift_notes(drifts),
             *drive_notes(
                 *(drive, log.accepted, declared, axle, denied),
                 *(source, settings, clocks.offset, yaw, trajectory),

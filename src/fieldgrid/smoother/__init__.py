@@ -4,6 +4,7 @@ from fieldgrid.smoother.batch import Smoothed, refine, smooth
 from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, Declared
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
+from fieldgrid.smoother.wander import Wander, wander
 
 __all__ = [
     "AHEAD",
@@ -13,6 +14,8 @@ __all__ = [
     "Declared",
     "Measurements",
     "Smoothed",
+    "Wander",
     "refine",
     "smooth",
+    "wander",
 ]

@@ -22,8 +22,9 @@ from fieldgrid.smoother.rounds import (
 )
 from fieldgrid.smoother.steering import (
     USUAL_STEERING_NOISE,
+    Steering,
     adapted,
-    likeliest_noise,
+    likeliest_steering,
     roughly,
     usual_steering,
 )
@@ -43,7 +44,7 @@ class Smoothed(NamedTuple):
     `heading_offset` (radians), `wheel_scale` and `camera_scale` are the constants; None where
     nothing measures them. `declared` is what the drive makes of what was declared, and `response`
     what that does to headings. `steering` [n - 1] is the variance of the curvature's change that
-    was learnt.
+    was learnt, and `steers` how the vehicle steers.
     """
 
     state: Float64
@@ -58,7 +59,7 @@ class Smoothed(NamedTuple):
     declared: Declared
     response: HeadingResponse
     steering: Float64
-    steering_noise: float
+    steers: Steering
     rounds: int
 
 
@@ -78,7 +79,7 @@ def smooth(
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
     gyro = np.isfinite(measured.turned_rad)
     learns = bool(gyro.size) and float(gyro.mean()) < GYRO_SHARE
-    constants, steering_noise = np.zeros(model.CONSTANTS), USUAL_STEERING_NOISE
+    constants, steers = np.zeros(model.CONSTANTS), Steering(USUAL_STEERING_NOISE, 1.0)
     if not learns:
         found = converged(
             problem,
@@ -89,9 +90,9 @@ def smooth(
     else:
         found = roughly(problem, start, constants)
         del start  # as large as the solution, of a long drive
-        steering_noise = likeliest_noise(problem, found)
-        found = adapted(problem, found, steering_noise)
-    return _with_sigmas(problem, found, steering_noise)
+        steers = likeliest_steering(problem, found)
+        found = adapted(problem, found, steers)
+    return _with_sigmas(problem, found, steers)
 
 
 def refine(
@@ -101,10 +102,10 @@ def refine(
     problem = Problem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
-    return _with_sigmas(problem, found, known.steering_noise)
+    return _with_sigmas(problem, found, known.steers)
 
 
-def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Smoothed:
+def _with_sigmas(problem: Problem, found: Solution, steers: Steering) -> Smoothed:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
     declared, response = tested(problem, found, linear)
@@ -131,7 +132,7 @@ def _with_sigmas(problem: Problem, found: Solution, steering_noise: float) -> Sm
         declared,
         response,
         found.weights.steering,
-        steering_noise,
+        steers,
         found.rounds,
     )
 

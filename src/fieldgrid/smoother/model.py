@@ -133,22 +133,25 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
     """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none).
 
     `steering` [n - 1] is the variance of the curvature's change over each step. Over a hole
-    (`seen` is False) only the gyro and the drifts go on. Of the weights only that of the steering
-    enters the sum of their logarithms: the others are the same whatever is learnt.
+    (`seen` is False) only the gyro and the drifts go on. Of the weights only those of the steering
+    and of the slow error enter the sum of their logarithms: the others are the same whatever is
+    learnt.
     """
     # The equations of one node (0 to 7) and the next (8 to 15), lower triangle.
     pair, side = np.zeros((2 * STATES, 2 * STATES)), np.zeros(2 * STATES)
     # Of literals Numba would compile a function anew for each.
     gyro_bias, speed, curvature = np.int64(GYRO), np.int64(V), np.int64(KAPPA)
     _add_start(pair, side, x, np.int64(0), np.int64(0))
+    total = system[6]
     for state in (BIAS_E, BIAS_N):
         weight = 1.0 / max(bias_m[0], NO_BIAS_M) ** 2
         pair[state, state] += weight
         side[state] -= weight * x[0, state]
+        total[0] += weight * x[0, state] ** 2
+        total[1] += np.log(weight)
     pair[GYRO, GYRO] += 1.0 / GYRO_BIAS_SIGMA**2
     side[GYRO] -= x[0, GYRO] / GYRO_BIAS_SIGMA**2
     index, slope = np.empty(3, np.int64), np.empty(3)
-    total = system[6]
     for k in range(len(step_s)):
         h = step_s[k]
         one, two = max(bias_m[k], NO_BIAS_M), max(bias_m[k + 1], NO_BIAS_M)
@@ -158,6 +161,7 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
         fading, variance = correlation * two / one, two**2 * (1.0 - correlation**2)
         for state in (BIAS_E, BIAS_N):
             total[0] += _add_drift(pair, side, x, k, state, fading, variance)
+        total[1] -= 2.0 * np.log(variance)
         total[0] += _add_drift(pair, side, x, k, gyro_bias, 1.0, GYRO_BIAS_NOISE**2 * h)
         gyro = not np.isnan(turned[k])
         if gyro:

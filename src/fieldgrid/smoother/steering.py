@@ -6,6 +6,8 @@ fits a robot in its row and a mower in the rough.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
@@ -26,6 +28,15 @@ STEERING_NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 USUAL_STEERING_NOISE = 0.05
 
+LEAST_BENT, MOST_BENT = 0.25, 2.0
+"""The curvatures of a drive, as a share of the usual ones, count within these bounds."""
+
+TIGHT_SHARE = 0.98
+"""So much of its way a vehicle bends less than in its tightest turns."""
+
+ENOUGH_TURN = np.radians(120.0)
+"""A drive that never turned by so much does not show how tightly its vehicle can turn."""
+
 ALWAYS_SHARE = 0.5
 """Of the expected steering, what is due to what the vehicle always does."""
 
@@ -42,6 +53,10 @@ and hides steering where noise could."""
 BLIND_S = 0.75
 """Farther in time from every fix, steering is not measured, and any is expected."""
 
+HOLE_S, HOLE_PERIODS = 2.0, 2.5
+"""Longer without a fix, and over so many of a receiver's periods, at least the usual steering is
+expected: what a vehicle does in a hole, the others do not show."""
+
 CLEAR_NATS = 2.0
 """A drive is taken for a calm one only when its fixes clearly say so."""
 
@@ -51,6 +66,14 @@ is enough."""
 
 STRETCHES, STRETCH_NODES = 4, 1000
 """A longer drive is looked at in so many places, to learn how much it steers."""
+
+
+class Steering(NamedTuple):
+    """How a vehicle steers: `noise`, (1/m)/√s, is what it does all the time, and `bent` the
+    curvatures that it drives, as a share of the usual: so much it steers where no fix shows it."""
+
+    noise: float
+    bent: float
 
 
 def usual_steering(step_s: Float64) -> Float64:
@@ -87,45 +110,79 @@ def local_steering(
     return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
 
 
-def adapted(problem: Problem, found: Solution, steering_noise: float) -> Solution:
+def adapted(problem: Problem, found: Solution, steering: Steering) -> Solution:
     """The drive when steering is expected where it was seen, and where it may be hidden."""
     k, measured = model.KAPPA, problem.measured
-    blind, usual = blind_steps(measured), usual_steering(np.diff(measured.time_s))
+    blind = blind_steps(measured)
+    bent = np.where(steps_in_holes(measured), max(steering.bent, 1.0), steering.bent)
+    hidden = bent**2 * usual_steering(np.diff(measured.time_s))
+    found = found._replace(weights=found.weights._replace(steering=hidden))
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         curvature, found = found.x[:, k], improved(problem, found, linear, off)
         known = Covariances.of(linear)
-        steering = local_steering(
-            *(curvature, known.own(k, k), known.with_before(k, k)), measured.time_s, steering_noise
+        seen = local_steering(
+            *(curvature, known.own(k, k), known.with_before(k, k)), measured.time_s, steering.noise
         )
         del linear, off, known  # large, and the next round makes its own
-        weights = found.weights._replace(steering=np.where(blind, usual, steering))
+        weights = found.weights._replace(steering=np.where(blind, hidden, seen))
         found = found._replace(weights=weights)
     return converged(problem, found.x, found.constants, found.weights)
 
 
 def blind_steps(measured: Measurements) -> Bool:
     """Steps [n - 1] on which no fix is near."""
+    before, after = _fixes_around(measured)
+    middle = (measured.time_s[1:] + measured.time_s[:-1]) / 2.0
+    return np.asarray(np.minimum(middle - before, after - middle) > BLIND_S)
+
+
+def steps_in_holes(measured: Measurements) -> Bool:
+    """Steps [n - 1] between fixes that are farther apart than those of the receiver usually are."""
+    before, after = _fixes_around(measured)
+    fixes_s = measured.time_s[np.isfinite(measured.fix_sigma_m[:, 0])]
+    period_s = float(np.percentile(np.diff(fixes_s), 25)) if len(fixes_s) > 1 else 0.0
+    return np.asarray(after - before > max(HOLE_S, HOLE_PERIODS * period_s))
+
+
+def _fixes_around(measured: Measurements) -> tuple[Float64, Float64]:
+    """The times of the last fix before and of the first after the middle of each step."""
     fixes_s = measured.time_s[np.isfinite(measured.fix_sigma_m[:, 0])]
     at = np.concatenate([[-np.inf], fixes_s, [np.inf]])  # a stretch may have none
-    middle = (measured.time_s[1:] + measured.time_s[:-1]) / 2.0
-    after = np.searchsorted(at, middle)
-    apart = np.minimum(middle - at[after - 1], at[after] - middle)
-    return np.asarray(apart > BLIND_S)
+    after = np.searchsorted(at, (measured.time_s[1:] + measured.time_s[:-1]) / 2.0)
+    return at[after - 1], at[after]
 
 
-def likeliest_noise(problem: Problem, found: Solution) -> float:
-    """The steering noise of :data:`STEERING_NOISES` under which the measurements are likeliest.
+def bent_share(measured: Measurements, x: Float64) -> float:
+    """How tightly a vehicle turns, as a share of :data:`model.CURVATURE_SIGMA`, by the states
+    [n, 8] of its drive: a harvester bends its path less within a second than a garden tractor."""
+    if not np.ptp(x[:, model.PHI]) > ENOUGH_TURN:
+        return 1.0
+    step_s = np.diff(measured.time_s)
+    way_m = np.abs(x[1:, model.V] + x[:-1, model.V]) / 2.0 * step_s
+    way_m[~measured.seen | (measured.standing[1:] & measured.standing[:-1])] = 0.0
+    bend = np.abs(x[1:, model.KAPPA] + x[:-1, model.KAPPA]) / 2.0
+    order = np.argsort(bend)
+    passed_m = np.cumsum(way_m[order])
+    tight = bend[order][np.searchsorted(passed_m, TIGHT_SHARE * passed_m[-1])]
+    return float(np.clip(tight / model.CURVATURE_SIGMA, LEAST_BENT, MOST_BENT))
+
+
+def likeliest_steering(problem: Problem, found: Solution) -> Steering:
+    """The curvatures of the drive, and the steering noise of :data:`STEERING_NOISES` under which
+    its measurements are likeliest.
 
     Their likelihood rises to one top, so it is climbed from the usual one. Of a long drive
     some stretches are enough.
     """
     parts = [(part, roughly(part, x, found.constants)) for part, x in stretches(problem, found)]
+    bent = bent_share(problem.measured, found.x)
     tried: dict[int, float] = {}
 
     def likelihood(k: int) -> float:
         if k not in tried:
-            tried[k] = sum(log_likelihood(part, near, STEERING_NOISES[k]) for part, near in parts)
+            steering = Steering(STEERING_NOISES[k], bent)
+            tried[k] = sum(log_likelihood(part, near, steering) for part, near in parts)
         return tried[k]
 
     at = STEERING_NOISES.index(USUAL_STEERING_NOISE)
@@ -134,7 +191,7 @@ def likeliest_noise(problem: Problem, found: Solution) -> float:
             if likelihood(at + step) <= likelihood(at) - step * CLEAR_NATS:
                 break
             at += step
-    return STEERING_NOISES[at]
+    return Steering(STEERING_NOISES[at], bent)
 
 
 def stretches(problem: Problem, found: Solution) -> list[tuple[Problem, Float64]]:
@@ -160,9 +217,14 @@ def roughly(problem: Problem, start: Float64, constants: Float64) -> Solution:
     return converged(problem, start, constants, weights, enough=ROUGHLY)
 
 
-def log_likelihood(problem: Problem, near: Solution, steering_noise: float) -> float:
-    """Of the measurements, every drive considered: Laplace's approximation, up to a constant."""
-    solution = adapted(problem, near, steering_noise)
+def log_likelihood(problem: Problem, near: Solution, steering: Steering) -> float:
+    """Of the measurements under a steering, every drive considered."""
+    return likelihood_of(problem, adapted(problem, near, steering))
+
+
+def likelihood_of(problem: Problem, solution: Solution) -> float:
+    """Of the measurements, every drive around a solution considered: Laplace's approximation, up
+    to a constant."""
     linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
     _, schur = np.linalg.slogdet(linear.schur)
     squared, log_weights = linear.system.total

@@ -1,0 +1,59 @@
+"""Whether the fixes of a drive wander by more than their receiver states."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.smoother import model
+from fieldgrid.smoother.batch import Smoothed
+from fieldgrid.smoother.measurements import Measurements
+from fieldgrid.smoother.rounds import Problem, Solution, converged, stated_weights
+from fieldgrid.smoother.steering import likelihood_of
+
+RATES_M = (0.01, 0.02)
+"""How much a slow error may wander beyond what is stated, m/√s, that is tried: a metre and a half
+in a minute and a half, and half of that."""
+
+FREE_RATE_M = 0.1
+"""Under this one the drift that is found hardly holds back."""
+
+FOREVER_S = 1e9
+"""For so long a part of the slow error lasts that joins it: none fades."""
+
+
+class Wander(NamedTuple):
+    """How much likelier the drive is when its fixes wander, `nats`; how far apart the slow errors
+    of its nodes lie then, `extent_m`; and by how much its headings [n] differ from those of fixes
+    that do not wander, `turned_rad`."""
+
+    nats: float
+    extent_m: float
+    turned_rad: Float64
+
+
+def wander(
+    known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+) -> Wander:
+    """What an estimate `known` from the same measurements says of the wander of its fixes: its
+    likelihood beside that of a slow error that goes on from the stated one at random."""
+
+    def found(rate_m: float) -> tuple[Problem, Solution]:
+        passed_s = measured.time_s - measured.time_s[0]
+        wandering = measured
+        if rate_m > 0.0:
+            wandering = measured._replace(
+                bias_m=np.sqrt(measured.bias_m**2 + rate_m**2 * passed_s),
+                bias_s=np.full_like(measured.bias_s, FOREVER_S),
+            )
+        problem = Problem.of(wandering, lever_m, step_ahead_m)
+        weights = stated_weights(wandering, known.steering)
+        return problem, converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
+
+    stated, *others = (likelihood_of(*found(rate_m)) for rate_m in (0.0, *RATES_M))
+    free = found(FREE_RATE_M)[1].x
+    extent_m = float(np.hypot(*np.ptp(free[:, model.BIAS_E :], axis=0)))
+    turned = free[:, model.PHI] - known.state[:, model.PHI]
+    return Wander(max(others) - stated, extent_m, np.asarray(turned))

@@ -1,0 +1,69 @@
+"""Fixes that drift bit by bit beside the camera's way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fieldgrid.fixes import FixColumns
+from fieldgrid.motion import Motion
+from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.rig import Carrier
+from tests.simulated import DATUM, K_TURN, START, Command, Drive, fixes_of, gyro_of, simulate
+from tests.simulated import steps_of as camera
+
+ROWS = [Command(30.0, 1.2), *K_TURN[1:-1], Command(30.0, 1.2)]
+
+
+def drifting(drive: Drive, drift_m: float) -> FixColumns:
+    """RTK fixes that go north-east bit by bit."""
+    fixes = fixes_of(drive, noise_m=0.008, seed=4)
+    share = (fixes.time_ns - START) / 1e9 / float(drive.time_s[-1])
+    away_m = drift_m * share
+    east, north, up = DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    lat, lon, _ = DATUM.to_geodetic(east + 0.6 * away_m, north + 0.8 * away_m, up)
+    return fixes.replace(lat_deg=lat, lon_deg=lon)
+
+
+def estimated(
+    drive: Drive, fixes: FixColumns, *, seen: bool = True, noise: float = 1.0, late_s: float = 0.0
+) -> Estimate:
+    steps = camera(drive, noise=noise, late_s=late_s, seed=3) if seen else None
+    motion = Motion(gyro=gyro_of(drive, noise_dps=0.05), steps=steps)
+    return estimate_poses(fixes, Carrier(0.0), DATUM, motion=motion)
+
+
+def tells(found: Estimate) -> bool:
+    return any("the fixes drift by about" in note for note in found.report.notes)
+
+
+@pytest.mark.parametrize("drift_m", [2.0, -2.0, 3.0])
+def test_positions_know_of_a_drift_that_the_camera_sees(drift_m: float) -> None:
+    drive = simulate(ROWS, 50.0, speed_mps=1.2)
+    fixes = drifting(drive, drift_m)
+    found = estimated(drive, fixes)
+    one, truth = found.trajectory, drive.at((found.trajectory.time_ns - START) / 1e9)
+    off_m = np.hypot(one.east_m - truth.east_m, one.north_m - truth.north_m)
+    assert tells(found)
+    assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
+    assert one.position_sigma_m.max() < 1.2 * abs(drift_m)
+    turned_deg = np.abs((one.heading_deg - np.degrees(truth.heading_rad) + 180.0) % 360.0 - 180.0)
+    assert (turned_deg <= 3.0 * one.heading_sigma_deg).mean() > 0.98
+    # It is the camera that tells.
+    assert not tells(estimated(drive, fixes, seen=False))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 130.0])
+def test_fixes_that_do_not_drift_are_as_sure_as_ever(noise: float, heading_deg: float) -> None:
+    drive = simulate(ROWS, heading_deg, speed_mps=1.2)
+    found = estimated(drive, drifting(drive, 0.0), noise=noise)
+    assert not tells(found)
+    assert np.median(found.trajectory.position_sigma_m) < 0.03
+
+
+def test_a_clock_that_is_off_is_no_drift() -> None:
+    drive = simulate(ROWS, speed_mps=1.2)
+    found = estimated(drive, drifting(drive, 0.0), late_s=0.4)
+    assert found.report.clock is not None
+    assert not tells(found)
