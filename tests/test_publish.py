@@ -186,4 +186,4 @@ def test_what_a_killed_program_made_on_the_way_is_swept(tmp_path: Path) -> None:
 def test_a_system_without_file_locks_says_what_helps() -> None:
     code = "import sys; sys.modules['fcntl'] = None; import fieldgrid.publish"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "needs the file locks of Linux or macOS; on Windows run it in WSL 2." in done.stderr
+    assert "needs the file locks of Linux; on Windows use WSL 2." in done.stderr

@@ -19,9 +19,7 @@ from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 try:
     import fcntl
 except ImportError as error:
-    raise ImportError(
-        "fieldgrid needs the file locks of Linux or macOS; on Windows run it in WSL 2."
-    ) from error
+    raise ImportError("fieldgrid needs the file locks of Linux; on Windows use WSL 2.") from error
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
@@ -394,12 +392,13 @@ def check_place(target: Path) -> None:
 
 
 def _unwritable(target: Path, error: OSError) -> MapWriteError:
-    if error.errno == errno.ENOSPC:
-        return MapWriteError(f"The disk is full and {target} was not written; free some space.")
-    if error.errno == errno.ENOENT:
-        return MapWriteError(f"{target} was not written: its folder does not exist; make it first.")
-    if error.errno == errno.ENAMETOOLONG:
-        return MapWriteError(f"{target} was not written: its name is too long; give a shorter one.")
-    return MapWriteError(
+    not_written = f"{target} was not written"
+    known = {
+        errno.ENOSPC: f"The disk is full and {not_written}; free some space.",
+        errno.ENOENT: f"{not_written}: its folder does not exist; make it first.",
+        errno.ENAMETOOLONG: f"{not_written}: its name is too long; give a shorter one.",
+    }
+    other = (
         f"{target} could not be written ({error.strerror}); check the folder and its permissions."
     )
+    return MapWriteError(known.get(error.errno or 0, other))

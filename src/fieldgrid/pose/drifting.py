@@ -58,5 +58,6 @@ def drift_notes(found: Wander | None) -> Iterator[str]:
         yield (
             f"By the camera the fixes drift by about {found.extent_m:.1f} m within the drive, more "
             "than they state, and nothing shows where they are right: positions count as good to "
-            f"{found.extent_m / 2.0:.1f} m. Look at the receiver's base station and corrections."
+            f"{found.extent_m / 2.0:.1f} m. Check the receiver's base station and corrections, and "
+            "the mounting of an IMU: one that is tilted looks the same."
         )
