@@ -17,7 +17,7 @@ PACKAGE = "fieldgrid"
 # A room is a module or a package directly under `fieldgrid`. A room may import rooms of
 # the layers above its own line, never one of its own line or below.
 LAYERS = (
-    ("array_types", "choices", "closing", "limits", "version"),
+    ("array_types", "choices", "closing", "file_locks", "limits", "version"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
         *("plane_fit", "publish", "measured", "reasons", "utc"),

@@ -15,11 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
-
-try:
-    import fcntl
-except ImportError as error:
-    raise ImportError("fieldgrid needs the file locks of Linux; on Windows use WSL 2.") from error
+from fieldgrid.file_locks import lock
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 _NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
@@ -289,7 +285,7 @@ def _hold(descriptor: int, draft: Path) -> bool:
     """Mark a draft as in use; the system lets go of it when this program ends, however it does.
     False where another program has taken it for an orphan in the moment before."""
     with suppress(OSError):  # a file system without locks
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        lock(descriptor, wait=True)
     try:
         return os.path.samestat(os.fstat(descriptor), draft.stat())
     except FileNotFoundError:
@@ -303,7 +299,7 @@ def holding(file: Path) -> Iterator[bool]:
     descriptor = os.open(file, os.O_RDWR)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(descriptor, wait=False)
         except OSError:
             yield False
         else:
@@ -354,7 +350,7 @@ def _remove_orphans(place: Path) -> None:
         with suppress(OSError):
             held = os.open(orphan, os.O_RDONLY)
             try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(held, wait=False)
                 if orphan.is_dir():
                     shutil.rmtree(orphan)
                     continue
