@@ -7,12 +7,11 @@ import pytest
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.pose import Estimate, conditioned, estimate_poses
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import denied_by
 from fieldgrid.pose.drive import smooth_drive
-from fieldgrid.pose.estimate import conditioned
 from fieldgrid.rig import Carrier, LeverArm, Vehicle
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant, Declared

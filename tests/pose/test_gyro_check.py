@@ -14,8 +14,7 @@ from fieldgrid.build import visual_odometry
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.pose.estimate import conditioned
+from fieldgrid.pose import Estimate, conditioned, estimate_poses
 from fieldgrid.pose.gyro_check import turn_ratio
 from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording

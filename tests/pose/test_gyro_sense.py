@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fieldgrid.pose import conditioned
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.estimate import conditioned
 from fieldgrid.pose.gyro_sense import CLEAR_NATS, gyro_sense
 from fieldgrid.settings import PoseSettings
 from tests.simulated import (

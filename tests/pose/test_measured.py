@@ -7,8 +7,7 @@ import pytest
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Motion, WheelSpeed
-from fieldgrid.pose import estimate_poses
-from fieldgrid.pose.estimate import conditioned
+from fieldgrid.pose import conditioned, estimate_poses
 from fieldgrid.pose.measured import _pace_mps, wheel_speed_at
 from fieldgrid.rig import Carrier
 from fieldgrid.settings import PoseSettings

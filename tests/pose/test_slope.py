@@ -9,8 +9,7 @@ import pytest
 
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.pose.estimate import conditioned
+from fieldgrid.pose import conditioned, estimate_poses
 from fieldgrid.pose.slope import Slope, slope_notes, slope_seen
 from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import PoseSettings

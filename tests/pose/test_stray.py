@@ -10,9 +10,8 @@ from fieldgrid.array_types import Bool
 from fieldgrid.fixes import FixColumns
 from fieldgrid.gnss import Gate, condition
 from fieldgrid.motion import Motion
-from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.pose import Estimate, conditioned, estimate_poses
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.estimate import conditioned
 from fieldgrid.pose.gears import breaks
 from fieldgrid.rig import Carrier
 from fieldgrid.settings import PoseSettings

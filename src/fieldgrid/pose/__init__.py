@@ -3,7 +3,8 @@
 from fieldgrid.pose.accepted import datum_of, no_fix_sentence
 from fieldgrid.pose.clock_search import ClockOffset, ClockSearch
 from fieldgrid.pose.convention import Comparison
-from fieldgrid.pose.estimate import Estimate, carry_lever, conditioned, estimate_poses
+from fieldgrid.pose.estimate import Estimate, carry_lever, estimate_poses
+from fieldgrid.pose.fused import conditioned
 from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.given import GIVEN
 from fieldgrid.pose.levelled import tells_attitude

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,41 +11,28 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import ConfigError, GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import NO_STRAYS, condition, summarise
+from fieldgrid.gnss import condition, summarise
 from fieldgrid.motion import Motion
-from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
-from fieldgrid.pose.axle import axle_by_gyro, axle_forward_m, axle_of
-from fieldgrid.pose.camera_yaw import camera_yaw
-from fieldgrid.pose.clock import check_clock
+from fieldgrid.pose.axle import axle_forward_m
+from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
+from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import Comparison, compare
-from fieldgrid.pose.denied import denied_by, unsure_declared
+from fieldgrid.pose.denied import Denied, denied_by, unsure_declared
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
-from fieldgrid.pose.drive import Drive, smooth_drive, with_recorded
-from fieldgrid.pose.gears import gear_hints
+from fieldgrid.pose.drive import Drive, with_recorded
+from fieldgrid.pose.fused import Fused, conditioned, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
-from fieldgrid.pose.gyro_check import with_trusted_gyro, without_wrong_gyro
-from fieldgrid.pose.gyro_faults import without_faulty_samples
-from fieldgrid.pose.imu_turn import imu_turn
-from fieldgrid.pose.levelled import (
-    find_lean,
-    leaning,
-    levelled_fixes,
-    levelled_motion,
-    tells_attitude,
-    unsure_lean,
-)
+from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
 from fieldgrid.pose.measured import RecordedHeadings
 from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
-from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
-from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
-from fieldgrid.pose.table import Conditioned, PoseTable, pose_table
+from fieldgrid.pose.table import PoseTable, pose_table
 from fieldgrid.pose.verdict import Budget, judged
-from fieldgrid.pose.wheel_sense import with_right_wheels
 from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
 from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import Wander
 from fieldgrid.trajectory import Trajectory
 
 
@@ -87,77 +73,40 @@ def estimate_poses(
             "--frame-origin and --frame-heading say where given poses lie, and none are used; give "
             "--poses FILE with the heading smooth, or leave them out."
         )
-    # Which fixes a vehicle can have driven through.
-    log = conditioned(fixes, settings, datum)
-    # Forward or reverse, and one batch estimate of everything that was measured.
-    hints = gear_hints(settings)
-    # By what the drive carries, used here or not: so its grids were made.
+    # By what the drive carries, used or not: so its grids were made.
     level_grids = level_grids and tells_attitude(motion)
-    motion, faulty_gyro = without_faulty_samples(motion)
-    motion, turned_wheels = with_right_wheels(motion)
-    gyro = motion.gyro
-    motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
-    declared, axle = rig, axle_of(rig, motion.steps)
-    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    strays: dict[int, str] = {}
-    for _ in range(MOST_ROUNDS):
-        if not (more := stray_fixes(drive, log)):
-            break
-        strays |= more
-        log = conditioned(log.fixes, settings, log.datum, strays)
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    trusted = with_trusted_gyro(drive, log.accepted, log.fixes.time_ns, motion, axle, hints)
-    drive, motion = trusted.drive, trusted.motion
-    told = axle_by_gyro(axle, drive.smoothed.declared.ahead_m) if drive.at.has_gyro() else axle
-    if told != axle:
-        axle = told
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    rig = axle.vehicle
-    # The same of a vehicle that stands level, once its headings have told how it leans.
-    turned_imu = imu_turn(motion.steps, motion.inertial)
-    lean = find_lean(log.accepted, drive, motion, rig, frame_ns)
-    if lean is not None:
-        log = log._replace(accepted=levelled_fixes(log.accepted, lean))
-        motion = levelled_motion(motion, lean)
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
-    # A solution that goes on elsewhere, as the camera sees.
-    if rig is not None and (seen := seen_leaps(log.accepted, drive, motion.steps, rig.antenna)):
-        log = log._replace(accepted=accepted_fixes(log.fixes, log.verdicts, log.datum, seen))
-        if lean is not None:
-            log = log._replace(accepted=levelled_fixes(log.accepted, lean))
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
+    found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
     # A recorded heading joins once the drive has shown what it means.
-    recorded_deg, comparison, notes = _recorded(log, drive, rig, source, settings)
+    recorded_deg, comparison, notes = _recorded(found, source, settings)
     if motion.poses is not None:
         notes.append(f"The given poses were not used, since headings shall be {source}.")
+    log, drive, axle, lean = found.log, found.drive, found.axle, found.lean
     if source.kind == "smooth" and np.isfinite(recorded_deg).any():
         recorded = RecordedHeadings(recorded_deg)
         if comparison is not None:
             recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
-        drive = with_recorded(drive, log.accepted, motion, axle, recorded, hints)
-    # A row for each fix and each instant between, carried to the grid origin and judged.
-    table, fix_row = pose_table(source, log, drive, recorded_deg, rig, settings)
+        drive = with_recorded(drive, log.accepted, found.motion, axle, recorded, found.hints)
+    # What the drive denies of clocks, antenna and camera.
+    checks = _checked(found, drive, rig, source, follows_path=not np.isfinite(recorded_deg).any())
+    # A row for each fix and each instant between, as unsure as all of that makes it.
+    table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
     if source.kind == "smooth":
-        unsure_deg = trusted.unsure_at(table.time_ns)
+        unsure_deg = found.trusted.unsure_at(table.time_ns)
         table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
     slope = FLAT
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
-    elif rig is not None:
+    elif axle.vehicle is not None:
         slope = slope_seen(log.accepted)
-        table = unsure_slope(table, slope, rig, turns_seen=drive.turns_seen)
-    # A gyro of another clock than the fixes is not used, and yet tells that of the images.
-    clocks = check_clock(drive, log.accepted, motion, axle, hints, recorded=gyro)
-    # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
-    follows_path = source.kind == "smooth" and not np.isfinite(recorded_deg).any()
-    yaw = camera_yaw(motion.steps, axle) if follows_path else None
-    denied = denied_by(drive, declared, clocks)
-    table = unsure_declared(_carried(table, rig, source), drive, denied)
-    drifts = drift(drive, axle, denied, clocks) if source.kind == "smooth" else None
-    table = unsure_drift(table, drive, drifts)
+        table = unsure_slope(table, slope, axle.vehicle, turns_seen=drive.turns_seen)
+    # Carried to the grid origin, and judged.
+    table = unsure_declared(_carried(table, axle.vehicle, source), drive, checks.denied)
+    table = unsure_drift(table, drive, checks.drifts)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
+    clocks = checks.clocks
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -165,29 +114,52 @@ def estimate_poses(
         clock=clocks.offset,
         contradiction=clocks.contradiction,
         clock_change=clocks.change,
-        jump=clock_jump(log.accepted, motion.steps, gyro),
-        camera_yaw=yaw,
-        imu_turn=turned_imu,
+        jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
+        camera_yaw=checks.yaw,
+        imu_turn=found.imu_turn,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
-            *(
-                note
-                for note in (faulty_gyro, turned_wheels, wrong_gyro, trusted.note)
-                if note is not None
-            ),
-            *notes,
-            *slope_notes(slope, rig),
-            *drift_notes(drifts),
+            *(*found.notes, *notes),
+            *slope_notes(slope, axle.vehicle),
+            *drift_notes(checks.drifts),
             *drive_notes(
-                *(drive, log.accepted, declared, axle, denied),
-                *(source, settings, clocks.offset, yaw, trajectory),
+                *(drive, log.accepted, rig, axle, checks.denied),
+                *(source, settings, clocks.offset, checks.yaw, trajectory),
             ),
         ),
     )
     return Estimate(trajectory, fix_row, report)
+
+
+class _Checks(NamedTuple):
+    clocks: ClockFindings
+    yaw: CameraYaw | None
+    denied: Denied
+    drifts: Wander | None
+
+
+def _checked(
+    found: Fused,
+    drive: Drive,
+    declared: Vehicle | None,
+    source: HeadingSource,
+    *,
+    follows_path: bool,
+) -> _Checks:
+    """What a drive, with its recorded headings, says of the vehicle that was declared."""
+    # A gyro of another clock than the fixes is not used, and yet tells that of the images.
+    clocks = check_clock(
+        drive, found.log.accepted, found.motion, found.axle, found.hints, recorded=found.gyro
+    )
+    smooth = source.kind == "smooth"
+    # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
+    yaw = camera_yaw(found.motion.steps, found.axle) if smooth and follows_path else None
+    denied = denied_by(drive, declared, clocks)
+    drifts = drift(drive, found.axle, denied, clocks) if smooth else None
+    return _Checks(clocks, yaw, denied, drifts)
 
 
 def _of_given(
@@ -243,36 +215,13 @@ def _of_given(
     return Estimate(placed.trajectory, placed.fix_row, report)
 
 
-def conditioned(
-    fixes: FixColumns,
-    settings: PoseSettings,
-    datum: Datum | None = None,
-    strays: Mapping[int, str] = NO_STRAYS,
-) -> Conditioned:
-    """Fixes in order of time with what the settings declare of them, judged, and the accepted
-    ones in the plane; `strays` as in `condition`. Raises GnssError when none can be used."""
-    fixes = fixes.in_order()
-    if settings.quality is not None:
-        fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
-    if settings.accuracy_m is not None:
-        fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
-    verdicts = condition(fixes, settings.gnss, strays)
-    if not verdicts.ok.any():
-        raise GnssError(no_fix_sentence(fixes, verdicts))
-    datum = datum or datum_of(fixes, verdicts)
-    return Conditioned(fixes, verdicts, datum, accepted_fixes(fixes, verdicts, datum))
-
-
 def _recorded(
-    log: Conditioned,
-    drive: Drive,
-    rig: Vehicle | None,
-    source: HeadingSource,
-    settings: PoseSettings,
+    fused: Fused, source: HeadingSource, settings: PoseSettings
 ) -> tuple[Float64, Comparison | None, list[str]]:
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""
-    recorded = log.accepted.recorded_deg
+    drive, rig = fused.drive, fused.axle.vehicle
+    recorded = fused.log.accepted.recorded_deg
     if rig is not None:
         recorded = nose_heading_deg(rig, recorded)
     if not np.isfinite(recorded).any():

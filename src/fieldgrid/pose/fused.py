@@ -1,0 +1,133 @@
+"""One batch estimate of everything that was measured, after what each sensor says of the others.
+
+A batch estimate is made first, and again whenever it shows that a fix, the gyro, the axle or the
+attitude is not what was assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Int64
+from fieldgrid.errors import GnssError
+from fieldgrid.fixes import FixColumns
+from fieldgrid.geodesy import Datum
+from fieldgrid.gnss import NO_STRAYS, condition
+from fieldgrid.motion import Gyro, Motion
+from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
+from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
+from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.gears import GearHints, gear_hints
+from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_gyro
+from fieldgrid.pose.gyro_faults import without_faulty_samples
+from fieldgrid.pose.imu_turn import ImuTurn, imu_turn
+from fieldgrid.pose.levelled import Lean, find_lean, levelled_fixes, levelled_motion
+from fieldgrid.pose.seen_leaps import seen_leaps
+from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
+from fieldgrid.pose.table import Conditioned
+from fieldgrid.pose.wheel_sense import with_right_wheels
+from fieldgrid.rig import Vehicle
+from fieldgrid.settings import PoseSettings
+
+
+class Fused(NamedTuple):
+    """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
+    where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
+    was recorded, used or not, `trusted` what became of it. `imu_turn` is how an IMU is turned about
+    the vertical against what was declared. `notes` say which sensors were changed or left out."""
+
+    log: Conditioned
+    drive: Drive
+    motion: Motion
+    axle: Axle
+    hints: GearHints
+    gyro: Gyro | None
+    trusted: Trusted
+    lean: Lean | None = None
+    imu_turn: ImuTurn | None = None
+    notes: tuple[str, ...] = ()
+
+    def again(self, **changes: Any) -> Fused:
+        """The drive estimated again, with other fixes, motion or axle."""
+        new = self._replace(**changes)
+        fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
+        return new._replace(drive=smooth_drive(fixes, at_ns, new.motion, new.axle, hints=new.hints))
+
+
+def fuse(
+    log: Conditioned,
+    rig: Vehicle | None,
+    motion: Motion,
+    settings: PoseSettings,
+    frame_ns: Int64 | None,
+) -> Fused:
+    """One estimate of a drive from its fixes and all that its sensors say of its motion.
+
+    A first estimate shows which fixes are strays, whether the gyro fits, where the axle is and how
+    the vehicle leans (best at `frame_ns`); whatever was assumed otherwise is estimated again.
+    """
+    motion, faulty_gyro = without_faulty_samples(motion)
+    motion, turned_wheels = with_right_wheels(motion)
+    gyro = motion.gyro
+    motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
+    axle, hints = axle_of(rig, motion.steps), gear_hints(settings)
+    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # Fixes that leave the drive at once and come back.
+    strays: dict[int, str] = {}
+    for _ in range(MOST_ROUNDS):
+        if not (more := stray_fixes(drive, log)):
+            break
+        strays |= more
+        log = conditioned(log.fixes, settings, log.datum, strays)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
+    trusted = with_trusted_gyro(drive, log.accepted, log.fixes.time_ns, motion, axle, hints)
+    notes = (faulty_gyro, turned_wheels, wrong_gyro, trusted.note)
+    found = Fused(
+        *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
+        imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
+        notes=tuple(note for note in notes if note is not None),
+    )
+    if found.drive.at.has_gyro():
+        told = axle_by_gyro(axle, found.drive.smoothed.declared.ahead_m)
+        if told != axle:
+            found = found.again(axle=told)
+    # The same of a vehicle that stands level, once its headings have told how it leans.
+    rig = found.axle.vehicle
+    lean = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns)
+    if lean is not None:
+        level = log._replace(accepted=levelled_fixes(log.accepted, lean))
+        found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
+    # A solution that goes on elsewhere, as the camera sees.
+    steps = found.motion.steps
+    if rig is not None and (
+        seen := seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
+    ):
+        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, seen)
+        if lean is not None:
+            unsure = levelled_fixes(unsure, lean)
+        found = found.again(log=log._replace(accepted=unsure))
+    return found
+
+
+def conditioned(
+    fixes: FixColumns,
+    settings: PoseSettings,
+    datum: Datum | None = None,
+    strays: Mapping[int, str] = NO_STRAYS,
+) -> Conditioned:
+    """Fixes in order of time with what the settings declare of them, judged, and the accepted
+    ones in the plane; `strays` as in `condition`. Raises GnssError when none can be used."""
+    fixes = fixes.in_order()
+    if settings.quality is not None:
+        fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
+    if settings.accuracy_m is not None:
+        fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
+    verdicts = condition(fixes, settings.gnss, strays)
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(fixes, verdicts))
+    datum = datum or datum_of(fixes, verdicts)
+    return Conditioned(fixes, verdicts, datum, accepted_fixes(fixes, verdicts, datum))
