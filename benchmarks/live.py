@@ -26,7 +26,7 @@ from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
 from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at
 from fieldgrid.live.sensor_rows import PARTS, Rows
-from fieldgrid.live.session_folder import Kept
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
 from fieldgrid.recording import DriveOptions, Recording, open_recording
@@ -249,7 +249,7 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None) -> Non
         spent_s, took_s = time.process_time() - spent_s, time.monotonic() - began_s
         counts = live.counts
         live.stop()
-        with Kept(Path(place) / "map.gpkg", None) as kept:
+        with SessionFolder(Path(place) / "map.gpkg", None) as kept:
             times = kept.staged().times
     frame_ms = 1e3 * (times.decode_s + times.match_s + times.grid_s + times.odometry_s)
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

@@ -17,17 +17,23 @@ from fieldgrid.pose import ClockOffset
 from tests.conftest import TWO_LANES
 
 
-@pytest.mark.parametrize(
-    "name", sorted(path.stem for path in Path(mounting.__file__).parent.glob("*.py"))
-)
+ROOT = Path(mounting.__file__).parents[1]
+PROGRAMS = [
+    f"{folder.replace('/', '.')}.{path.stem}"
+    for folder in ("benchmarks", "fuzz", "tests/crash")
+    for path in sorted((ROOT / folder).glob("*.py"))
+]
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
 def test_every_measurement_can_be_loaded(name: str) -> None:
-    """They follow the code that they measure."""
+    """They follow the code that they measure, damage or feed."""
     found = None
     try:
-        importlib.import_module(f"benchmarks.{name}")
+        importlib.import_module(name)
     except ModuleNotFoundError as missing:
         found = str(missing.name)
-    assert found is None or not found.startswith(("fieldgrid", "benchmarks"))
+    assert found is None or not found.startswith(("fieldgrid", "benchmarks", "fuzz", "tests"))
     if found is not None:
         pytest.skip(f"{found} is not installed")
 

@@ -356,8 +356,8 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no overlap in time": (
         lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),
         r"Images \(2011-06-15T13:16:59\.840Z to .*\) and fixes \(2011-06-15T10:30:.*\) do not "
-        r"overlap in time; if it is the log .* give --time-offset -\d+ or .* else choose the log "
-        r"of this drive with --gnss",
+        r"overlap in time; if it is the log .* give --time-offset -\d+ or .* otherwise choose the "
+        r"log of this drive with --gnss",
     ),
     "no log": (
         lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),

@@ -152,7 +152,7 @@ def test_a_lane_behind_a_wall_cannot_be_reached() -> None:
     coverage = coverage_in_view(view, planting, FORWARD)
     assert_covers(coverage, view, planting)
     assert [lane.lane for lane in coverage.left_out] == ["B1-L3"]
-    assert "no way" in coverage.left_out[0].reason
+    assert "no path" in coverage.left_out[0].reason
     started = coverage_in_view(view, planting, SMALL, start=at(15.0, 3.0))
     assert [lane.lane for lane in started.lanes] == ["B1-L3"]
     assert {lane.lane for lane in started.left_out} == {"B1-L1", "B1-L2"}

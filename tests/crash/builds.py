@@ -24,7 +24,7 @@ from fieldgrid.build import build_map
 from fieldgrid.build.parts import parts_folder
 from fieldgrid.mapfile import open_map
 from fieldgrid.settings import BuildSettings
-from tests.build.making import SMALL_SHARES, children, content
+from tests.build.making import SMALL_SHARES, content
 from tests.cli.conftest import in_a_process
 from tests.conftest import make_small_drive
 
@@ -83,11 +83,17 @@ def _started(drives: list[Path], out: Path, *, resume: bool) -> subprocess.Popen
     )
 
 
+def _children(pid: int) -> list[int]:
+    """The processes that a process, any thread of it, has started."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for found in lists for word in found.read_text().split()]
+
+
 def _kill_one(build: subprocess.Popen[bytes], random: np.random.Generator) -> str:
     """Kill the build or, as often, one of its processes where there are some."""
     if build.poll() is not None:
         return "nothing: it had ended"
-    workers = children(build.pid)
+    workers = _children(build.pid)
     if workers and random.random() < 0.5:
         with suppress(ProcessLookupError):
             os.kill(int(random.choice(workers)), signal.SIGKILL)

@@ -34,7 +34,7 @@ from fieldgrid.live import (
     finish_from,
     finish_session,
     live_folder,
-    perceiving,
+    perceiver,
     replay,
 )
 from fieldgrid.live.journal import Journal, read_journal
@@ -157,15 +157,15 @@ def test_of_frames_that_wait_the_oldest_is_dropped(
         assert free.wait(60)
         return stage_frame(*arguments, **options)
 
-    monkeypatch.setattr(perceiving, "stage_frame", slow)
+    monkeypatch.setattr(perceiver, "stage_frame", slow)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording:
         frames = list(recording.frames())
         live = begin(recording, out, on_result=told)
-        for frame in frames[: perceiving.WORKERS]:
+        for frame in frames[: perceiver.WORKERS]:
             live.push_frame(frame)
             assert begun.acquire(timeout=60)
-        for frame in frames[perceiving.WORKERS :]:
+        for frame in frames[perceiver.WORKERS :]:
             live.push_frame(frame)  # returns at once
         assert live.counts.dropped == 2
         free.set()
@@ -193,7 +193,7 @@ def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
 
         return stage_frame(frame, *arguments, gridded=gridded, **options)
 
-    monkeypatch.setattr(perceiving, "stage_frame", uneven)
+    monkeypatch.setattr(perceiver, "stage_frame", uneven)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording, begin(recording, out, on_result=told) as live:
         replay(live, recording, rate=None)

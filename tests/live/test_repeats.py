@@ -7,7 +7,6 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from tests.live.test_posing import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
 
 from fieldgrid.build import build_map
 from fieldgrid.build.stuck import REPEATED
@@ -21,6 +20,7 @@ from fieldgrid.trajectory import Status
 from tests.build.making import content
 from tests.conftest import make_small_drive
 from tests.live.making import Told, cut_log, drive_live
+from tests.live.test_poser import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

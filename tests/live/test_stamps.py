@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.live.test_posing import DATUM, RIG, SETTINGS, SPEED_MPS, at_ns, fix, frame
 
 from fieldgrid.live import LiveOptions, LivePose, LiveWindow
 from fieldgrid.live.poser import Poser
@@ -19,6 +18,7 @@ from fieldgrid.recording import open_recording
 from fieldgrid.trajectory import Status
 from tests.build.making import content
 from tests.live.making import Told, begin
+from tests.live.test_poser import DATUM, RIG, SETTINGS, SPEED_MPS, at_ns, fix, frame
 
 DAY_S = 86_400.0
 

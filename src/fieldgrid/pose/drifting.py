@@ -14,6 +14,7 @@ from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import Denied
 from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.smoother import Wander, wander
 
@@ -26,13 +27,17 @@ STATED_TIMES, LEAST_M = 3.0, 0.2
 itself makes as much."""
 
 
-def drift(drive: Drive, axle: Axle, denied: Denied, clocks: ClockFindings) -> Wander | None:
+def drift(
+    drive: Drive, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
+) -> Wander | None:
     """By how much the fixes of a drive drift beside its camera's way; None where they do not, and
-    where a wrong declaration or clock explains what does not fit."""
+    where a wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
     certain = clocks.contradiction is not None and clocks.contradiction.is_certain
     if not len(drive.measured.step) or denied.clear or certain or clocks.change is not None:
         return None
     if clocks.offset is not None and clocks.offset.is_certain:
+        return None
+    if turned is not None and turned.is_off:
         return None
     found = wander(drive.smoothed, drive.measured, *axle.frame())
     stated_m = float(np.median(drive.measured.bias_m))

@@ -158,7 +158,7 @@ def _checked(
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
     yaw = camera_yaw(found.motion.steps, found.axle) if smooth and follows_path else None
     denied = denied_by(drive, declared, clocks)
-    drifts = drift(drive, found.axle, denied, clocks) if smooth else None
+    drifts = drift(drive, found.axle, denied, clocks, found.imu_turn) if smooth else None
     return _Checks(clocks, yaw, denied, drifts)
 
 

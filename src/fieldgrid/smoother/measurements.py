@@ -61,11 +61,14 @@ class Measurements(NamedTuple):
             step_sigma=self.step_sigma[inside],
         )
 
+    def with_steps(self, kept: Bool) -> Measurements:
+        """All but the relative motions that are not `kept` [s]."""
+        return self._replace(
+            step_nodes=self.step_nodes[kept],
+            step=self.step[kept],
+            step_sigma=self.step_sigma[kept],
+        )
+
     def without_steps(self) -> Measurements:
         """All but the relative motions."""
-        none = slice(0, 0)
-        return self._replace(
-            step_nodes=self.step_nodes[none],
-            step=self.step[none],
-            step_sigma=self.step_sigma[none],
-        )
+        return self.with_steps(np.zeros(len(self.step), np.bool_))

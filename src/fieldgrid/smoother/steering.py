@@ -156,7 +156,8 @@ def _fixes_around(measured: Measurements) -> tuple[Float64, Float64]:
 def bent_share(measured: Measurements, x: Float64) -> float:
     """How tightly a vehicle turns, as a share of :data:`model.CURVATURE_SIGMA`, by the states
     [n, 8] of its drive: a harvester bends its path less within a second than a garden tractor."""
-    if not np.ptp(x[:, model.PHI]) > ENOUGH_TURN:
+    turned = np.where(measured.seen, np.diff(x[:, model.PHI]), 0.0)
+    if not np.ptp(np.cumsum([0.0, *turned])) > ENOUGH_TURN:
         return 1.0
     step_s = np.diff(measured.time_s)
     way_m = np.abs(x[1:, model.V] + x[:-1, model.V]) / 2.0 * step_s

@@ -17,6 +17,10 @@ RATES_M = (0.01, 0.02)
 """How much a slow error may wander beyond what is stated, m/√s, that is tried: a metre and a half
 in a minute and a half, and half of that."""
 
+OUTLIER_SIGMAS = 8.0
+"""A step that is off the drive by more says nothing of a drift, which spreads over all steps: a
+camera that is stuck looks like one that leaps."""
+
 FREE_RATE_M = 0.1
 """Under this one the drift that is found hardly holds back."""
 
@@ -38,7 +42,10 @@ def wander(
     known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
 ) -> Wander:
     """What an estimate `known` from the same measurements says of the wander of its fixes: its
-    likelihood beside that of a slow error that goes on from the stated one at random."""
+    likelihood beside that of a slow error that goes on from the stated one at random. Steps that
+    are outliers are left out."""
+    off = np.abs(known.step_off) / measured.step_sigma[:, [0, 0, 1]]
+    measured = measured.with_steps(off.max(axis=1) < OUTLIER_SIGMAS)
 
     def found(rate_m: float) -> tuple[Problem, Solution]:
         passed_s = measured.time_s - measured.time_s[0]
