@@ -16,7 +16,6 @@ from fieldgrid.mounting import Measured
 from fieldgrid.pose import ClockOffset
 from tests.conftest import TWO_LANES
 
-
 ROOT = Path(mounting.__file__).parents[1]
 PROGRAMS = [
     f"{folder.replace('/', '.')}.{path.stem}"
