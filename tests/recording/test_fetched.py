@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Iterator
@@ -65,6 +66,7 @@ def files_of(folder: Path) -> dict[str, str]:
         ("june-03", False),
         ("../s3/june-03", False),
         ("C://june-03", False),
+        ("june::03", False),
         (Path("s3://farm"), False),
     ],
 )
@@ -77,7 +79,7 @@ def test_urls_are_told_from_paths(path: str | Path, is_one: bool) -> None:
     [
         ("s3://farm/2026/june-03", "s3/farm/2026/june-03"),
         ("s3://farm/2026/./june-03/", "s3/farm/2026/june-03"),
-        ("zip://june-03::s3://farm/2026.zip", "s3/farm/2026.zip/zip/june-03"),
+        ("zip://june-03::s3://farm/2026.zip", "s3/farm/2026.zip.content/zip/june-03"),
         ("sftp://me@host/june-03", "sftp/me@host/june-03"),
     ],
 )
@@ -179,8 +181,11 @@ def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.Monkey
         fetch("memory://farm/july")
     with pytest.raises(RecordingError, match=r"Protocol not known: nothing\); check the URL"):
         fetch("nothing://farm")
-    with pytest.raises(ConfigError, match=r"with a password would leave it in logs"):
-        fetch("sftp://me:secret@host/june-03")
+    for url in ("sftp://me:secret@host/june-03", "https://host/d.zip?X-Amz-Signature=12"):
+        with pytest.raises(ConfigError, match=r"with a password or a key would leave it in logs"):
+            fetch(url)
+    with pytest.raises(RecordingError, match=r"is no folder whose files can be listed"):
+        fetch(f"{URL}/gnss/rtk.nmea/")
     with limited(rows=2), pytest.raises(LimitError, match=r"more than 2 rows"):
         fetch(URL)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10))
@@ -198,6 +203,84 @@ def test_a_name_that_leads_out_of_the_recording_is_refused(
     monkeypatch.setattr(type(memory), "find", hostile)
     with pytest.raises(RecordingError, match=r"leads out of the recording; rename it there"):
         fetch(URL)
+
+
+def test_an_empty_object_that_stands_for_a_folder_is_no_file(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = type(memory).find
+
+    def like_s3(self: Any, root: str, detail: bool) -> dict[str, Any]:
+        folders = (root, f"{root}/", f"{root}/left/")
+        made = {name: {"name": name, "size": 0, "type": "file"} for name in folders}
+        return made | find(self, root, detail=detail)
+
+    monkeypatch.setattr(type(memory), "find", like_s3)
+    assert len(files_of(fetch(URL))) == 3
+
+
+def test_a_file_that_became_a_folder_is_told(memory: Any) -> None:
+    copy = fetch(f"{URL}/frames.csv")
+    memory.rm("/farm/june-03/frames.csv")
+    memory.pipe("/farm/june-03/frames.csv/a.txt", b"x")
+    with pytest.raises(RecordingError, match=r"when there was a file at the URL, .* remove it"):
+        fetch(f"{URL}/frames.csv")
+    assert copy.read_text() == "content of frames.csv"
+
+
+def test_a_folder_in_an_archive_lies_beside_the_archive(cache: Path) -> None:
+    archive = fetched.copy_of("memory://farm/2026.zip")
+    inside = fetched.copy_of("zip://june::memory://farm/2026.zip")
+    assert archive not in inside.parents
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOLCK, "no locks"), PermissionError()])
+def test_without_locks_a_fetch_goes_on(
+    error: OSError, memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(descriptor: int, *, wait: bool) -> None:
+        raise error
+
+    monkeypatch.setattr(fetched, "lock", refuse)
+    assert len(files_of(fetch(URL))) == 3
+
+
+def test_another_process_that_fetches_is_waited_for(
+    memory: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    waited: list[bool] = []
+
+    def held(descriptor: int, *, wait: bool) -> None:
+        waited.append(wait)
+        if not wait:
+            raise BlockingIOError
+
+    monkeypatch.setattr(fetched, "lock", held)
+    fetch(URL)
+    assert waited == [False, True]
+    assert "waiting for another process that fetches" in caplog.text
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    memory: Any, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Any, *arguments: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(type(memory), "get", full)
+        with pytest.raises(RecordingError, match=r"No space left on device\); free some space"):
+            fetch(URL)
+    (cache / "recordings").mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(cache / "recordings")
+    (cache / "recordings").write_text("a file in the way")
+    with pytest.raises(RecordingError, match=r"cannot be written \(.*\); .* set FIELDGRID_CACHE"):
+        fetch(URL)
+
+
+def test_a_relative_cache_folder_is_that_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FIELDGRID_CACHE", "here")
+    assert fetched.cache_folder() == Path.cwd() / "here"
 
 
 # --- drives
@@ -252,8 +335,9 @@ def test_of_several_drives_one_that_is_not_there_is_left_out(
 
 def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
     estimate = estimate_mount(zipped)
-    with pytest.raises(ConfigError, match=r"is only read, so its mounting was not written; write"):
-        write_estimate(estimate, fetch(zipped))
+    for place in (zipped, fetch(zipped)):
+        with pytest.raises(ConfigError, match=r"is only read, so its mounting was not written;"):
+            write_estimate(estimate, place)
 
 
 def test_a_worker_makes_its_own_copy_and_names_images_as_here(
@@ -270,14 +354,15 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     assert place.url == zipped
     at_home = remote.stage_share(work, Share(0, 2), place)
     monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
-    remote._fetch.cache_clear()
     remote._unpacked.cache_clear()
     far_away = remote.stage_share(work, Share(0, 2), place)
     assert (fetched.copy_of(zipped) / "left" / "000003.jpg").exists()
     assert str(here).encode() in far_away.part.grids
     assert far_away.part.grids == at_home.part.grids
+    # A recording that changes in between is not mixed with what was read of it before.
+    with pytest.raises(ClusterError, match=r"has changed since this build began; build it again"):
+        remote.stage_share(work, Share(0, 2), place._replace(version="of before"))
     shutil.rmtree(tmp_path / "of the worker")
     (tmp_path / "2026.zip").unlink()
-    remote._fetch.cache_clear()
     with pytest.raises(ClusterError, match=r"The worker on .* has no copy: .*; "):
         remote.stage_share(work, Share(0, 2), place)

@@ -20,7 +20,14 @@ from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
 from fieldgrid.build.worker import not_importable
 from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError
-from fieldgrid.recording.fetched import cache_folder, copy_of, fetch, in_cache, url_of
+from fieldgrid.recording.fetched import (
+    cache_folder,
+    copy_of,
+    fetch,
+    in_cache,
+    url_of,
+    version_of,
+)
 from fieldgrid.workers.place import check_is_here
 
 _AT_HOME = "leave out --scheduler"
@@ -28,13 +35,14 @@ _AT_HOME = "leave out --scheduler"
 
 class Place(NamedTuple):
     """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
-    folder, the folder that a relative path was given from, else empty, and the URL that it is a
-    copy of, else empty: each worker makes its own copy then."""
+    folder, and the folder that a relative path was given from, else empty. Of the copy of a
+    recording at a URL, that and the version of the copy, else empty: each worker makes its own."""
 
     path: str
     size: int | None
     given_from: str
     url: str
+    version: str
 
 
 class Made(NamedTuple):
@@ -50,7 +58,8 @@ def place_of(recording: Path) -> Place:
     path = recording.absolute()
     size = path.stat().st_size if path.is_file() else None
     given_from = "" if recording.is_absolute() else str(Path.cwd())
-    return Place(str(path), size, given_from, url_of(path) or "")
+    url = url_of(path)
+    return Place(str(path), size, given_from, url or "", version_of(path) if url else "")
 
 
 class _Absolute(pickle.Pickler):
@@ -75,7 +84,7 @@ def packed(work: DriveWork) -> bytes:
 
 
 def stage_share(
-    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str]
+    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str]
 ) -> Made:
     """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
 
@@ -85,7 +94,7 @@ def stage_share(
     start = time.perf_counter()
     where, frames = Place(*place), Share(*share)
     if where.url:
-        _fetch(where.url)
+        _fetch(where.url, where.version)
     else:
         check_is_here(Path(where.path), where.size, "recordings")
     moved_m: list[float] = []
@@ -102,12 +111,23 @@ def stage_share(
     return Made(part, sum(moved_m), time.perf_counter() - start)
 
 
-@lru_cache(maxsize=16)  # once a build: a share takes seconds, and so may a look at a URL
-def _fetch(url: str) -> None:
+_fetched: set[tuple[str, str]] = set()
+"""The URLs and versions that this worker has looked at: once a build, not once a share."""
+
+
+def _fetch(url: str, version: str) -> None:
+    """Have a copy of this version here. ClusterError where that cannot be."""
+    if (url, version) in _fetched and version_of(copy_of(url)) == version:
+        return
     try:
-        fetch(url)
+        copy = fetch(url)
     except FieldgridError as error:
         raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
+    if version_of(copy) != version:
+        raise ClusterError(
+            f"{url} has changed since this build began; build it again when it is at rest."
+        )
+    _fetched.add((url, version))
 
 
 @lru_cache(maxsize=2)

@@ -8,7 +8,7 @@ from pathlib import Path
 from fieldgrid.errors import ConfigError
 from fieldgrid.mounting.estimate import MountEstimate
 from fieldgrid.recording import Mounting, mounting_path
-from fieldgrid.recording.fetched import url_of
+from fieldgrid.recording.fetched import is_url, url_of
 from fieldgrid.recording.mounting import read_mounting, write_mounting
 from fieldgrid.rig import LeverArm, Mount
 
@@ -26,7 +26,8 @@ def write_estimate(
     antenna (forward, left, up of the camera, metres), which no drive tells: raises ConfigError
     when nobody does, since a forgotten lever arm misplaces the map.
     """
-    if (url := url_of(Path(recording))) is not None:
+    url = str(recording) if is_url(recording) else url_of(Path(recording))
+    if url is not None:
         raise ConfigError(
             f"{url} is only read, so its mounting was not written; write what was measured into "
             "its mounting.json there, or give --mounting FILE.json."

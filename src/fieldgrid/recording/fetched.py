@@ -8,30 +8,33 @@ not changed is not fetched again.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeGuard
 
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
+from fieldgrid.file_locks import lock
 from fieldgrid.limits import check_rows
-from fieldgrid.publish import holding, replacing
+from fieldgrid.publish import replacing
 from fieldgrid.recording.files import is_inside, read_text
 
 CACHE = "FIELDGRID_CACHE"
 """The environment variable that names another cache folder."""
 
-_URL = re.compile(r"[a-z][a-z0-9+.-]+(://|::)")
+_URL = re.compile(r"([a-z][a-z0-9+.-]+::)*[a-z][a-z0-9+.-]+://")
 _HERE = ("file", "local")
-_PASSWORD = re.compile(r"://[^/@]*:[^/@]*@")
+_SECRET = re.compile(r"://[^/@]*:[^/@]*@|[?&][^=]*(token|sig|key|secret|password|credential)", re.I)
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 _BATCH = 64
-_TICK_S = 0.2
+_LOG = logging.getLogger(__name__)
 _VERSIONS = (
     *("ETag", "etag", "md5Hash", "content_md5", "checksum", "CRC"),
     *("mtime", "LastModified", "last_modified", "updated", "modified", "modify", "created"),
@@ -47,7 +50,7 @@ def is_url(path: str | Path) -> TypeGuard[str]:
 def cache_folder() -> Path:
     """Where copies lie: `FIELDGRID_CACHE`, or `fieldgrid` in the user's cache folder."""
     if own := os.environ.get(CACHE):
-        return Path(own)
+        return Path(own).absolute()
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fieldgrid"
 
 
@@ -59,10 +62,15 @@ def in_cache(relative: str) -> Path:
 
 def copy_of(url: str) -> Path:
     """Where the copy of a recording at a URL lies, or will. The links of a chained URL, as in
-    `zip://june-03::s3://farm/2026.zip`, follow each other from the outermost in."""
-    parts = [part for link in reversed(url.split("::")) for part in re.split(r":?/+", link)]
-    safe = [_safe_name(part) for part in parts if part not in {"", "."}]
-    return cache_folder().joinpath("recordings", *safe)
+    `zip://june-03::s3://farm/2026.zip`, follow each other from the outermost in; what is inside of
+    a file lies beside the copy of that file."""
+    copy = cache_folder() / "recordings"
+    for number, link in enumerate(reversed(url.split("::"))):
+        if number:
+            copy = copy.with_name(f"{copy.name}.content")
+        parts = [part for part in re.split(r":?/+", link) if part not in {"", "."}]
+        copy = copy.joinpath(*map(_safe_name, parts))
+    return copy
 
 
 def url_of(path: Path) -> str | None:
@@ -73,6 +81,12 @@ def url_of(path: Path) -> str | None:
     return manifest.url or None
 
 
+def version_of(copy: Path) -> str:
+    """A digest of the versions of the files of a copy: two copies of one version are alike."""
+    versions = sorted(_read_manifest(copy).versions.items())
+    return hashlib.sha256(json.dumps(versions).encode()).hexdigest()
+
+
 def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Path:
     """The path of a recording at a URL, after its copy is made or brought up to date.
 
@@ -81,10 +95,10 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
     that fetches the same is waited for. Raises RecordingError for what cannot be fetched,
     ConfigError where a library is missing.
     """
-    if _PASSWORD.search(url):
+    if _SECRET.search(url):
         raise ConfigError(
-            "A URL with a password would leave it in logs and maps; put it into fsspec's "
-            "configuration (~/.config/fsspec/conf.json), and leave it out of the URL."
+            "A URL with a password or a key would leave it in logs and in the cache; put it into "
+            "fsspec's configuration (~/.config/fsspec/conf.json), and leave it out of the URL."
         )
     with _backend(url):
         from fsspec.core import url_to_fs
@@ -96,7 +110,8 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
         system.invalidate_cache()  # of listings: another process may have written since
         remote = _listed(system, root, url)
     copy = copy_of(url)
-    with _only_here(copy):
+    with _local(copy), _only_here(copy):
+        _check_kind(copy, is_file="" in remote)
         _bring_up_to_date(system, remote, copy, url, progress or (lambda done, total: None))
     return copy
 
@@ -155,10 +170,17 @@ def _listed(system: Any, root: str, url: str) -> dict[str, _RemoteFile]:
     """The files of the recording, by their paths relative to it; "" is the recording itself."""
     about = system.info(root)
     if about["type"] != "directory":
+        if url.endswith("/"):
+            raise RecordingError(
+                f"{url} is no folder whose files can be listed (web servers list none); give the "
+                "URL of a bag, a log, or an archive as zip://FOLDER::URL."
+            )
         return {"": _remote_file(about)}
     files = {}
     for count, (path, info) in enumerate(system.find(root, detail=True).items(), start=1):
         check_rows(count, url)
+        if path.endswith("/") or path == root:
+            continue  # some stores keep an empty object for a folder
         name = str(PurePosixPath(path).relative_to(PurePosixPath(root)))
         if not is_inside(name):
             raise RecordingError(
@@ -203,6 +225,14 @@ def _place(copy: Path, name: str) -> Path:
     return copy / name if name else copy
 
 
+def _check_kind(copy: Path, *, is_file: bool) -> None:
+    if copy.exists() and copy.is_file() != is_file:
+        raise RecordingError(
+            f"{copy} is a copy of when there was a {'folder' if is_file else 'file'} at the URL, "
+            f"and there is a {'file' if is_file else 'folder'} now; remove it."
+        )
+
+
 def _check_room(url: str, size: int) -> None:
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -234,16 +264,20 @@ def _write_manifest(copy: Path, url: str, versions: Mapping[str, str]) -> None:
 
 @contextmanager
 def _only_here(copy: Path) -> Iterator[None]:
-    """Keeps other processes of this machine from fetching the same in the block."""
+    """Keeps other processes of this machine from fetching the same in the block; where the file
+    system has no locks, they only fetch some files twice."""
     copy.parent.mkdir(parents=True, exist_ok=True)
-    lock = copy.with_name(f".{copy.name}.fetching")
-    lock.touch()
-    while True:
-        with holding(lock) as is_ours:
-            if is_ours:
-                yield
-                return
-        time.sleep(_TICK_S)
+    held = os.open(copy.with_name(f".{copy.name}.fetching"), os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        with suppress(OSError):
+            try:
+                lock(held, wait=False)
+            except BlockingIOError:
+                _LOG.warning("waiting for another process that fetches %s", copy)
+                lock(held, wait=True)
+        yield
+    finally:
+        os.close(held)
 
 
 def _safe_name(part: str) -> str:
@@ -270,9 +304,25 @@ def _backend(url: str) -> Iterator[None]:
             f"{quoted(url, 200)} does not exist; give the URL of a recording, a bag or a log."
         ) from error
     except Exception as error:  # each file system raises errors of its own (botocore, paramiko)
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise  # the disk of this machine
         copy = copy_of(url)
         kept = f", or read the copy of before at {copy}" if copy.exists() else ""
         raise RecordingError(
             f"{quoted(url, 200)} cannot be read ({shortened(error) or type(error).__name__}); "
             f"check the URL, the connection and your credentials{kept}."
+        ) from error
+
+
+@contextmanager
+def _local(copy: Path) -> Iterator[None]:
+    """Makes what this machine's disk refuses an error that names the copy."""
+    try:
+        yield
+    except FieldgridError:
+        raise
+    except OSError as error:
+        raise RecordingError(
+            f"The copy {copy} cannot be written ({error.strerror or error}); free some space, or "
+            f"set {CACHE} to another folder."
         ) from error
