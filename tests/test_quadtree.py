@@ -218,6 +218,36 @@ def test_squares_near_a_line_are_cells(
             assert len(np.unique(at[whole == k])) == 1
 
 
+def test_segments_far_from_a_window_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, window = [], Lattice.window
+
+    def counted(lattice: Lattice, bounds: Bounds) -> Window:
+        asked.append(bounds)
+        return window(lattice, bounds)
+
+    monkeypatch.setattr(Lattice, "window", counted)
+    line = np.c_[np.arange(-50.0, 50.0), np.full(100, 0.5)]
+    view = view_of(np.zeros((8, 8)), np.ones((8, 8)))
+    found = Quadtree.from_view(view, near=Near(line, 0.3))
+    assert len(asked) == 4  # from -1 to 3 m: two over the window, and one that ends at each side
+    assert (found.squares.level[found.at([0.1, 1.9], [0.6, 0.6])] == 0).all()
+
+
+def test_larger_cells_of_which_too_little_was_seen_count_as_not_seen() -> None:
+    layers = {
+        "peak": np.zeros((2, 2), dtype=np.uint8),
+        "seen_share": np.array([[1.0, 1.0], [1.0, 0.4]], dtype=np.float32),
+    }
+    view = view_of(np.zeros((2, 2)), np.ones((2, 2)))
+    view = dataclasses.replace(view, layers=layers, is_base=False)
+    found = Quadtree.from_view(view)
+    assert found.squares.state.tolist() == [1, 1, 1, 0]
+    assert found.squares.seen_share.tolist() == [1.0, 1.0, 1.0, 0.0]
+    assert len(Quadtree.from_view(view, least_seen=0.8)) == 4
+    whole = Quadtree.from_view(view, least_seen=0.75)
+    assert whole.squares.seen_share.tolist() == [0.75]
+
+
 def test_ground_that_falls_away_is_an_obstacle_and_beyond_it_nothing_is_known() -> None:
     layers = {
         "drop": np.array([[0.0, 0.2], [0.0, 0.0]], dtype=np.float32),
@@ -330,6 +360,8 @@ def test_a_map_of_a_moment_and_of_another_layer(universal: Any) -> None:
         ({"near": Near([], 1.0)}, "give finite points"),
         ({"near": Near([0.0, np.nan], 1.0)}, "give finite points"),
         ({"near": Near([0.0, 0.0], -1.0)}, "Squares cannot be small within -1.0 m"),
+        ({"near": Near([0.0, 0.0], 1e308)}, r"within 1e\+308 m; give 0 to 50000"),
+        ({"near": Near([0.0, -1e308], 1.0)}, r"goes 1e\+308 m from the datum"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_asked(given_: dict[str, Any], message: str) -> None:

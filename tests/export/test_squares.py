@@ -88,7 +88,7 @@ def test_the_options_reach_the_squares(universal: MapFile, tmp_path: Path) -> No
     assert low == {"obstacle"}
 
 
-def test_squares_are_cut_at_the_bounds_and_left_out_where_nobody_asks(
+def test_squares_at_the_bounds_stay_whole_and_are_left_out_where_nobody_asks(
     universal: MapFile, tmp_path: Path
 ) -> None:
     west_m, south_m, east_m, north_m = universal.bounds
@@ -99,8 +99,19 @@ def test_squares_are_cut_at_the_bounds_and_left_out_where_nobody_asks(
     found = READERS["gpkg"][1](tmp_path / "q.gpkg")["quadtree"]
     area = selection.area(universal)
     assert area is not None
-    whole = shapely.union_all([feature.shape for feature in found])
-    assert shapely.box(*area).buffer(1e-6).contains(whole)
+    tree, box = Quadtree.from_map(universal), shapely.box(*area)
+    every = shapely.box(
+        tree.west_m, tree.south_m, tree.west_m + tree.side_m, tree.south_m + tree.side_m
+    )
+    centres = [feature.shape.centroid for feature in found]
+    written = tree.at([place.x for place in centres], [place.y for place in centres])
+    reaching = np.flatnonzero(shapely.area(shapely.intersection(every, box)) > 1e-6)
+    np.testing.assert_array_equal(np.sort(written), reaching)
+    assert not shapely.covers(box.buffer(1e-6), every[reaching]).all()
+    for feature, k in zip(found, written, strict=True):
+        assert feature.shape.area == pytest.approx(tree.side_m[k] ** 2, rel=1e-3)
+        assert feature.properties["side_m"] == tree.side_m[k]
+        assert feature.properties["mean_density"] == tree.squares.mean[k]
     usual = export_map(universal, tmp_path / "usual.gpkg")
     assert "quadtree" not in usual.about["features"]
 

@@ -34,7 +34,7 @@ def feature_layers(
     names: Sequence[str],
     squares: QuadtreeOptions | None = None,
 ) -> list[FeatureLayer]:
-    """The layers asked for, in that order, cut off at the selection's bounds.
+    """The layers asked for, in that order, cut off at the selection's bounds; squares stay whole.
 
     Sessions are those in the map, as of the selection's moment. Raises ConfigError for a name that
     is no layer, and when shapely is not installed.
@@ -52,7 +52,7 @@ def feature_layers(
         "trajectory": lambda: _lines(drives, area),
         "pose": lambda: _within(_poses(drives), area),
         "footprint": lambda: _within(_footprints(universal, sessions), area),
-        "quadtree": lambda: _within(square_layer(universal, selection, quadtree, above), area),
+        "quadtree": lambda: square_layer(universal, selection, quadtree, above),
     }
     return [make[name]() for name in names]
 

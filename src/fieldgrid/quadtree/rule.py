@@ -12,6 +12,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.cost import CostCurve
 from fieldgrid.errors import ConfigError
+from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.lattice import Bounds, Lattice, Window
 
 LOSS = 16.0
@@ -89,8 +90,16 @@ def _checked_line(near: Near) -> tuple[Float64, float]:
             f"A line of shape {line.shape} is none near which squares are small; give finite "
             "points [n, 2], metres east and north."
         )
-    if not 0.0 <= near.within_m < math.inf:
-        raise ConfigError(f"Squares cannot be small within {near.within_m} m; give 0 or more.")
+    farthest_m = float(np.abs(line).max())
+    if farthest_m > MAX_DISTANCE_M:
+        raise ConfigError(
+            f"A line near which squares are small goes {farthest_m:g} m from the datum, and maps "
+            f"end at {MAX_DISTANCE_M:g}; give points in metres east and north of it."
+        )
+    if not 0.0 <= near.within_m <= MAX_DISTANCE_M:
+        raise ConfigError(
+            f"Squares cannot be small within {near.within_m} m; give 0 to {MAX_DISTANCE_M:g}."
+        )
     return line, float(near.within_m)
 
 
@@ -105,10 +114,14 @@ def close_cells(near: tuple[Float64, float], lattice: Lattice, window: Window) -
     """The cells of a window whose centres are within the distance of the line."""
     line, within_m = near
     close = np.zeros(window.shape, dtype=np.bool_)
-    ends = line[1:] if len(line) > 1 else line
-    for start, end in zip(line, ends, strict=False):
-        low, high = np.minimum(start, end) - within_m, np.maximum(start, end) + within_m
-        reach = lattice.window(Bounds(*low.tolist(), *(high + lattice.cell_m).tolist()))
+    starts, ends = (line[:-1], line[1:]) if len(line) > 1 else (line, line)
+    low, high = np.minimum(starts, ends) - within_m, np.maximum(starts, ends) + within_m
+    edges = lattice.bounds(window)
+    # Of a long line few segments come near a window.
+    reaching = ((low < edges[2:]) & (high > edges[:2])).all(axis=1)
+    for k in np.flatnonzero(reaching):
+        start, end = starts[k], ends[k]
+        reach = lattice.window(Bounds(*low[k].tolist(), *(high[k] + lattice.cell_m).tolist()))
         part = reach.intersect(window)
         if part is None:
             continue

@@ -134,6 +134,7 @@ def squares_of(view: MapView, rule: Rule, layer: str) -> Iterator[Squares]:
             keepout = decided.keepout[place]
             seen[keepout] = 1.0  # what it is there is known, whoever saw it
         cost = rule.curve.cost(decided.worst[place], decided.seen[place], keepout)
+        seen[cost == UNKNOWN_COST] = 0.0  # a larger cell may be seen in part and still be unseen
         observed = view.observed[place]
         if not observed.any() and (cost == UNKNOWN_COST).all():
             continue

@@ -27,9 +27,9 @@ class Quadtree:
     """A part of a map in squares, sorted by side, then from the south, then from the west.
 
     `squares` are their columns. No observed cell differs in density from the mean of its square by
-    more than `loss`, and all known cells of a square have its state. Ground of which nothing is
-    known is in no square, but for what `least_seen` allows. `sides_m` are the sides that there may
-    be; `window` are the cells that were looked at.
+    more than `loss`, and all known cells of a square have its state. Unseen ground is in squares of
+    state `UNSEEN` where some density is known, else in no square, but for what `least_seen` allows.
+    `sides_m` are the sides that there may be; `window` are the cells that were looked at.
     """
 
     lattice: Lattice
