@@ -172,6 +172,17 @@ def test_the_two_files_of_opencvs_own_program(folder: Path) -> None:
     fails(folder, r"intrinsics\.yml cannot be read")
 
 
+@pytest.mark.parametrize(
+    "left_out", [("R", "T"), ("K1", "D1", "K2", "D2", "R", "T", "R1", "R2")], ids=["lenses", "P"]
+)
+def test_a_whole_file_called_intrinsics(left_out: tuple[str, ...], folder: Path) -> None:
+    """With P1 and P2 it needs no second file."""
+    given = by_opencv(D1, D2)._asdict() | dict.fromkeys(left_out)
+    (folder / "stereo_intrinsics.yaml").write_text(opencv(**given))
+    found = read_calibration(folder, "stereo_intrinsics.yaml", True)
+    assert found.camera.focal_px == pytest.approx(by_opencv(D1, D2).P1[0, 0])
+
+
 def test_a_calibration_in_squares_of_the_board_is_refused(folder: Path) -> None:
     (folder / "stereo_opencv.yaml").write_text(opencv(T=T / 0.01))
     fails(folder, "give the translation in metres", rectified=False)

@@ -478,6 +478,20 @@ def test_dates_of_the_clock_of_gps(name: str, tmp_path: Path) -> None:
     assert zoned.time_ns == START_NS
 
 
+@pytest.mark.parametrize("name", ["gpstime", "gpsTime", "GPSTimeStamp", "gps_time"])
+def test_gpst_within_a_word_is_not_the_clock_of_gps(name: str, tmp_path: Path) -> None:
+    assert only(tmp_path, f"{name},lat,lon\n2024-06-01 12:00:00,41,-4\n").time_ns == START_NS
+
+
+def test_the_clock_of_gps_for_a_number_is_refused(tmp_path: Path) -> None:
+    """Numbers have a unit; that the zone would be ignored was not reported."""
+    text = f"time,lat,lon\n{START_S}000,41,-4\n"
+    fails(tmp_path, text, "--columns time_units=gps_ms .*leave time_zone out", "time_zone=GPST")
+    assert only(tmp_path, text, "time_zone=UTC").time_ns == START_NS
+    gps_s = "time,lat,lon\n1401278418,41,-4\n"
+    assert only(tmp_path, gps_s, "time_zone=GPST,time_units=gps_s").time_ns == START_NS
+
+
 @pytest.mark.parametrize(
     ("week", "tow"),
     [

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import GnssError, RecordingError
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.logs import read_fix_log
+from tests.gnss.sentences import gga, rmc, sentence
 from tests.recording.test_fix_table import START_NS, START_S
 
 NOISE = bytes(range(90)) * 5
@@ -58,6 +59,20 @@ def test_sentences_among_foreign_messages_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.sbf").write_bytes(b"$@\x12\x34\xa7\x0f" + NOISE + b"\r\n" + sentence + rmc)
     (fix,) = read_fix_log(tmp_path / "a.sbf").fixes
     assert (fix.time_ns, fix.lat_deg) == (START_NS, 41.65)
+
+
+@pytest.mark.parametrize("start", [b"\xd3\x00\x13\x3e\xd0\x00", b"$@\x12\x34", b"\xaa\x44\x12\x1c"])
+def test_sentences_long_after_the_start_are_read(start: bytes, tmp_path: Path) -> None:
+    content = start + NOISE * 200 + b"\r\n" + rmc("120000.00") + gga("120000.00")
+    (tmp_path / "a.log").write_bytes(content)
+    assert len(read_fix_log(tmp_path / "a.log").fixes) == 1
+    # Positions without a date are reported as such, and no fixes at all as the kind of the file.
+    (tmp_path / "a.log").write_bytes(content.replace(b"RMC", b"RMX"))
+    with pytest.raises(GnssError, match="no valid RMC or ZDA"):
+        read_fix_log(tmp_path / "a.log")
+    (tmp_path / "a.log").write_bytes(start + NOISE * 200 + b"\r\n" + sentence("GPGSA,A,1"))
+    with pytest.raises(RecordingError, match="and not read; "):
+        read_fix_log(tmp_path / "a.log")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.frame_table import read_frames
+from fieldgrid.recording.frame_table import PAIRS, read_frames
 
 START_S = 1_700_000_000
 
@@ -144,7 +144,30 @@ def test_times_as_names(stem: str, time_ns: int, told: str, tmp_path: Path) -> N
     assert told in "".join(notes)
 
 
-@pytest.mark.parametrize("stem", ["0", "000123", "0000000123", "20240601120000", "left_7"])
+DATES = (
+    *("20240601100", "202406011000", "2024060110000"),
+    *("2024060110000001", "20240601100000123", "202406011000000001"),
+)
+"""With a count or milliseconds: as numbers they would be times after 2033, or none at all."""
+
+
+@pytest.mark.parametrize(
+    "stem", ["0", "000123", "0000000123", "20240601120000", "left_7", "17000000000", *DATES]
+)
 def test_names_that_are_no_times(stem: str, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="is no UTC time in s, ms, us or ns; add frames"):
         read_frames(pair_in(tmp_path / "drive", stem))
+
+
+def test_a_time_in_the_file_goes_before_a_guess_from_its_name(tmp_path: Path) -> None:
+    def in_file(path: Path) -> int:
+        if path.stem == f"{START_S}250":
+            raise RecordingError("no time in the file")
+        return START_S * 10**9
+
+    layout = PAIRS._replace(time_of=in_file)
+    shots, notes = read_frames(pair_in(tmp_path / "file", f"{START_S}500"), layout=layout)
+    assert (shots[0].time_ns, notes) == (START_S * 10**9, ())
+    shots, notes = read_frames(pair_in(tmp_path / "name", f"{START_S}250"), layout=layout)
+    assert shots[0].time_ns == START_S * 10**9 + 250_000_000
+    assert "ms since 1970" in notes[0]

@@ -106,7 +106,9 @@ def _read_named(
         return read_kalibr(path, rectified)
     if "camera_matrix" not in document:
         places = path.with_name(path.name.replace("intrinsics", "extrinsics"))
-        of_two = "R" not in document and places != path
+        # A file with P2 is whole; without it, what is missing is in the other one.
+        apart = "R" not in document and places != path
+        of_two = apart and (places.exists() or "P2" not in document)
         return read_opencv(path, rectified, size_px, places if of_two else None)
     if "left" not in path.name:
         raise CalibrationError(

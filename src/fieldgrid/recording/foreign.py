@@ -19,11 +19,13 @@ _GIVEN_ALONE = frozenset({".nmea", ".ubx", ".pos", ".llh"})
 
 
 class _Kind(NamedTuple):
-    """A kind of file: what an error calls it, what to do, and how it begins or is called."""
+    """A kind of file: what an error calls it, what to do, how it begins or is called, and whether
+    a receiver writes it into one file with NMEA."""
 
     what: str
     remedy: str
     is_it: Callable[[bytes, str], bool]
+    with_nmea: bool = False
 
 
 def _begins(*starts: bytes) -> Callable[[bytes, str], bool]:
@@ -71,17 +73,19 @@ _KINDS = (
         _SOLVE,
         _holds(b"RINEX VERSION / TYPE", b"CRINEX VERS   / TYPE"),
     ),
-    _Kind("RTCM 3 (corrections or measurements, no positions)", _SOLVE, _is_rtcm),
+    _Kind("RTCM 3 (corrections or measurements, no positions)", _SOLVE, _is_rtcm, True),
     _Kind(
         "Septentrio's SBF",
         "let the receiver write NMEA (GGA and RMC), or convert the file by Septentrio's SBF "
         "Converter",
         _begins(b"$@"),
+        with_nmea=True,
     ),
     _Kind(
         "a binary log of NovAtel",
         "let the receiver write NMEA (GGA and RMC), or convert the file by NovAtel Convert",
         _begins(b"\xaa\x44\x12", b"\xaa\x44\x13"),
+        with_nmea=True,
     ),
     _Kind(
         "a raw log of Trimble",
@@ -109,6 +113,12 @@ def refuse_foreign(path: Path, head: bytes = b"") -> None:
     for kind in _KINDS:
         if kind.is_it(head, path.suffix.lower()):
             raise RecordingError(f"{path} is {kind.what}, and not read; {kind.remedy}.")
+
+
+def may_hold_nmea(path: Path, head: bytes) -> bool:
+    """Whether a file that is called and begins so is of a kind that is not read, but into which
+    receivers also write sentences of NMEA, maybe long after its start."""
+    return any(kind.with_nmea and kind.is_it(head, path.suffix.lower()) for kind in _KINDS)
 
 
 def about_folder(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from fieldgrid.recording.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recording.images import SUFFIXES
 from fieldgrid.recording.in_folder import InFolder
 from fieldgrid.recording.stored import Shot, checked_shots
-from fieldgrid.recording.times import UNITS, guess_scale, to_utc_ns
+from fieldgrid.recording.times import NO_TIME, UNITS, TimeScale, guess_scale, to_utc_ns
 
 TimeOf = Callable[[Path], int]
 """The time of a file that its name does not tell, UTC in nanoseconds; RecordingError without."""
@@ -43,6 +44,9 @@ class Layout(NamedTuple):
 
 PAIRS = Layout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
 
+
+_DATE = re.compile(r"20\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
+"""How a date begins that is written without marks. As a count since 1970 it is after 2033."""
 
 FEWEST_ROWS, MOST_ASTRAY = 10, 0.02
 """Of a table with fewer rows, or of which more are not in order of time, nothing is told of one."""
@@ -149,35 +153,59 @@ def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ..
         names = [found[stem] for found in listings]
         files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
         shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
-    told = _times_told(common)
+    told = _times_told(shots)
     alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
     return shots, (*told, f"{alone} images without a partner skipped.") if alone else told
 
 
-def _times_told(names: Collection[str]) -> tuple[str, ...]:
-    """A remark on times as names that are not in nanoseconds."""
-    scale = guess_scale("", sorted(names)[:1], decimal_comma=False)
-    if scale is None or scale.places in (None, UNITS["ns"]):
+def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
+    """A remark on times that are those of names, and not in nanoseconds."""
+    first = min(shots, key=lambda shot: shot.frame_id, default=None)
+    found = None if first is None else _time_of_name(first.frame_id)
+    if first is None or found is None or found.time_ns != first.time_ns:
         return ()
-    return (f"The names of the files are times: {scale.describe()}.",)
+    if found.scale.places == UNITS["ns"]:
+        return ()
+    return (f"The names of the files are times: {found.scale.describe()}.",)
+
+
+class _Named(NamedTuple):
+    """The time of a name in UTC nanoseconds, and the scale on which it is one."""
+
+    time_ns: int
+    scale: TimeScale
+
+
+def _time_of_name(stem: str) -> _Named | None:
+    """None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
+    scale = guess_scale("", [stem], decimal_comma=False)
+    if scale is None or scale.places is None or _DATE.match(stem) is not None:
+        return None
+    time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
+    return None if time_ns == NO_TIME else _Named(time_ns, scale)
 
 
 def file_time_ns(folder: Path, file: str, layout: Layout) -> int:
-    """The time of a frame by the name of its first file, or what else tells it."""
+    """The time of a frame by the name of its first file in nanoseconds, by what else tells it, or
+    by the name in another unit."""
+    stem = PurePath(file).stem
     try:
-        return parse_time_ns({"time_ns": PurePath(file).stem})
+        return parse_time_ns({"time_ns": stem})
     except ValueError:
-        stem = [PurePath(file).stem]
-        scale = guess_scale("", stem, decimal_comma=False)
-        if scale is not None and scale.places is not None:
-            return int(to_utc_ns(stem, scale, decimal_comma=False)[0])
-        if layout.time_of is not None:
+        named = _time_of_name(stem)
+    if layout.time_of is not None:
+        try:
             return layout.time_of(folder / file)
+        except RecordingError:
+            if named is None:
+                raise
+    if named is None:
         raise RecordingError(
             f"{folder} has no {TABLE}, and the {layout.file} name {PurePath(file).name} is no UTC "
             f"time in s, ms, us or ns; add {TABLE} with frame_id, timestamp_utc_s, "
             f"{', '.join(layout.columns)}."
-        ) from None
+        )
+    return named.time_ns
 
 
 def _files(folder: Path, suffixes: Collection[str]) -> dict[str, str]:

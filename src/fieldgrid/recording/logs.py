@@ -13,14 +13,14 @@ from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.files import DELIMITERS, open_log_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.fix_table import read_fix_table
-from fieldgrid.recording.foreign import refuse_foreign
+from fieldgrid.recording.foreign import may_hold_nmea, refuse_foreign
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.isoxml import is_time_log, read_time_log
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.rtklib import SUFFIXES as SOLUTIONS
 from fieldgrid.recording.rtklib import is_solution, read_solution
 from fieldgrid.recording.settings_file import Settings
-from fieldgrid.recording.stream_log import looks_like_stream, read_stream
+from fieldgrid.recording.stream_log import NoStreamError, looks_like_stream, read_stream
 from fieldgrid.recording.tables import COMMENTS, split_header
 
 SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"}) | SOLUTIONS
@@ -96,10 +96,24 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     # Sentences in a column are a stream, unless it is said what the columns are.
     if looks_like_stream(head) and (columns is None or not is_table):
         return read_stream(path)
+    if may_hold_nmea(path, head):
+        return _read_among_foreign(path, head)
     refuse_foreign(path, head)
     if is_table:
         return read_fix_table(path, columns)
     return read_stream(path)  # the receiver may have begun with something else
+
+
+def _read_among_foreign(path: Path, head: bytes) -> FixLog:
+    """The fixes of a log that begins with another protocol, if any follow; else it is refused."""
+    try:
+        log = read_stream(path)
+    except NoStreamError:
+        refuse_foreign(path, head)
+        raise
+    if not len(log.fixes):
+        refuse_foreign(path, head)
+    return log
 
 
 def _looks_like_table(head: bytes) -> bool:

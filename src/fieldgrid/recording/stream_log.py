@@ -20,6 +20,10 @@ _UBX_CLASSES = rb"\x01\x02\x04\x05\x06\x0a\x0b\x0c\x0d\x10\x13\x21\x27\x28"
 _UBX = re.compile(rb"\xb5\x62[" + _UBX_CLASSES + rb"][\x00-\xff]{2}[\x00-\x10]")
 
 
+class NoStreamError(GnssError):
+    """A file that holds neither a sentence nor a message."""
+
+
 def looks_like_stream(head: bytes) -> bool:
     """Whether the start of a file holds a sentence or the start of a UBX message."""
     return _SENTENCE.search(head) is not None or _UBX.search(head) is not None
@@ -28,11 +32,11 @@ def looks_like_stream(head: bytes) -> bool:
 def read_stream(path: Path) -> FixLog:
     """The fixes of a log; of those of two protocols the more numerous, which is noted.
 
-    :class:`GnssError` where there is neither, or positions without a date.
+    :class:`NoStreamError` where there is neither, :class:`GnssError` for positions without a date.
     """
     (nmea, from_nmea), (ubx, from_ubx) = _parse(path)
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
-        raise GnssError(
+        raise NoStreamError(
             f"{path} is no bag and no GNSS log that is known: no NMEA sentence, no UBX message, no "
             "table; check the file, or let the receiver write GGA and RMC."
         )

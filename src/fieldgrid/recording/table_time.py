@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -82,7 +83,23 @@ def find_time(table: Table, columns: Columns) -> TimeColumn:
             "2026-05-14T07:30:00.25Z, or with its day first like 14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
         )
-    return _noted(_finest(found) if len(found) > 1 else found[0], bool(said))
+    time = _finest(found) if len(found) > 1 else found[0]
+    _check_zone(time, columns.time_zone)
+    return _noted(time, bool(said))
+
+
+def _check_zone(time: TimeColumn, time_zone: str) -> None:
+    """Refuse the clock of GPS for a column of numbers, which has a unit and no zone."""
+    places = time.scale.places
+    if places is None or time.scale.gps or not time_zone or not zone_scale(time_zone).gps:
+        return
+    unit = next(unit for unit in UNITS if UNITS[unit] == places)
+    raise RecordingError(
+        f"{time.table.path}: time_zone is {time_zone}, which is of dates, but "
+        f"{_shown(time.table, time.table.header[time.place])} is a number; if it counts from 1980 "
+        f"as GPS does, say so in its place: {how_to_say(time_units=f'gps_{unit}')}; if it is Unix "
+        "time, leave time_zone out."
+    )
 
 
 def _shown(table: Table, name: str) -> str:
@@ -119,7 +136,9 @@ def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> T
     if columns.time_zone:
         said = zone_scale(columns.time_zone)
         return scale._replace(zone_s=said.zone_s, gps=said.gps and not scale.zoned)
-    return scale._replace(gps="gpst" in name.lower() and not scale.zoned)
+    # As a word: the clock of a column gpstime may be UTC, as that of gps_time.
+    of_gps = "gpst" in re.split(r"[^a-z]+", name.lower())
+    return scale._replace(gps=of_gps and not scale.zoned)
 
 
 def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
