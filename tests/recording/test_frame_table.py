@@ -8,6 +8,7 @@ import pytest
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.frame_table import PAIRS, read_frames
+from fieldgrid.recording.in_folder import InFolder
 
 START_S = 1_700_000_000
 
@@ -117,6 +118,30 @@ def test_a_recording_that_was_moved(root: str, tmp_path: Path) -> None:
     shots, (note,) = read_frames(folder)
     assert shots[0].files == ("left/0.png", "right/0.png")
     assert "/left, which is not here; those of the same names in the recording are" in note
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_missing_image_of_a_recording_that_was_moved(missing: int, tmp_path: Path) -> None:
+    folder = pair_in(tmp_path / "drive", str(1 - missing))
+    rows = [f"{k},{START_S + k},/robot/left/{k}.png,/robot/right/{k}.png" for k in range(2)]
+    table = "\n".join(["frame_id,timestamp_utc_s,left,right", *rows, ""])
+    (folder / "frames.csv").write_text(table)
+    layout = PAIRS._replace(incomplete=True)
+    shots, (note,) = read_frames(folder, layout=layout)
+    assert f"left/{1 - missing}.png" in [file for shot in shots for file in shot.files]
+    assert not any(file.startswith("/") for shot in shots for file in shot.files)
+    assert "/robot/left, which is not here" in note
+    with pytest.raises(RecordingError, match=rf"left/{missing}\.png"):
+        read_frames(folder)
+
+
+def test_a_folder_is_found_again_when_its_first_file_is_there(tmp_path: Path) -> None:
+    """In a live session files come after their row."""
+    in_folder = InFolder(tmp_path)
+    assert in_folder("/robot/june/0.png") == "/robot/june/0.png"
+    (tmp_path / "june").mkdir()
+    (tmp_path / "june" / "1.png").touch()
+    assert in_folder("/robot/june/1.png") == "june/1.png"
 
 
 def test_files_that_lie_elsewhere_are_refused(tmp_path: Path) -> None:

@@ -122,6 +122,13 @@ def test_an_error_of_zero_says_nothing(tmp_path: Path) -> None:
     assert fix.sigma_m is None
 
 
+def test_an_error_that_no_number_holds_is_not_said(tmp_path: Path) -> None:
+    with np.errstate(all="raise"):
+        for word in ("1e300", "inf"):
+            (fix,) = read(tmp_path, GPST.replace("0.0080   0.0060", f"{word} 0.0060")).fixes
+            assert fix.sigma_m is None
+
+
 def test_heights_above_the_geoid_are_told(tmp_path: Path) -> None:
     content = GPST.replace("WGS84/ellipsoidal", "WGS84/geodetic")
     assert "above mean sea level" in read(tmp_path, content).notes[1]
@@ -136,6 +143,46 @@ def test_without_a_header_the_clock_must_be_said(tmp_path: Path) -> None:
         (fix,) = read(tmp_path, rows, f"time_zone={said}", "raw.LLH").fixes
         assert fix.time_ns == NOON_NS + (18 - ahead_s) * 10**9 + 250_000_000
         assert (fix.lat_deg, fix.quality, fix.age_s) == (LAT, Quality.RTK_FIXED, 1.2)
+    assert "quality is taken for RTKLIB's Q" in read(tmp_path, rows, "time_zone=UTC").notes[0]
+
+
+@pytest.mark.parametrize("mark", [" ", ","])
+@pytest.mark.parametrize("rest", ["", " 0.0080 0.0060", " 0 0 0 0 0 0 0 0"])
+def test_any_log_without_a_header_is_not_taken_for_one(
+    mark: str, rest: str, tmp_path: Path
+) -> None:
+    """Its quality 1 may be that of GGA, a single position."""
+    words = f"{LAT} {LON} {HEIGHT_M} 1 12{rest}".replace(" ", mark)
+    with pytest.raises(FieldgridError):
+        read(tmp_path, f"2024/06/01 12:00:00.0{mark}{words}\n" * 3, "time_zone=UTC")
+
+
+def test_without_a_header_most_rows_tell_how_wide_one_is(tmp_path: Path) -> None:
+    row = GPST.splitlines()[-1]
+    rows = "\n".join([f"{row} 2024/06", *[row] * 8, ""])
+    assert len(read(tmp_path, rows, "time_zone=GPST").fixes) == 9
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        text("UTC", "2024/06/01 12:00:01.0"),
+        text("GPST", "2316 561619.0").replace("WGS84/ellipsoidal", "WGS84/geodetic"),
+        GPST.replace("   sdn(m)   sde(m)", "   sde(m)   sdn(m)"),
+    ],
+)
+def test_a_second_header_must_agree_with_the_first(second: str, tmp_path: Path) -> None:
+    """Of files that were joined."""
+    assert len(read(tmp_path, GPST + GPST).fixes) == 2
+    with pytest.raises(RecordingError, match=r"another header among its rows.*file of its own"):
+        read(tmp_path, GPST + second)
+
+
+def test_weeks_of_utc_among_dates_are_refused(tmp_path: Path) -> None:
+    content = text("UTC", "2024/06/01 12:00:00.0")
+    week = text("UTC", "2316 561618.250").splitlines()[-1]
+    with pytest.raises(RecordingError, match="weeks of UTC"):
+        read(tmp_path, f"{content}{week}\n")
 
 
 @pytest.mark.parametrize(

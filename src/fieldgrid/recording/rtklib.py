@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain, islice
@@ -67,8 +68,11 @@ _REST = ("q", "ns", "sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)
 _MARKS = ",;\t"
 
 _TIME = re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d(?:\.\d*)?|\d{3,4} \d{1,6}(?:\.\d*)?")
-# Without a header, as Emlid's receivers write: degrees, a height, Q and a number of satellites.
-_BARE = re.compile(rf"(?:{_TIME.pattern})(?: -?\d+\.\d{{6,}}){{2}} -?\d+\.\d+ [0-7] \d+(?: |$)")
+# Without a header, as Emlid's receivers write: degrees, a height, Q, a number of satellites, and
+# eight numbers more, without which it may be any log, whose quality is not RTKLIB's Q.
+_BARE = re.compile(
+    rf"(?:{_TIME.pattern})(?: -?\d+\.\d{{6,}}){{2}} -?\d+\.\d+ [0-7] \d+(?: -?\d+\.\d+){{8}}(?: |$)"
+)
 _MOST_REMARKS = 200
 _MOST_SATELLITES = 10_000
 _BLOCK_ROWS = 1 << 13
@@ -100,22 +104,23 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
     which nothing else says where there is no header.
 
     `sigma_m` is the root of the mean square of the stated errors of the axes. RecordingError for
-    coordinates that count from a base, for another datum than WGS 84, and for unknown times.
+    coordinates that count from a base, for another datum than WGS 84, for unknown times, and for
+    a second header that differs from the first.
     """
     with _open_lines(path) as lines:
         found, first = _read_header(lines)
         scale = _scale(path, found, columns)
         _check_frame(path, found)
-        words = _words(chain([first], lines), found.mark)
+        words = _words(_of_one_header(path, chain([first], lines), found), found.mark)
         width = 0
         parts: list[FixColumns] = []
         read = 0
         while block := list(islice(words, _BLOCK_ROWS)):
             read += len(block)
             check_rows(read, path)
-            width = width or _count_words(found, block[0])
+            width = width or _count_words(found, block)
             rows = _Rows.of(block, width)
-            if rows.times and not scale.gps and "/" not in rows.times[0][0]:
+            if not scale.gps and any("/" not in day for day, _ in rows.times):
                 raise RecordingError(
                     f"{path} has weeks of UTC; let RTKLIB write times as GPST, or as date and time."
                 )
@@ -126,7 +131,8 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
 
 def _notes(name: str, found: _Columns, scale: TimeScale, damaged: int) -> tuple[str, ...]:
     clock = "GPST" if scale.gps else f"UTC{scale.zone_s / 3600:+g} h" if scale.zone_s else "UTC"
-    notes = [f"{name}: a solution of RTKLIB, times in {clock}."]
+    codes = "" if found.scale else ", and without a header: its quality is taken for RTKLIB's Q"
+    notes = [f"{name}: a solution of RTKLIB, times in {clock}{codes}."]
     if found.heights == "geodetic":
         notes.append(f"{name}: its heights are above mean sea level.")
     if damaged:
@@ -154,12 +160,27 @@ def _read_header(lines: Iterator[str]) -> tuple[_Columns, str]:
     for line in lines:
         if line.strip() and not line.startswith("%"):
             return (found if found.scale else found._replace(mark=_mark(line))), line
-        frame = re.search(r"lat/lon/height=(\w+)/(\w+)", line)
-        if frame is not None:
-            found = found._replace(datum=frame[1], heights=frame[2])
-        if _names_columns(line):
-            found = _named(line, found)
+        found = _with_remark(found, line)
     return found, ""
+
+
+def _with_remark(found: _Columns, line: str) -> _Columns:
+    """The same with what a further line of remarks says."""
+    frame = re.search(r"lat/lon/height=(\w+)/(\w+)", line)
+    if frame is not None:
+        found = found._replace(datum=frame[1], heights=frame[2])
+    return _named(line, found) if _names_columns(line) else found
+
+
+def _of_one_header(path: Path, lines: Iterable[str], found: _Columns) -> Iterator[str]:
+    """The lines as they are; files that were joined may have a header each, which must agree."""
+    for line in lines:
+        if line.startswith("%") and _with_remark(found, line) != found:
+            raise RecordingError(
+                f"{path} has another header among its rows, {line.strip()[:80]!r}, which differs "
+                "from what came before; give what follows it as a file of its own."
+            )
+        yield line
 
 
 def _named(line: str, found: _Columns) -> _Columns:
@@ -207,10 +228,13 @@ def _words(lines: Iterable[str], mark: str) -> Iterator[list[str]]:
             yield (line.replace(mark, " ") if mark else line).split()
 
 
-def _count_words(found: _Columns, first: list[str]) -> int:
-    """Of a whole row, by the header; else by the first row, which has Q and ns at least."""
+def _count_words(found: _Columns, block: Sequence[list[str]]) -> int:
+    """Of a whole row, by the header; else by most rows, which have Q and ns at least."""
     place = 2 + _WIDTHS[found.place]
-    return place + len(found.rest) if found.scale else max(len(first), place + 2)
+    if found.scale:
+        return place + len(found.rest)
+    ((most, _),) = Counter(map(len, block)).most_common(1)
+    return max(most, place + 2)
 
 
 class _Rows(NamedTuple):
@@ -243,7 +267,8 @@ def _fixes(rows: _Rows, found: _Columns, scale: TimeScale) -> FixColumns:
     lat, lon, height = _positions(place, found.place)
     unsaid = np.full(len(place), np.nan)
     sigmas = [of[name] for name in _SIGMAS[found.place] if name in of]
-    sigma = np.sqrt(np.mean(np.square(sigmas), axis=0)) if sigmas else unsaid
+    with np.errstate(over="ignore"):  # of a damaged word like 1e300; then it is not said
+        sigma = np.sqrt(np.mean(np.square(sigmas), axis=0)) if sigmas else unsaid
     times_ns = _times_ns(rows.times, scale)
     keep = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 360.0) & np.isfinite(height) & (times_ns > 0)
     keep &= (of["ns"] >= 0.0) & (of["ns"] < _MOST_SATELLITES)
@@ -254,7 +279,7 @@ def _fixes(rows: _Rows, found: _Columns, scale: TimeScale) -> FixColumns:
         height_m=height[keep],
         quality=[_quality(code) for code in of["q"][keep].tolist()],
         satellites=of["ns"][keep].astype(np.int64),
-        sigma_m=np.where(sigma > 0.0, sigma, np.nan)[keep],
+        sigma_m=np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan)[keep],
         # What is computed afterwards also takes corrections that came later.
         age_s=np.abs(of.get("age(s)", unsaid))[keep],
     )
