@@ -511,6 +511,30 @@ def test_weeks_that_begin_anew_are_refused(tmp_path: Path) -> None:
     fails(tmp_path, "week,tow,lat,lon\n268,561618,41,-4\n", "week 268 is before 1999.*add 2048")
 
 
+def test_a_column_beside_weeks_that_begin_anew_is_named(tmp_path: Path) -> None:
+    text = f"timestamp,week,tow,lat,lon\n{START_S},268,561618,41,-4\n"
+    fails(tmp_path, text, "week 268 .*, or take the time of 'timestamp': .*--columns time=timest")
+    assert only(tmp_path, text, "time=timestamp").time_ns == START_NS
+
+
+def test_heights_of_rows_without_a_fix_do_not_count(tmp_path: Path) -> None:
+    """Receivers write any height before their first position."""
+    rows = [
+        f"{START_S + k},41,-4,{h},{q}" for k, (h, q) in enumerate([(-17e3, 0)] * 2 + [(700, 4)])
+    ]
+    header = "time,lat,lon,alt,quality"
+    assert len(read(tmp_path, "\n".join([header, *rows])).fixes) == 3
+    rows[2] = rows[2].replace("700", "700000")
+    fails(tmp_path, "\n".join([header, *rows]), "alt is 700000 m, higher than any field")
+
+
+def test_heights_are_judged_by_the_whole_file(tmp_path: Path) -> None:
+    """Not by each block of rows."""
+    heights = [-17e3] * 9_000 + [700] * 9_001
+    rows = [f"{START_S + k},41,-4,{h}" for k, h in enumerate(heights)]
+    assert len(read(tmp_path, "\n".join(["time,lat,lon,alt", *rows])).fixes) == 18_001
+
+
 def test_a_time_of_week_is_no_time_by_itself(tmp_path: Path) -> None:
     """Its milliseconds are as large as seconds since 1970 once were."""
     text = "timestamp,timeOfWeek,lat,lon\n77000000,561618000,41,-4\n"

@@ -55,6 +55,7 @@ def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
             return _read_oxts(table)
         plan = _Plan(table, columns or Columns())
         fixes = FixColumns.joined(plan.fixes(block) for block in table.blocks())
+        plan.check_heights()
         return FixLog(fixes, plan.notes())
 
 
@@ -88,6 +89,7 @@ class _Plan:
     where: Places = field(init=False)
     told: tuple[str, ...] = field(init=False)
     counts: Counter[str] = field(default_factory=Counter)
+    heights_m: list[Float64] = field(default_factory=list)
     unknown: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -140,13 +142,27 @@ class _Plan:
         )
         self.counts["rows without a time after 1980 skipped"] += int((placed & ~timed).sum())
         keep = np.flatnonzero(placed & timed)
-        return FixColumns.of(
+        heights_m = self._heights(block)[keep]
+        missing = np.isnan(heights_m)
+        fixes = FixColumns.of(
             times_ns[keep],
             lat_deg=lat[keep],
             lon_deg=lon[keep],
-            height_m=self._heights(block)[keep],
+            height_m=np.where(missing, 0.0, heights_m),
             **self._optional(block, keep),
         )
+        self.heights_m.append(heights_m[~missing & (fixes.quality != Quality.NONE)])
+        return fixes
+
+    def check_heights(self) -> None:
+        """Refuse heights that no field has, by all rows that were read and have a position."""
+        heights_m = np.concatenate([*self.heights_m, np.empty(0)])
+        if heights_m.size and np.median(np.abs(heights_m)) > _HIGHEST_M:
+            raise RecordingError(
+                f"{self.table.path}: {self.table.header[self.places['height']]} is "
+                f"{np.median(heights_m):.12g} m, higher than any field; say its unit: "
+                f"{how_to_say(height_units='mm')}, or cm or ft."
+            )
 
     def _optional(self, block: Block, keep: Index) -> dict[str, npt.ArrayLike]:
         """What fixes may lack, by the field of a fix."""
@@ -192,6 +208,7 @@ class _Plan:
         )
 
     def _heights(self, block: Block) -> Float64:
+        """Metres, NaN where a row has none."""
         if "height" not in self.places:
             return np.zeros(len(block.rows))
         said = self.columns.height_units
@@ -202,15 +219,8 @@ class _Plan:
             return None if length_m is None else length_m / unit_m
 
         heights = self.table.numbers(block, self.places["height"], in_units) * unit_m
-        missing = np.isnan(heights)
-        if not missing.all() and np.median(np.abs(heights[~missing])) > _HIGHEST_M:
-            raise RecordingError(
-                f"{self.table.path}: {self.table.header[self.places['height']]} is "
-                f"{np.median(heights[~missing]):.12g} m, higher than any field; say its unit: "
-                f"{how_to_say(height_units='mm')}, or cm or ft."
-            )
-        self.counts["rows without a height: taken as 0 m"] += int(missing.sum())
-        return np.where(missing, 0.0, heights)
+        self.counts["rows without a height: taken as 0 m"] += int(np.isnan(heights).sum())
+        return heights
 
     def _degrees(self, role: str, value: dict[str, Float64]) -> Float64 | None:
         if role not in value:

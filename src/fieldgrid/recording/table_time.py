@@ -148,9 +148,13 @@ def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
         return None
     weeks = table.numbers(table.sample, table.header.index(week))
     if weeks.size and np.nanmax(weeks, initial=-np.inf) < _FIRST_WEEK and np.isfinite(weeks).any():
+        names = (n for n in time_candidates(table.header) if _column(table, n, columns) is not None)
+        name = next(names, "")
+        other = f", or take the time of '{name}': {how_to_say(time=name)}" if name else ""
         raise RecordingError(
             f"{table.path}: GPS week {np.nanmax(weeks):.0f} is before 1999; if the receiver begins "
-            "anew after 1024 weeks, add 2048 to its weeks (1024 to those before April 2019)."
+            "anew after 1024 weeks, add 2048 to its weeks (1024 to those before April 2019)"
+            f"{other}."
         )
     place = table.header.index(tow)
     seconds = table.numbers(table.sample, place)
