@@ -73,7 +73,7 @@ _KINDS = (
         _SOLVE,
         _holds(b"RINEX VERSION / TYPE", b"CRINEX VERS   / TYPE"),
     ),
-    _Kind("RTCM 3 (corrections or measurements, no positions)", _SOLVE, _is_rtcm, True),
+    _Kind("RTCM 3 (corrections or measurements, no positions)", _SOLVE, _is_rtcm, with_nmea=True),
     _Kind(
         "Septentrio's SBF",
         "let the receiver write NMEA (GGA and RMC), or convert the file by Septentrio's SBF "
