@@ -29,7 +29,7 @@ from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import make_small_drive
 
-URL = "memory://farm/june-03"
+URL = "memory://vines/june-03"
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +45,7 @@ def memory() -> Iterator[Any]:
     system.store.clear()
     system.pseudo_dirs[:] = [""]
     for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png"):
-        system.pipe(f"/farm/june-03/{name}", f"content of {name}".encode())
+        system.pipe(f"/vines/june-03/{name}", f"content of {name}".encode())
     yield system
     system.store.clear()
 
@@ -61,8 +61,8 @@ def files_of(folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("path", "is_one"),
     [
-        ("s3://farm/june-03", True),
-        ("zip://june-03::s3://farm/2026.zip", True),
+        ("s3://vines/june-03", True),
+        ("zip://june-03::s3://vines/2026.zip", True),
         ("june-03", False),
         ("../s3/june-03", False),
         ("C://june-03", False),
@@ -77,9 +77,9 @@ def test_urls_are_told_from_paths(path: str | Path, is_one: bool) -> None:
 @pytest.mark.parametrize(
     ("url", "place"),
     [
-        ("s3://farm/2026/june-03", "s3/farm/2026/june-03"),
-        ("s3://farm/2026/./june-03/", "s3/farm/2026/june-03"),
-        ("zip://june-03::s3://farm/2026.zip", "s3/farm/2026.zip.content/zip/june-03"),
+        ("s3://vines/2026/june-03", "s3/vines/2026/june-03"),
+        ("s3://vines/2026/./june-03/", "s3/vines/2026/june-03"),
+        ("zip://june-03::s3://vines/2026.zip", "s3/vines/2026.zip.content/zip/june-03"),
         ("sftp://me@host/june-03", "sftp/me@host/june-03"),
     ],
 )
@@ -101,7 +101,7 @@ def test_a_recording_is_copied_once_and_brought_up_to_date(
     get = memory.get
 
     def counted(sources: list[str], *arguments: Any) -> Any:
-        fetched_names.extend(name.removeprefix("/farm/june-03/") for name in sources)
+        fetched_names.extend(name.removeprefix("/vines/june-03/") for name in sources)
         return get(sources, *arguments)
 
     monkeypatch.setattr(type(memory), "get", lambda self, *arguments: counted(*arguments))
@@ -116,9 +116,9 @@ def test_a_recording_is_copied_once_and_brought_up_to_date(
     assert fetch(URL) == copy
     assert fetched_names == []
 
-    memory.pipe("/farm/june-03/frames.csv", b"CONTENT of frames.csv")  # of the same size
-    memory.rm("/farm/june-03/left/0.png")
-    memory.pipe("/farm/june-03/left/1.png", b"new")
+    memory.pipe("/vines/june-03/frames.csv", b"CONTENT of frames.csv")  # of the same size
+    memory.rm("/vines/june-03/left/0.png")
+    memory.pipe("/vines/june-03/left/1.png", b"new")
     (copy / "gnss" / "rtk.nmea").write_text("cut")
     (copy / "my_notes.txt").write_text("mine")
     fetch(URL)
@@ -177,8 +177,8 @@ def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
 
 
 def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RecordingError, match=r"'memory://farm/july' does not exist; give the URL"):
-        fetch("memory://farm/july")
+    with pytest.raises(RecordingError, match=r"'memory://vines/july' does not exist; give the URL"):
+        fetch("memory://vines/july")
     with pytest.raises(RecordingError, match=r"Protocol not known: nothing\); check the URL"):
         fetch("nothing://farm")
     for url in ("sftp://me:secret@host/june-03", "https://host/d.zip?X-Amz-Signature=12"):
@@ -221,16 +221,16 @@ def test_an_empty_object_that_stands_for_a_folder_is_no_file(
 
 def test_a_file_that_became_a_folder_is_told(memory: Any) -> None:
     copy = fetch(f"{URL}/frames.csv")
-    memory.rm("/farm/june-03/frames.csv")
-    memory.pipe("/farm/june-03/frames.csv/a.txt", b"x")
+    memory.rm("/vines/june-03/frames.csv")
+    memory.pipe("/vines/june-03/frames.csv/a.txt", b"x")
     with pytest.raises(RecordingError, match=r"when there was a file at the URL, .* remove it"):
         fetch(f"{URL}/frames.csv")
     assert copy.read_text() == "content of frames.csv"
 
 
 def test_a_folder_in_an_archive_lies_beside_the_archive(cache: Path) -> None:
-    archive = fetched.copy_of("memory://farm/2026.zip")
-    inside = fetched.copy_of("zip://june::memory://farm/2026.zip")
+    archive = fetched.copy_of("memory://vines/2026.zip")
+    inside = fetched.copy_of("zip://june::memory://vines/2026.zip")
     assert archive not in inside.parents
 
 

@@ -1,8 +1,8 @@
 """Recordings at URLs: copied to this machine by fsspec, and read from there.
 
 Readers seek in files, read them twice and from several processes, so a recording on another
-machine (S3, SSH, HTTP, ...) gets a local copy. That of `s3://farm/2026/june-03` is the folder
-`CACHE/recordings/s3/farm/2026/june-03`, and a manifest beside it lists its files. A file that has
+machine (S3, SSH, HTTP, ...) gets a local copy. That of `s3://vines/2026/june-03` is the folder
+`CACHE/recordings/s3/vines/2026/june-03`, and a manifest beside it lists its files. A file that has
 not changed is not fetched again.
 """
 
@@ -62,7 +62,7 @@ def in_cache(relative: str) -> Path:
 
 def copy_of(url: str) -> Path:
     """Where the copy of a recording at a URL lies, or will. The links of a chained URL, as in
-    `zip://june-03::s3://farm/2026.zip`, follow each other from the outermost in; what is inside of
+    `zip://june-03::s3://vines/2026.zip`, follow each other from the outermost in; what is inside of
     a file lies beside the copy of that file."""
     copy = cache_folder() / "recordings"
     for number, link in enumerate(reversed(url.split("::"))):

@@ -32,7 +32,7 @@ for _format in (
 def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
     """The drive at a path: a recording, a bag, a folder without images, or a GNSS log alone.
 
-    A URL that fsspec knows, like `s3://farm/june-03`, is copied to this machine first
+    A URL that fsspec knows, like `s3://vines/june-03`, is copied to this machine first
     (:mod:`fieldgrid.recording.fetched`).
     Use it as a context manager. :meth:`~fieldgrid.recording.Drive.recording` gives it as one with
     frames. What is wrong is a RecordingError, a GnssError or a ConfigError that says what to do.
