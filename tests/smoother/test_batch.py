@@ -559,7 +559,8 @@ def test_learning_makes_the_sightings_likelier(
     for commands in (STRAIGHT, SLALOM, CIRCLE):
         drive = simulate(commands, 30.0, speed_mps=1.5).every(0.2)
         asked, first = problem(drive, measured_at(drive, noise_m, seed=2))
-        steers = steering.likeliest_steering(asked, first)
+        # Begun from the usual steering: one of the drive's own turns leaves less to be learnt.
+        steers = steering.likeliest_steering(asked, first)._replace(bent=1.0)
         found = []
         with monkeypatch.context() as patch:
             for count in range(steering.ADAPTATIONS + 1):
@@ -568,8 +569,8 @@ def test_learning_makes_the_sightings_likelier(
         gains = np.diff(found)
         assert len(gains) == steering.ADAPTATIONS
         assert (gains > -0.5).all()
-        assert gains[:2].max() == gains.max()
-        assert gains.sum() > 3.0
+        assert gains[0] == gains.max()
+        assert gains.sum() > 4.0
 
 
 def solution(found: Smoothed) -> Solution:
