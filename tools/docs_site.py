@@ -1,8 +1,9 @@
 """Pages of the documentation site that are made from other files, and a check of the site.
 
 MkDocs calls `on_files`: the README becomes the first page, the commands' help and the public
-names of the package become the reference, so neither can differ from the code. Run as a script,
-it makes sure that the finished site loads nothing from another host.
+names of the package become the reference, so neither can differ from the code. It calls
+`on_page_content` with the HTML of each page. Run as a script, it makes sure that the finished
+site loads nothing from another host and shows no escaped bar.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
@@ -38,6 +40,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Remove the backslash of an escaped bar in code inside a table.
+
+    A table in Markdown needs `\\|` there. GitHub shows a bar, Python-Markdown both characters.
+    """
+    return re.sub(r"<td.*?</td>", lambda cell: cell.group(0).replace("\\|", "|"), html, flags=re.S)
 
 
 def moved(name: str) -> str:
@@ -123,13 +133,21 @@ def foreign(site: Path) -> Iterator[str]:
                 yield f"{sheet.relative_to(site)}: {url}"
 
 
+def escaped(pages: list[Path]) -> Iterator[str]:
+    """Cells of tables that show the backslash before a bar."""
+    for page in pages:
+        for cell in re.findall(r"<td.*?</td>", page.read_text(encoding="utf-8"), re.S):
+            if "\\|" in cell:
+                yield f"{page.name}: {cell}"
+
+
 def main() -> None:
-    """Exit 1 when the site loads something from another host, or has no page."""
+    """Exit 1 when the site has no page, loads something from another host, or shows an escape."""
     parser = argparse.ArgumentParser(description="Check a built documentation site.")
     parser.add_argument("site", type=Path)
     site = parser.parse_args().site
     pages = list(site.rglob("*.html"))
-    problems = list(foreign(site)) if pages else [f"{site} has no page"]
+    problems = [*foreign(site), *escaped(pages)] if pages else [f"{site} has no page"]
     for problem in problems:
         print(problem, file=sys.stderr)
     print(f"{len(pages)} pages, {len(problems)} problems")
