@@ -19,6 +19,7 @@ from benchmarks import (
     heading_stops,
     heading_tractor,
     heading_vineyard,
+    heading_wander,
 )
 
 
@@ -49,6 +50,12 @@ SECTIONS = (
         "simulated drives with gyros right and wrong, beside the truth",
         Path("."),
         heading_gyro.report,
+    ),
+    Section(
+        "wander",
+        "simulated receivers that drift smoothly within seconds, with gyro, beside the truth",
+        Path("."),
+        heading_wander.report,
     ),
     Section(
         "stops",

@@ -78,7 +78,7 @@ def read_log(path: Path, told: str) -> Log:
     )
 
 
-GYROS = {"gyro": 1.0, "10 % small": 0.9, "upside down": -1.0}
+GYROS = {"gyro": 1.0, "10 % small": 0.9, "10 % large": 1.1, "upside down": -1.0}
 """What the rates of the car's gyro are multiplied by."""
 
 

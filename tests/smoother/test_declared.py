@@ -8,10 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.array_types import Float64
-from fieldgrid.smoother import model
+from fieldgrid.motion import Motion
+from fieldgrid.pose import estimate_poses
+from fieldgrid.quality import Quality
+from fieldgrid.rig import Carrier
+from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import declared, model
 from fieldgrid.smoother.declared import couplings
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.model import GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
+from tests.simulated import DATUM, Command, fixes_of, gyro_of, simulate
 from tests.smoother.test_model import SEEDS, dense, empty, states
 
 
@@ -83,3 +89,20 @@ def test_how_a_gyro_depends_on_its_scale(seed: int, hole: bool) -> None:
         moved = x.copy()
         moved.flat[state] += 1.0
         assert border[state, 3] == pytest.approx(by_scale @ (away(moved, 0.0) - away(x, 0.0)))
+
+
+def test_a_solution_that_converges_tells_less_of_a_gyro(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two equal drives the one by a float solution leaves the scale open, and the turns."""
+    drive = simulate([Command(8.0, 4.0, bend) for bend in (0.03, -0.03, 0.0)], 40.0)
+    fixes = fixes_of(drive, 0.2, 0.01, seed=2)
+    motion = Motion(gyro=gyro_of(drive, noise_dps=0.05))
+
+    def usual_deg(quality: Quality) -> float:
+        settings = PoseSettings(quality=quality, accuracy_m=0.5)
+        found = estimate_poses(fixes, Carrier(0.0), DATUM, settings, motion).trajectory
+        return float(np.median(found.heading_sigma_deg))
+
+    float_deg, other_deg = usual_deg(Quality.RTK_FLOAT), usual_deg(Quality.DIFFERENTIAL)
+    monkeypatch.setattr(declared, "FLEETING_SHARE", declared.TOLD_SHARE)
+    assert float_deg > 1.001 * usual_deg(Quality.RTK_FLOAT)
+    assert other_deg == usual_deg(Quality.DIFFERENTIAL)

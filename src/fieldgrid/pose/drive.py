@@ -22,7 +22,7 @@ from fieldgrid.pose.leaps import holes
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest
-from fieldgrid.smoother import Measurements, Smoothed, refine, smooth
+from fieldgrid.smoother import Measurements, Smoothed, refine, smooth, unstated_wander
 
 LEAST_HEADING_SIGMA_DEG = 0.3
 """What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
@@ -184,10 +184,14 @@ def _drive(
     doubt = np.where(_near_recorded(measured), 0.0, doubt)
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
-    sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
+    turns_seen = at.has_gyro() or len(measured.step) > 0
+    sigma_deg = np.degrees(smoothed.heading_sigma_rad)
+    if turns_seen:
+        # What the fixes say of headings is as unsure as they wander beside the turns.
+        sigma_deg = sigma_deg * np.sqrt(unstated_wander(smoothed.state, measured))
+    sigma_deg = np.hypot(sigma_deg, LEAST_HEADING_SIGMA_DEG)
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
-    turns_seen = at.has_gyro() or len(measured.step) > 0
     if turns_seen and smoothed.declared.contradicts:
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
     if at.has_gyro():

@@ -4,7 +4,7 @@ from fieldgrid.smoother.batch import Smoothed, refine, smooth
 from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, Declared
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
-from fieldgrid.smoother.wander import Wander, wander
+from fieldgrid.smoother.wander import Wander, unstated_wander, wander
 
 __all__ = [
     "AHEAD",
@@ -17,5 +17,6 @@ __all__ = [
     "Wander",
     "refine",
     "smooth",
+    "unstated_wander",
     "wander",
 ]

@@ -27,6 +27,10 @@ stamps of two clocks, and a gyro's scale with its mounting."""
 TOLD_SHARE = 0.5
 """Of what a drive tells of them: the noise of its fixes is known to a third."""
 
+FLEETING_S, FLEETING_SHARE = 30.0, 0.1
+"""A slow error that lasts no longer is that of a solution that converges. It changes within a turn,
+and how fast it does is a guess: of the gyro's scale such fixes tell less."""
+
 TURN_EDGE_S = 0.5
 """A gyro that is late is wrong for so long before and after a turn, too."""
 
@@ -126,8 +130,11 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
             # the fixes seem early, and headings with them.
             late = np.abs(turned) if k == LATE else 0.0
             at_most = np.maximum(at_most, np.abs((late + np.abs(heading[:, k])) * alone[k]))
-    usual = np.linalg.inv(TOLD_SHARE * information + np.diag(1.0 / UNVERIFIED_SIGMAS**2))
-    expected = usual @ (TOLD_SHARE * right)
+    prior = np.diag(1.0 / UNVERIFIED_SIGMAS**2)
+    expected = np.linalg.solve(TOLD_SHARE * information + prior, TOLD_SHARE * right)
+    fleeting = float(np.median(measured.bias_s)) < FLEETING_S
+    told = np.sqrt([*3 * (TOLD_SHARE,), FLEETING_SHARE if fleeting else TOLD_SHARE])
+    usual = np.linalg.inv(np.outer(told, told) * information + prior)
     second_moment = (usual + np.outer(expected, expected))[LATE:, LATE:]
     by_gyro = heading[:, LATE:].copy()
     by_gyro[:, 0] -= turned  # in the clock of the fixes

@@ -28,6 +28,13 @@ FOREVER_S = 1e9
 """For so long a part of the slow error lasts that joins it: none fades."""
 
 
+LAGS_S = (2.0, 5.0, 10.0)
+"""Over so long slow errors are compared with what is stated of them: about a turn."""
+
+FEWEST_PAIRS = 10
+"""Of fewer nodes so far apart a mean says nothing."""
+
+
 class Wander(NamedTuple):
     """How much likelier the drive is when its fixes wander, `nats`; how far apart the slow errors
     of its nodes lie then, `extent_m`; and by how much its headings [n] differ from those of fixes
@@ -64,3 +71,30 @@ def wander(
     extent_m = float(np.hypot(*np.ptp(free[:, model.BIAS_E :], axis=0)))
     turned = free[:, model.PHI] - known.state[:, model.PHI]
     return Wander(max(others) - stated, extent_m, np.asarray(turned))
+
+
+def unstated_wander(state: Float64, measured: Measurements) -> float:
+    """By how much the slow errors of the estimated states [n, 8] wander more than is stated of
+    them: the ratio of the mean squares of their changes, the largest of :data:`LAGS_S`, and 1 where
+    they wander by less.
+
+    An estimate that holds a part of the wander for motion shows too small a ratio.
+    """
+    time_s, slow_m = measured.time_s, state[:, model.BIAS_E :]
+    variance, lasts_s = measured.bias_m**2, measured.bias_s
+    most = 1.0
+    for lag_s in LAGS_S:
+        later = np.searchsorted(time_s, time_s + lag_s)
+        first = np.flatnonzero(later < len(time_s))
+        later = later[first]
+        passed_s = time_s[later] - time_s[first]
+        near = passed_s < 1.5 * lag_s
+        first, later, passed_s = first[near], later[near], passed_s[near]
+        if len(first) < FEWEST_PAIRS:
+            continue
+        changed = float(np.mean((slow_m[later] - slow_m[first]) ** 2))
+        # Of one part that fades and one that joins where the stated error grows.
+        stated = 2.0 * variance[first] * (1.0 - np.exp(-passed_s / lasts_s[first]))
+        stated += np.maximum(variance[later] - variance[first], 0.0)
+        most = max(most, changed / max(float(np.mean(stated)), model.NO_BIAS_M**2))
+    return most
