@@ -44,6 +44,7 @@ QUALITY = {"RTK Fixed": 4, "RTK Float": 5, "DGPS": 2, "Invalid": 0}
 NEUTRAL, NEAR_NEUTRAL = 2840.0, 60.0
 MOVING_MPS, RESTING_MPS, SURELY_RESTING_MPS = 0.2, 0.2, 0.05
 FEWEST_MOVING = 20
+OWN_SPAN_S, FEWEST_AT_STOP = 1.2, 10
 
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]
@@ -126,6 +127,51 @@ def report() -> Iterator[str]:
     for name, one in found:
         yield _line(name, one)
     yield _line("pooled", pool([one for _, one in found]))
+    yield from _reference_lines()
+
+
+def _reference_lines() -> Iterator[str]:
+    """The floor: how much the two antennas' heading scatters itself."""
+    moving, within_stops = [], []
+    for log in logs():
+        rows = np.flatnonzero(np.isfinite(log.truth_deg))
+        heading_deg = np.degrees(np.unwrap(np.radians(log.truth_deg[rows])))
+        time_s, speed = log.time_ns[rows] / 1e9, log.speed_mps[rows]
+        moving.append(_own_scatter_deg(time_s, heading_deg)[speed > MOVING_MPS])
+        within_stops += _within_stops_deg(heading_deg, speed <= SURELY_RESTING_MPS)
+    for name, parts in (
+        ("moving, from one to the next", moving),
+        ("at rest, beside the stop's median", within_stops),
+    ):
+        size = np.abs(np.concatenate(parts))
+        size = size[np.isfinite(size)]
+        yield (
+            f"the reference's own scatter, {name}: "
+            f"{np.median(size):.2f}°, 95 % {np.percentile(size, 95):.2f}°"
+        )
+
+
+def _own_scatter_deg(time_s: _Float64, heading_deg: _Float64) -> _Float64:
+    """How far each heading lies off the cubic through two on either side, scaled to the error of
+    one; NaN where they are not close."""
+    off = np.full(len(time_s), np.nan)
+    for k in range(2, len(time_s) - 2):
+        around = [k - 2, k - 1, k + 1, k + 2]
+        at_s = time_s[around] - time_s[k]
+        if at_s[-1] - at_s[0] <= OWN_SPAN_S:
+            weight = np.linalg.solve(np.vander(at_s, 4).T, [0.0, 0.0, 0.0, 1.0])
+            away = heading_deg[k] - weight @ heading_deg[around]
+            off[k] = away / np.sqrt(1.0 + (weight**2).sum())
+    return off
+
+
+def _within_stops_deg(heading_deg: _Float64, resting: npt.NDArray[np.bool_]) -> list[_Float64]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(int), [0]])))
+    return [
+        heading_deg[first:stop] - np.median(heading_deg[first:stop])
+        for first, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - first >= FEWEST_AT_STOP
+    ]
 
 
 def pool(many: list[Measured]) -> Measured:
