@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -176,12 +177,16 @@ BESIDE_M, END_M = 1.6, 5.0
 
 _ROW_HEIGHT_M = 145.0
 
+FEWEST_OF_PASS, WEAVE_STEP_M, BESIDE_TRACK_M = 50, 0.25, 1.1
+WAVES_M = (20.0, 8.0, 4.0, 2.0, 1.0)
+
 
 def report_rows() -> Iterator[str]:
     yield f"{'':<34}{'epochs':>8}{'used':>8}{'1.48 MAD':>10}{'std':>8}{'median':>9}{'sigma':>8}"
     yield f"{'asked':<34}{'':>8}{'':>8}{'<= 0.5°':>10}{'<= 0.5°':>8}"
     for quality, name in ((4, "taken for RTK"), (1, "quality unknown")):
         yield from _rows_lines(quality, name)
+    yield from _weave_lines()
 
 
 def _rows_lines(quality: int, name: str) -> Iterator[str]:
@@ -200,6 +205,39 @@ def _rows_lines(quality: int, name: str) -> Iterator[str]:
         if mask.sum() > 50:
             yield _rows_line(f"  pass {k}, row {row[mask][0]}", off, sigma, accepted, mask)
     yield _rows_line(f"all passes, {name}", off, sigma, accepted, (row >= 0) & drives)
+
+
+def _weave_lines() -> Iterator[str]:
+    """How far the antenna weaves about its row by the length of the waves, and whether passes whose
+    tracks lie within a metre weave alike, as on the same bumps they would."""
+    fixes, lat, lon = _robot(1)
+    row, azimuth = row_of(lat, lon)
+    east, north = Datum(lat[0], lon[0], _ROW_HEIGHT_M).to_enu(lat, lon, fixes.height_m)[:2]
+    way = np.radians(np.nanmedian(azimuth))
+    along = east * np.sin(way) + north * np.cos(way)
+    aside = east * np.cos(way) - north * np.sin(way)
+    inside = row >= 0
+    passes = np.cumsum(np.diff(row, prepend=-1) != 0)
+    tracks = [np.flatnonzero(inside & (passes == k)) for k in np.unique(passes[inside])]
+    tracks = [at[np.argsort(along[at])] for at in tracks if len(at) > FEWEST_OF_PASS]
+    start, stop = max(along[at[0]] for at in tracks), min(along[at[-1]] for at in tracks)
+    even_m = np.arange(start, stop, WEAVE_STEP_M)
+    lines = np.array([np.interp(even_m, along[at], aside[at]) for at in tracks])
+    trend = np.polynomial.polynomial.polyfit(even_m, lines.T, 1)
+    waves = np.fft.rfft(lines - np.polynomial.polynomial.polyval(even_m, trend), axis=1)
+    per_m = np.fft.rfftfreq(len(even_m), WEAVE_STEP_M)
+    middle_m = np.median(lines, axis=1)
+    for longest_m, shortest_m in pairwise(WAVES_M):
+        band = (per_m > 1.0 / longest_m) & (per_m <= 1.0 / shortest_m)
+        found = np.fft.irfft(np.where(band, waves, 0.0), len(even_m), axis=1)
+        alike = np.asarray(np.corrcoef(found))
+        beside = np.abs(middle_m[:, None] - middle_m) <= BESIDE_TRACK_M
+        size_cm = 100.0 * found.std(axis=1)
+        yield (
+            f"waves of {shortest_m:g} to {longest_m:g} m: {size_cm.min():.1f} to "
+            f"{size_cm.max():.1f} cm a pass; tracks within a metre are alike by "
+            + ", ".join(f"{one:+.2f}" for one in alike[np.triu(beside, 1)])
+        )
 
 
 def _rows_line(
