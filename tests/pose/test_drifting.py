@@ -8,7 +8,7 @@ import pytest
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion
 from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.rig import Carrier
+from fieldgrid.rig import Carrier, LeverArm
 from tests.simulated import DATUM, K_TURN, START, Command, Drive, fixes_of, gyro_of, simulate
 from tests.simulated import steps_of as camera
 
@@ -51,6 +51,20 @@ def test_positions_know_of_a_drift_that_the_camera_sees(drift_m: float) -> None:
     assert (turned_deg <= 3.0 * one.heading_sigma_deg).mean() > 0.98
     # It is the camera that tells.
     assert not tells(estimated(drive, fixes, seen=False))
+
+
+@pytest.mark.parametrize("ahead_m", [0.2, -0.2])
+def test_an_antenna_elsewhere_than_declared_is_no_drift(ahead_m: float) -> None:
+    """As it looks where an IMU is tilted by 5°: the antenna leans by as much at each heading."""
+    drive = simulate(ROWS, 50.0, speed_mps=1.2)
+    fixes = fixes_of(drive, noise_m=0.008, seed=4, antenna=LeverArm(0.0, ahead_m, 2.0))
+    found = estimated(drive, fixes)
+    one, truth = found.trajectory, drive.at((found.trajectory.time_ns - START) / 1e9)
+    antenna_m = truth.point(0.0, ahead_m)
+    assert not tells(found)
+    assert np.median(one.position_sigma_m) < 0.05
+    off_m = np.hypot(one.east_m - antenna_m[:, 0], one.north_m - antenna_m[:, 1])
+    assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0, 2.0])

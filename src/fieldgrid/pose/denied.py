@@ -150,7 +150,7 @@ def _unfit_note(drive: Drive, denied: Denied) -> Iterator[str]:
     right_m, ahead_m, late_s, _ = found.alone
     alone = (
         f"the antenna's place aside ({right_m:+.2f} m to the right would explain it)",
-        f"its place ahead ({ahead_m:+.2f} m would)",
+        f"its place ahead ({ahead_m:+.2f} m would, and so would an IMU that is tilted)",
         f"the stamps (fixes {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} would)",
         "the gyro's scale",
     )

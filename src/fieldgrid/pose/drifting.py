@@ -22,6 +22,10 @@ CLEAR_NATS = 8.0
 """Fixes drift only where that is likelier by so much: where the fixes of rendered drives are right,
 it is less likely by 5 at least."""
 
+EXPLAINED_NATS = 2.0
+"""It is no drift what an antenna, stamps and a gyro's scale that are off by what is usual explain
+by so much better, as an antenna does that an IMU, tilted by 5°, leans."""
+
 STATED_TIMES, LEAST_M = 3.0, 0.2
 """A drift by less than so many times the stated error, or by this, is not worth a word: the camera
 itself makes as much."""
@@ -42,7 +46,8 @@ def drift(
     found = wander(drive.smoothed, drive.measured, *axle.frame())
     stated_m = float(np.median(drive.measured.bias_m))
     large = found.extent_m > max(LEAST_M, STATED_TIMES * stated_m)
-    return found if large and found.nats > CLEAR_NATS else None
+    likely = found.nats > CLEAR_NATS and found.unexplained_nats > -EXPLAINED_NATS
+    return found if large and likely else None
 
 
 def unsure_drift(table: PoseTable, drive: Drive, found: Wander | None) -> PoseTable:

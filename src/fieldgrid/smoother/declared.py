@@ -95,22 +95,8 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     """What would have to be added to what was declared for the drive to fit best, and what the
     headings would be then: one step of Gauss and Newton with all states following."""
     measured = problem.measured
-    border, corner, right = couplings(
-        found.x,
-        measured.fix_m,
-        found.weights.fix,
-        problem.lever_m,
-        measured.turned_rad,
-        np.diff(measured.time_s),
-    )
-    followed = border.copy()
-    solve(linear.system.shape, linear.system.values, followed)
-    if len(linear.active):
-        shared = linear.coupling.T @ border
-        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
-    information = corner - border.T @ followed
+    followed, information, right = _told(problem, found, linear)
     schur = information + np.diag(1.0 / TESTED_SIGMAS**2)
-    right = right - followed.T @ linear.system.right
     values = np.linalg.solve(schur, right)
     sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
     together = float(values @ right)
@@ -141,6 +127,44 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     variance = np.einsum("na,ab,nb->n", by_gyro, second_moment, by_gyro)
     unverified = np.sqrt(_most_near(np.maximum(variance, 0.0), measured.time_s))
     return declared, HeadingResponse(heading[:, 1], at_most, unverified)
+
+
+class _Told(NamedTuple):
+    """How all states [states, 4] follow what is tested, what the drive tells of it as a matrix
+    [4, 4], and the right side [4]."""
+
+    followed: Float64
+    information: Float64
+    right: Float64
+
+
+def _told(problem: Problem, found: Solution, linear: Linear) -> _Told:
+    measured = problem.measured
+    border, corner, right = couplings(
+        found.x,
+        measured.fix_m,
+        found.weights.fix,
+        problem.lever_m,
+        measured.turned_rad,
+        np.diff(measured.time_s),
+    )
+    followed = border.copy()
+    solve(linear.system.shape, linear.system.values, followed)
+    if len(linear.active):
+        shared = linear.coupling.T @ border
+        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
+    information = corner - border.T @ followed
+    return _Told(followed, information, right - followed.T @ linear.system.right)
+
+
+def unverified_nats(problem: Problem, found: Solution, linear: Linear) -> float:
+    """How much likelier a drive is when what was declared may be off by
+    :data:`UNVERIFIED_SIGMAS`, than when it is exact: Laplace's approximation."""
+    _, information, right = _told(problem, found, linear)
+    known = information + np.diag(1.0 / UNVERIFIED_SIGMAS**2)
+    explained = 0.5 * float(right @ np.linalg.solve(known, right))
+    _, spread = np.linalg.slogdet(known * np.outer(UNVERIFIED_SIGMAS, UNVERIFIED_SIGMAS))
+    return explained - 0.5 * float(spread)
 
 
 def _rates(heading_rad: Float64, time_s: Float64) -> Float64:

@@ -15,6 +15,7 @@ from fieldgrid.smoother import model
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
+    Linear,
     Problem,
     Solution,
     converged,
@@ -227,6 +228,11 @@ def likelihood_of(problem: Problem, solution: Solution) -> float:
     """Of the measurements, every drive around a solution considered: Laplace's approximation, up
     to a constant."""
     linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
+    return likelihood_by(linear)
+
+
+def likelihood_by(linear: Linear) -> float:
+    """The same by the normal equations of a solution, whose nodes are not held."""
     _, schur = np.linalg.slogdet(linear.schur)
     squared, log_weights = linear.system.total
     return 0.5 * float(log_weights - squared - linear.log_determinant - schur)

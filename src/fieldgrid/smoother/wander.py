@@ -9,9 +9,16 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.batch import Smoothed
+from fieldgrid.smoother.declared import unverified_nats
 from fieldgrid.smoother.measurements import Measurements
-from fieldgrid.smoother.rounds import Problem, Solution, converged, stated_weights
-from fieldgrid.smoother.steering import likelihood_of
+from fieldgrid.smoother.rounds import (
+    Problem,
+    Solution,
+    converged,
+    linearized,
+    stated_weights,
+)
+from fieldgrid.smoother.steering import likelihood_by
 
 RATES_M = (0.01, 0.02)
 """How much a slow error may wander beyond what is stated, m/√s, that is tried: a metre and a half
@@ -36,11 +43,13 @@ FEWEST_PAIRS = 10
 
 
 class Wander(NamedTuple):
-    """How much likelier the drive is when its fixes wander, `nats`; how far apart the slow errors
+    """How much likelier the drive is when its fixes wander, `nats`, and the same beside
+    declarations that may be off by what is usual, `unexplained_nats`; how far apart the slow errors
     of its nodes lie then, `extent_m`; and by how much its headings [n] differ from those of fixes
     that do not wander, `turned_rad`."""
 
     nats: float
+    unexplained_nats: float
     extent_m: float
     turned_rad: Float64
 
@@ -66,11 +75,20 @@ def wander(
         weights = stated_weights(wandering, known.steering)
         return problem, converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
 
-    stated, *others = (likelihood_of(*found(rate_m)) for rate_m in (0.0, *RATES_M))
+    def likelihoods(rate_m: float) -> tuple[float, float]:
+        problem, solution = found(rate_m)
+        parts = solution.x, solution.constants, solution.weights
+        linear, _ = linearized(problem, *parts, held=False)
+        exact = likelihood_by(linear)
+        return exact, exact + unverified_nats(problem, solution, linear)
+
+    stated = likelihoods(0.0)
+    others = zip(*(likelihoods(rate_m) for rate_m in RATES_M), strict=True)
+    nats = [max(wandering) - one for wandering, one in zip(others, stated, strict=True)]
     free = found(FREE_RATE_M)[1].x
     extent_m = float(np.hypot(*np.ptp(free[:, model.BIAS_E :], axis=0)))
     turned = free[:, model.PHI] - known.state[:, model.PHI]
-    return Wander(max(others) - stated, extent_m, np.asarray(turned))
+    return Wander(nats[0], nats[1], extent_m, np.asarray(turned))
 
 
 def unstated_wander(state: Float64, measured: Measurements) -> float:
