@@ -118,6 +118,7 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
             at_most = np.maximum(at_most, np.abs((late + np.abs(heading[:, k])) * alone[k]))
     prior = np.diag(1.0 / UNVERIFIED_SIGMAS**2)
     expected = np.linalg.solve(TOLD_SHARE * information + prior, TOLD_SHARE * right)
+    # The scale is confused with a wander that changes within a turn, the others hardly are.
     fleeting = float(np.median(measured.bias_s)) < FLEETING_S
     told = np.sqrt([*3 * (TOLD_SHARE,), FLEETING_SHARE if fleeting else TOLD_SHARE])
     usual = np.linalg.inv(np.outer(told, told) * information + prior)
