@@ -359,8 +359,8 @@ def _bytes(path: Path) -> str:
         database.execute(f"SELECT sum(length(data)) FROM {table} WHERE {where}").fetchone()[0] or 0
         for table, where in (
             ("fieldgrid_grid", "channel IN ('ground_cm', 'step_cm')"),
-            ("fieldgrid_session_tile", "channels IN ('ground', 'relief')"),
-            ("fieldgrid_tile", "channels IN ('ground', 'relief')"),
+            ("fieldgrid_session_tile", "channels IN ('terrain', 'surface')"),
+            ("fieldgrid_tile", "channels IN ('terrain', 'surface')"),
         )
     ]
     database.close()
