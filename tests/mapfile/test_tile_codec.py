@@ -155,3 +155,23 @@ def test_a_blob_that_is_none_is_damage(blob: object) -> None:
     alone = bytes([1, 0, 0, 0, 1, 0, 1]) + zlib.compress(bytes(2))
     with pytest.raises(MapError, match="no density beside it"):
         decode_tile(GROUPS["max"], alone, NONE, "tile", base=True)
+
+
+def test_a_group_with_blocks_has_one_value_for_each() -> None:
+    random = np.random.default_rng(3)
+    weight = np.zeros(SHAPE, np.uint64)
+    weight[37:91, 5:250] = 16
+    group, box = GROUPS["surface"], box_of(weight)
+    inside = np.zeros((64, 64), np.bool_)
+    inside[37 // 4 : 90 // 4 + 1, 5 // 4 : 249 // 4 + 1] = True
+    cells = {
+        name: np.where(inside, random.integers(0, 300, (64, 64)), 0).astype(np.uint64)
+        for name, _ in stored_channels(group, base=True)
+    }
+    assert box.blocks(4) == (9, 1, 22, 62)
+    blob = encode_tile(group, cells, box.blocks(4), NONE, base=True)
+    read = decode_tile(group, blob, NONE, "tile", base=True, block=4)
+    for name, values in read.items():
+        np.testing.assert_array_equal(values, cells[name])
+    with pytest.raises(MapError, match="tile is damaged"):
+        decode_tile(group, blob, NONE, "tile", base=True, block=16)  # 62 is beyond its edge
