@@ -167,6 +167,9 @@ def stored() -> Iterator[str]:
         (pictures,) = database.execute("SELECT sum(length(tile_data)) FROM density").fetchone()
         database.close()
         yield f"  pictures: {pictures / cells:.2f}"
+        before, again = out.stat().st_size, DriveOptions("gnss_sf1.nmea")
+        build_map([EXAMPLE], out, BuildSettings(), again, append=True, name="again")
+        yield f"  the file, with another session: {(out.stat().st_size - before) / cells:.1f} more"
 
 
 def drops() -> Iterator[str]:
