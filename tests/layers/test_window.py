@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import GROUPS, Cells, Combine, FrameCells, is_nothing, nothing
 from fieldgrid.layers.window import WindowFold, coarser, merge_sessions, with_overviews
@@ -133,3 +134,34 @@ def test_channels_that_are_0_everywhere_merge_and_grow_coarser_like_others() -> 
         for name in names:
             np.testing.assert_array_equal(merged[name], expected[name])
             np.testing.assert_array_equal(larger[name], expected_larger[name])
+
+
+def test_blocks_of_which_nothing_was_observed_have_nothing() -> None:
+    """A frame knows heights of the ground a little farther than cells that it observed; a tile
+    stores no more than the blocks of these."""
+    spec = GridSpec(width_m=4.0, length_m=4.0, cell_m=0.1)
+    observed = np.zeros(spec.shape, np.bool_)
+    observed[7:15, 3:22] = True
+    grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), observed)
+    pose = pose_at(0.0, 0.0, 33.0)
+    channels = {
+        GROUND_CHANNEL: np.zeros(spec.shape, np.int16),
+        STEP_CHANNEL: np.full(spec.shape, 20, np.uint8),
+    }
+    for window in (Window(-256, -256, 512, 512), Window(-3, 1, 11, 9)):
+        fold = WindowFold(Lattice(0.1), window, Transfer.CENTRE, ALL)
+        fold.add(FrameCells(grid, channels), pose)
+        cells = fold.cells()
+        for name in ("ground_sessions", "step_known", "height_sessions"):
+            assert (cells[name][cells.observed] > 0).all()
+        if window.width == 512:
+            seen = cells.observed.reshape(256, 2, 256, 2).any(axis=(1, 3))
+            seen = np.repeat(np.repeat(seen, 2, axis=0), 2, axis=1)
+            assert seen.sum() > cells.observed.sum() > 100
+            whole = cells
+            for name in ("ground_sessions", "step_known", "height_sessions"):
+                np.testing.assert_array_equal(cells[name] > 0, seen)
+        else:
+            part = WINDOW.slices_of(window)
+            for name in cells:
+                np.testing.assert_array_equal(cells[name], whole[name][part])

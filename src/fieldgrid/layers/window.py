@@ -38,10 +38,12 @@ class WindowFold:
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
     ) -> None:
-        self._lattice, self._window, self._transfer = lattice, window, transfer
+        self._lattice, self._asked, self._transfer = lattice, window, transfer
         self._groups = groups
         self._side = block_side(lattice)
         self._under = blocks_under(window, self._side)
+        # Whether a frame saw anything of a block is known where all of it is.
+        self._window = Window(*(value * self._side for value in self._under))
         self._folds = {
             group.name: group.fold(math.prod(self._units(group).shape), lattice)
             for group in groups
@@ -69,7 +71,7 @@ class WindowFold:
     def _touched(self, landing: Landing) -> Int32:
         """The cells that the latest frame landed in, each once."""
         if self._stamps is None:
-            self._stamps = np.zeros(self._window.width * self._window.height, np.int32)
+            self._stamps = np.zeros(math.prod(self._window.shape), np.int32)
         touched = np.empty(min(landing.cell.size, self._stamps.size), dtype=np.int32)
         return touched[: touch(landing.cell, self._frames, self._stamps, touched)]
 
@@ -78,12 +80,9 @@ class WindowFold:
 
         Where the part has `whole_blocks`, groups with blocks give one value for each.
         """
-        for group in self._groups if self._folds else ():
-            if (fold := self._folds.get(group.name)) is not None:
-                shape = self._units(group).shape
-                self._done[group.name] = [one.reshape(shape) for one in fold.channels()]
-        self._folds = {}
-        inside, arrays = part or self._window, dict[str, UInt64]()
+        if self._folds:
+            self._finish()
+        inside, arrays = part or self._asked, dict[str, UInt64]()
         for group in self._groups:
             if group.derived:
                 continue
@@ -98,6 +97,22 @@ class WindowFold:
                 else:
                     arrays[one.name] = _own(values)
         return Cells(arrays, block=self._side if whole_blocks else 1)
+
+    def _finish(self) -> None:
+        """Take the channels from the folds: nothing of blocks in which no cell was observed."""
+        folds, self._folds = self._folds, {}
+        seen = np.empty(0, np.bool_)
+        for group in self._groups:
+            if (fold := folds.get(group.name)) is None:
+                continue
+            channels = [one.reshape(self._units(group).shape) for one in fold.channels()]
+            if group is self._groups[0]:
+                side, (height, width) = self._side, self._under.shape
+                weighty = (channels[0] > 0).reshape(height, side, width, side)
+                seen = np.logical_or.reduce(weighty, axis=(1, 3))
+            elif group.blocks:
+                channels = [one if is_nothing(one) else one * seen for one in channels]
+            self._done[group.name] = channels
 
     def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> list[UInt64]:
         """The channels of a group that was folded, in a part of the window."""
