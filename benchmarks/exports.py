@@ -94,11 +94,13 @@ def write_tiles(path: Path, side: int, share: float, sessions: Sequence[str] = (
         for tile in sorted(tiles):
             roll, axis = (31 * tile.ty + 57 * tile.tx) % TILE_CELLS, tile.ty % 2
             weight, total = kinds[(3 * tile.ty + tile.tx) % len(kinds)]
-            cells = dict(empty_cells(tables.groups, weight.shape))
+            block = tables.block(0)
+            cells = dict(empty_cells(tables.groups, weight.shape, block))
             cells["weight"], cells["sum"] = np.roll(weight, roll, axis), np.roll(total, roll, axis)
             stored = stored_of_session(tables.groups)
             for number in range(1, len(sessions) + 1):
-                tables.put_session(number, tile, encode_groups(stored, Cells(cells), base=True))
+                blobs = encode_groups(stored, Cells(cells, block=block), base=True)
+                tables.put_session(number, tile, blobs)
         Pyramid(connection, tables).rebuild()
         seal(connection)
     return path

@@ -11,7 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
-from fieldgrid.layers.ground import WIDEST_SIGMA_M, weights
+from fieldgrid.layers import robust
+from fieldgrid.layers.ground import halvings
+from fieldgrid.layers.robust import WIDEST_SIGMA_M, Heights
 from fieldgrid.mapfile import MapView, create_map, open_map
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
@@ -19,8 +21,8 @@ from tests.mapfile.maps import DATUM
 
 SPEC = GridSpec(width_m=6.0, length_m=8.0, cell_m=0.1)
 LAYERS = ("ground", "ground_sigma", "slope")
-_Heights = npt.NDArray[np.int16]
-Frame = tuple[Pose, _Heights | None]
+_Centimetres = npt.NDArray[np.int16]
+Frame = tuple[Pose, _Centimetres | None]
 
 
 def seen_from(
@@ -29,7 +31,7 @@ def seen_from(
     return Pose(1_000_000_000, east_m, 2.0, up_m, heading_deg, sigma_m, 0.3, 1.0)
 
 
-def hillside(pose: Pose, rise_east: float, rise_north: float) -> _Heights:
+def hillside(pose: Pose, rise_east: float, rise_north: float) -> _Centimetres:
     """Heights that a frame sees of a plane through the datum, above the ground of its pose."""
     x, y = SPEC.centres_m()
     phi = math.radians(pose.heading_deg)
@@ -91,13 +93,87 @@ def test_heights_are_the_same_in_any_order_and_without_a_session(tmp_path: Path)
     poses = [seen_from(10.0 * k, 0.3 * k, 12.0 + 0.1 * k, 0.02 * (k + 1)) for k in range(6)]
     frames = [(pose, hillside(pose, 0.05, 0.1)) for pose in poses]
     other = [(seen_from(77.0, 1.0, 3.0), hillside(seen_from(77.0, 1.0, 3.0), -0.2, 0.3))]
-    view = read(tmp_path / "one.gpkg", [frames])
-    shuffled = read(tmp_path / "two.gpkg", [[frames[k] for k in (3, 0, 5, 1, 4, 2)]])
-    undone = read(tmp_path / "three.gpkg", [frames[:2], other, frames[2:]], without="1")
-    for name in LAYERS:
-        np.testing.assert_array_equal(view.layer(name), shuffled.layer(name))
-        # In two sessions the same sums.
-        np.testing.assert_array_equal(view.layer(name), undone.layer(name))
+    order = [frames[k] for k in (3, 0, 5, 1, 4, 2)]
+    pairs = (
+        ([frames], [order], ""),
+        ([frames[:2], frames[2:]], [frames[2:], frames[1::-1]], ""),
+        ([frames[:2], frames[2:]], [frames[:2], other, frames[2:]], "1"),
+    )
+    for number, (one, two, without) in enumerate(pairs):
+        view = read(tmp_path / f"{number}.gpkg", one)
+        same = read(tmp_path / f"{number}_again.gpkg", two, without=without)
+        assert np.isfinite(view.layer("slope")).any()
+        for name in LAYERS:
+            np.testing.assert_array_equal(view.layer(name), same.layer(name))
+
+
+def level(up_m: float, sigma_m: float = 0.02, cm: int = 0) -> Frame:
+    return seen_from(0.0, up_m=up_m, sigma_m=sigma_m), np.full(SPEC.shape, cm, np.int16)
+
+
+@pytest.mark.parametrize("wrong_m", [0.3, 1.6, -2.5, 50.2])
+def test_frames_that_are_wrong_do_not_move_the_ground(tmp_path: Path, wrong_m: float) -> None:
+    """Canopy that is taken for ground, or a pose: two of five frames, in one drive."""
+    right = [level(10.0 + up_m) for up_m in (-0.01, 0.0, 0.02)]
+    wrong = [level(10.0, cm=round(100.0 * wrong_m)), level(10.0 + wrong_m)]
+    view = read(tmp_path / "map.gpkg", [[*right, *wrong]])
+    ground, sigma = view.layer("ground"), view.layer("ground_sigma")
+    assert np.nanmax(np.abs(ground - 10.0)) < 0.021
+    # What the frames are apart is in the sigma.
+    assert np.nanmin(sigma) > min(0.2 * abs(wrong_m), 3.9)  # 4 m is the widest
+
+
+@pytest.mark.parametrize("wrong_m", [0.4, 1.7, -3.1, 7.3, 101.8])
+def test_a_drive_that_is_wrong_does_not_move_the_ground(tmp_path: Path, wrong_m: float) -> None:
+    """However many frames it has, and however sure it is."""
+    drives = [[level(10.0 + up_m)] for up_m in (-0.03, 0.01, 0.02)]
+    wrong = [level(10.0 + wrong_m, 0.01)] * 5
+    view = read(tmp_path / "map.gpkg", [*drives, wrong])
+    assert np.nanmax(np.abs(view.layer("ground") - 10.0)) < 0.08
+    for cell_m in (0.6, 0.8):  # three and four base cells
+        larger = open_map(tmp_path / "map.gpkg").read(cell_m=cell_m, layers=LAYERS)
+        assert np.nanmax(np.abs(larger.layer("ground") - 10.0)) < 0.08
+
+
+def test_drives_that_are_apart_say_so_and_meet_smoothly(tmp_path: Path) -> None:
+    """Two of a decimetre receiver: their weighted mean, and a sigma that holds both."""
+    view = read(tmp_path / "map.gpkg", [[level(10.0, 0.15)], [level(10.5, 0.15)]])
+    ground, sigma = view.layer("ground"), view.layer("ground_sigma")
+    known = np.isfinite(ground)
+    np.testing.assert_allclose(ground[known], 10.25, atol=0.006)
+    assert np.nanmin(sigma) > 0.25
+    alone = read(tmp_path / "alone.gpkg", [[level(10.0, 0.15)]]).layer("ground_sigma")
+    assert np.nanmin(alone) == pytest.approx(0.3, rel=0.2)
+
+
+def test_what_lies_a_turn_of_the_histogram_apart_is_no_height(tmp_path: Path) -> None:
+    """Two drives 4 m apart fall into one bin, whose mean is neither of them."""
+    view = read(tmp_path / "map.gpkg", [[level(10.1)], [level(14.1)], [level(14.1)]])
+    assert np.isnan(view.layer("ground")).all()
+    assert np.isnan(view.layer("ground_sigma")).all()
+
+
+def test_heights_below_the_datum_keep_their_sign(tmp_path: Path) -> None:
+    view = read(tmp_path / "map.gpkg", [[level(-33.27)], [level(-33.31)]], cell_m=0.8)
+    ground = view.layer("ground")
+    np.testing.assert_allclose(ground[np.isfinite(ground)], -33.29, atol=0.011)
+
+
+def test_many_heights_are_counted_instead_of_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(0)
+    keys = [random.integers(0, 50, 40) for _ in range(20)]
+    every = Heights()
+    for one in keys:
+        every.add(one)
+    monkeypatch.setattr(robust, "TOGETHER", 100)
+    counted = Heights()
+    for one in keys:
+        counted.add(one)
+    assert counted._size < 100
+    for found in (every.sorted(), counted.sorted()):
+        values, counts = np.unique(np.concatenate(keys), return_counts=True)
+        np.testing.assert_array_equal(found[0], values)
+        np.testing.assert_array_equal(found[1], counts)
 
 
 def test_what_a_frame_lacks_is_not_a_number(tmp_path: Path) -> None:
@@ -127,7 +203,7 @@ def test_larger_cells_are_the_mean_of_their_base_cells(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sigma_m", [0.01, 0.02, 0.3, 1.0, 7.0, math.inf])
 def test_weights_say_how_sure_a_height_is(sigma_m: float) -> None:
-    found = WIDEST_SIGMA_M / np.sqrt(weights(SPEC, sigma_m))
+    found = WIDEST_SIGMA_M / np.sqrt(2.0 ** halvings(SPEC, sigma_m))
     y = SPEC.centres_m()[1]
     true = np.sqrt((2.0 * sigma_m) ** 2 + 0.02**2 + (0.004 * y) ** 2)
     np.testing.assert_array_less(np.abs(np.log2(found / np.clip(true, 0.032, 4.0))), 0.51)

@@ -14,11 +14,12 @@ from tests.mapfile.maps import DATUM, one_cell
 NAN = float("nan")
 
 
-def test_it_is_the_mean_over_the_frames_that_observed_a_cell(tmp_path: Path) -> None:
-    """To the millimetre, and frames whose pose has no height do not count."""
+def test_it_is_the_mean_over_the_sessions_of_their_frames(tmp_path: Path) -> None:
+    """To the centimetre, of those that observed a block of 20 cm; frames whose pose has no height
+    do not count."""
     seen = {
-        "a": [(2.05, 1.2346), (2.05, -0.5), (2.05, NAN), (2.15, 3.0), (2.45, NAN)],
-        "b": [(2.05, 2.0), (2.15, -7.0)],
+        "a": [(2.05, 1.2346), (2.15, -0.5), (2.05, NAN), (2.25, 3.0), (2.65, NAN)],
+        "b": [(2.05, 2.0), (2.25, -7.0)],
     }
     path = tmp_path / "map.gpkg"
     with create_map(path, DATUM, cell_m=0.1) as universal:
@@ -34,10 +35,10 @@ def test_it_is_the_mean_over_the_frames_that_observed_a_cell(tmp_path: Path) -> 
         return [float(value) for value in view.layer("height")[view.observed]]
 
     with open_map(path, writable=True) as universal:
-        means = [(1.235 - 0.5 + 2.0) / 3, -2.0]
+        means = [(0.37 + 2.0) / 2, (0.37 + 2.0) / 2, -2.0]
         assert heights(0.1) == pytest.approx([*means, NAN], abs=1e-6, nan_ok=True)
-        # A larger cell: over all frames of the cells in it.
-        assert heights(0.2) == pytest.approx([(2.735 - 4.0) / 5, NAN], abs=1e-6, nan_ok=True)
+        # A larger cell: over all sessions of the blocks in it.
+        assert heights(0.4) == pytest.approx([(0.37 + 2.0 + 3.0 - 7.0) / 4, NAN], nan_ok=True)
         assert heights(0.1, ["b"]) == pytest.approx([2.0, -7.0], abs=1e-6)
         universal.remove_session("a")
         assert heights(0.1) == pytest.approx([2.0, -7.0], abs=1e-6)

@@ -163,8 +163,18 @@ def test_sums_are_the_same_in_any_order_and_without_a_session(tmp_path: Path) ->
     other = [(seen_from(77.0, 1.0), frames[3][1])]
     view = read(tmp_path / "one.gpkg", [frames])
     shuffled = read(tmp_path / "two.gpkg", [[frames[k] for k in (3, 0, 5, 1, 4, 2)]])
-    undone = read(tmp_path / "three.gpkg", [frames[:2], other, frames[2:]], without="1")
+    never = read(tmp_path / "three.gpkg", [frames[:2], frames[2:]])
+    undone = read(tmp_path / "four.gpkg", [frames[:2], other, frames[2:]], without="1")
     for name in LAYERS:
         assert np.isfinite(view.layer(name)).any()
         np.testing.assert_array_equal(view.layer(name), shuffled.layer(name))
-        np.testing.assert_array_equal(view.layer(name), undone.layer(name))
+        np.testing.assert_array_equal(never.layer(name), undone.layer(name))
+
+
+def test_each_session_has_one_voice(tmp_path: Path) -> None:
+    """Five frames that saw a kerb against two drives of one frame that did not."""
+    kerb = [(seen_from(), {STEP_CHANNEL: steps(20)})] * 5
+    even = [(seen_from(), {STEP_CHANNEL: steps(0)})]
+    found = read(tmp_path / "one.gpkg", [kerb, even]).layer("step")
+    assert np.nanmin(found) == pytest.approx(0.2)
+    assert np.nanmax(read(tmp_path / "two.gpkg", [kerb, even, even]).layer("step")) == 0.0

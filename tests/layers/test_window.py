@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import GROUPS, Cells, FrameCells, is_nothing, nothing
+from fieldgrid.layers import GROUPS, Cells, Combine, FrameCells, is_nothing, nothing
 from fieldgrid.layers.window import WindowFold, coarser, merge_sessions, with_overviews
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 from tests.mapfile.maps import CELL_M, Frame, drive, grid_of, one_cell, pose_at
@@ -18,7 +19,7 @@ ALL = tuple(GROUPS.values())
 WINDOW = Window(-256, -256, 512, 512)
 
 
-GROUND = ("ground", "relief", "drop", "standing")
+GROUND = ("terrain", "surface", "drop", "standing")
 
 
 def folded(
@@ -44,16 +45,12 @@ def test_a_cell_says_how_often_how_much_and_how_high() -> None:
         "highest": 200,
         "seen_sessions": 1,
         "obstacle_sessions": 0,
-        "height_mm": 700 - 1250,
-        "height_frames": 2,
+        "height_cm": -27,  # of 70 and -125, rounded half up
+        "height_sessions": 1,
         "log_odds": 17 - 2 * 8,
         "moved_drives": 0,
         # No frame says anything of the ground itself.
-        **{
-            c.name: 0
-            for group in ("ground", "relief", "drop", "standing")
-            for c in GROUPS[group].channels
-        },
+        **{c.name: 0 for group in GROUND for c in GROUPS[group].channels},
     }
 
 
@@ -66,7 +63,6 @@ def test_a_frame_counts_once_in_a_cell_that_several_of_its_cells_fall_into(
     assert alone[0]["weight"].max() > 9 * CELL_WEIGHT
     counts = sum(one.observed.astype(int) for one in alone)
     np.testing.assert_array_equal(both["frames"], counts)
-    np.testing.assert_array_equal(both["height_frames"], counts)
     np.testing.assert_array_equal(both["highest"], np.maximum(*(a["highest"] for a in alone)))
 
 
@@ -89,7 +85,9 @@ def test_sessions_meet_by_sums_and_maxima() -> None:
     frames = drive(6, step_m=0.7)
     whole, parts = folded(frames), [folded(frames[::2]), folded(frames[1::2])]
     merged = merge_sessions(ALL, *parts)
-    for name in set(whole) - {"seen_sessions", "obstacle_sessions", "log_odds"}:
+    for name in set(whole) - {
+        *("seen_sessions", "obstacle_sessions", "log_odds", "height_cm", "height_sessions")
+    }:
         np.testing.assert_array_equal(merged[name], whole[name])
     np.testing.assert_array_equal(
         merged["seen_sessions"], sum(part.observed.astype(int) for part in parts)
@@ -100,7 +98,8 @@ def test_coarser_twice_is_coarser_by_four() -> None:
     cells = with_overviews(ALL, folded(drive(5, step_m=0.7)))
     twice, once = coarser(ALL, coarser(ALL, cells, 2), 2), coarser(ALL, cells, 4)
     assert once.base_cells == twice.base_cells == 16
-    assert set(once) == set(cells)
+    absent = {c.name for group in ALL for c in group.channels if c.coarser is Combine.ABSENT}
+    assert set(once) == set(cells) - absent
     for name in once:
         np.testing.assert_array_equal(twice[name], once[name])
     assert once["weight"].sum() == cells["weight"].sum()
@@ -112,7 +111,7 @@ def test_channels_that_are_0_everywhere_take_no_memory() -> None:
     cells = folded([one_cell(1.05, -2.05, 0)])
     there = {name for name, values in cells.items() if not is_nothing(values)}
     # The density is what kernels are compiled for; a frame counts, and says that it is free here.
-    assert there == {"weight", "sum", "frames", "seen_sessions", "height_mm", "height_frames"} | {
+    assert there == {"weight", "sum", "frames", "seen_sessions", "height_cm", "height_sessions"} | {
         "log_odds"
     }
     assert not cells["drop_odds"].flags.writeable
@@ -135,3 +134,34 @@ def test_channels_that_are_0_everywhere_merge_and_grow_coarser_like_others() -> 
         for name in names:
             np.testing.assert_array_equal(merged[name], expected[name])
             np.testing.assert_array_equal(larger[name], expected_larger[name])
+
+
+def test_blocks_of_which_nothing_was_observed_have_nothing() -> None:
+    """A frame knows heights of the ground a little farther than cells that it observed; a tile
+    stores no more than the blocks of these."""
+    spec = GridSpec(width_m=4.0, length_m=4.0, cell_m=0.1)
+    observed = np.zeros(spec.shape, np.bool_)
+    observed[7:15, 3:22] = True
+    grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), observed)
+    pose = pose_at(0.0, 0.0, 33.0)
+    channels = {
+        GROUND_CHANNEL: np.zeros(spec.shape, np.int16),
+        STEP_CHANNEL: np.full(spec.shape, 20, np.uint8),
+    }
+    for window in (Window(-256, -256, 512, 512), Window(-3, 1, 11, 9)):
+        fold = WindowFold(Lattice(0.1), window, Transfer.CENTRE, ALL)
+        fold.add(FrameCells(grid, channels), pose)
+        cells = fold.cells()
+        for name in ("ground_sessions", "step_known", "height_sessions"):
+            assert (cells[name][cells.observed] > 0).all()
+        if window.width == 512:
+            seen = cells.observed.reshape(256, 2, 256, 2).any(axis=(1, 3))
+            seen = np.repeat(np.repeat(seen, 2, axis=0), 2, axis=1)
+            assert seen.sum() > cells.observed.sum() > 100
+            whole = cells
+            for name in ("ground_sessions", "step_known", "height_sessions"):
+                np.testing.assert_array_equal(cells[name] > 0, seen)
+        else:
+            part = WINDOW.slices_of(window)
+            for name in cells:
+                np.testing.assert_array_equal(cells[name], whole[name][part])

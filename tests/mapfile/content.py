@@ -18,7 +18,8 @@ import numpy as np
 _QUERIES = {
     "tiles": "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile ORDER BY 1, 2, 3, 4",
     "tiles whoever drove": "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile "
-    "WHERE channels <> 'sessions' ORDER BY 1, 2, 3, 4",
+    "WHERE channels NOT IN ('sessions', 'terrain', 'surface', 'vehicle_height') "
+    "ORDER BY 1, 2, 3, 4",
     "pictures": "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
     "session tiles": "SELECT s.name, ty, tx, channels, data FROM fieldgrid_session_tile AS t "
     "JOIN fieldgrid_session AS s ON s.id = t.session_id ORDER BY 1, 2, 3, 4",

@@ -77,7 +77,7 @@ def test_cells_seen_once_cost_no_more_than_their_density() -> None:
 
 
 @pytest.mark.parametrize("base", [True, False])
-@pytest.mark.parametrize("name", ["height", "ground", "relief", "drop", "occupancy"])
+@pytest.mark.parametrize("name", ["vehicle_height", "terrain", "surface", "drop", "occupancy"])
 def test_what_a_drive_lacks_costs_nothing_although_it_is_expected(name: str, base: bool) -> None:
     random = np.random.default_rng(2)
     weight = random.integers(0, 99, SHAPE).astype(np.uint64)
@@ -89,13 +89,13 @@ def test_what_a_drive_lacks_costs_nothing_although_it_is_expected(name: str, bas
         cells = {**density, **{channel: zero for channel, _ in channels}}
         expectation = Expectation(cells, base=base)
         blob = encode_tile(GROUPS[name], cells, box_of(weight), expectation, base=base)
-        assert len(blob) < 60
+        assert len(blob) < 30 + 2 * len(channels)
         read = decode_tile(GROUPS[name], blob, Expectation(cells, base=base), "tile", base=base)
         assert set(read) == {channel for channel, _ in channels}
         assert not any(values.any() for values in read.values())
 
 
-@pytest.mark.parametrize("name", ["standing", "relief", "drop"])
+@pytest.mark.parametrize("name", ["standing", "surface", "drop"])
 def test_channels_that_are_0_everywhere_are_stored_as_zeros_are(name: str) -> None:
     weight = np.zeros(SHAPE, np.uint64)
     weight[30:50, 100:140] = 16
@@ -155,3 +155,23 @@ def test_a_blob_that_is_none_is_damage(blob: object) -> None:
     alone = bytes([1, 0, 0, 0, 1, 0, 1]) + zlib.compress(bytes(2))
     with pytest.raises(MapError, match="no density beside it"):
         decode_tile(GROUPS["max"], alone, NONE, "tile", base=True)
+
+
+def test_a_group_with_blocks_has_one_value_for_each() -> None:
+    random = np.random.default_rng(3)
+    weight = np.zeros(SHAPE, np.uint64)
+    weight[37:91, 5:250] = 16
+    group, box = GROUPS["surface"], box_of(weight)
+    inside = np.zeros((64, 64), np.bool_)
+    inside[37 // 4 : 90 // 4 + 1, 5 // 4 : 249 // 4 + 1] = True
+    cells = {
+        name: np.where(inside, random.integers(0, 300, (64, 64)), 0).astype(np.uint64)
+        for name, _ in stored_channels(group, base=True)
+    }
+    assert box.blocks(4) == (9, 1, 22, 62)
+    blob = encode_tile(group, cells, box.blocks(4), NONE, base=True)
+    read = decode_tile(group, blob, NONE, "tile", base=True, block=4)
+    for name, values in read.items():
+        np.testing.assert_array_equal(values, cells[name])
+    with pytest.raises(MapError, match="tile is damaged"):
+        decode_tile(group, blob, NONE, "tile", base=True, block=16)  # 62 is beyond its edge

@@ -95,7 +95,7 @@ def test_a_tile_of_any_layer_lies_on_its_scale(server: Server, vineyard: Path, l
     shown = scale["low"] + found[..., 0] / 255.0 * (scale["high"] - scale["low"])
     step = (scale["high"] - scale["low"]) / 255.0
     within = known & (values <= scale["high"]) & (values >= scale["low"])
-    assert within.sum() > 0.99 * known.sum()
+    assert within.sum() > 0.98 * known.sum()
     np.testing.assert_allclose(shown[within], values[within], atol=0.51 * step)
 
 

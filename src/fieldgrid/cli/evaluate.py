@@ -173,6 +173,12 @@ def _print_scores(result: Evaluation) -> None:
         *_error_rows(groups),
     ]
     output.print_table(("", *(group.name for group in groups)), rows)
+    if (ground := result.terrain) is not None:
+        output.print_line(
+            f"ground: RMSE {100 * ground.rmse_m:.1f} cm, bias {100 * ground.bias_m:+.1f} cm, 95 % "
+            f"{100 * ground.p95_m:.1f} cm, largest {100 * ground.max_m:.1f} cm in {ground.cells} "
+            f"cells of {ground.cell_m:g} m; {output.percent(ground.within_3_sigma)} within 3 sigma"
+        )
     if result.unmatched_frames:
         output.print_line(f"{result.unmatched_frames} frames of the map are not in this truth")
     if result.unlevelled_frames:

@@ -16,6 +16,7 @@ from fieldgrid.evaluation.scores import (
     evaluate,
 )
 from fieldgrid.evaluation.survey import Survey, Surveyed, read_survey
+from fieldgrid.evaluation.terrain import TerrainScores, TrueGround
 from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth
 
 __all__ = [
@@ -29,7 +30,9 @@ __all__ = [
     "Survey",
     "SurveyScores",
     "Surveyed",
+    "TerrainScores",
     "ThingScore",
+    "TrueGround",
     "Truth",
     "TruthPose",
     "evaluate",

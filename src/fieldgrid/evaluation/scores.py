@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.errors import TruthError
+from fieldgrid.evaluation.terrain import TerrainScores, score_terrain
 from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, GROUND_CHANNEL, OBSTACLE_ABOVE, GridSpec
@@ -98,7 +99,8 @@ class Evaluation:
     """All scores of a map, as `fieldgrid evaluate --json` prints them.
 
     Of `unlevelled_frames` nobody knew how the vehicle leaned: their poses are of the point below
-    the camera as if it stood level, and the truth's of the camera itself.
+    the camera as if it stood level, and the truth's of the camera itself. `terrain` is None where
+    the truth or the map has no ground.
     """
 
     cell_m: float
@@ -107,6 +109,7 @@ class Evaluation:
     unlevelled_frames: int
     groups: tuple[Group, ...]
     frames: tuple[FrameError, ...]
+    terrain: TerrainScores | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists, ready for JSON (NaN and infinity become None)."""
@@ -148,6 +151,7 @@ def evaluate(
             for name, pairs in groups
         ),
         frames=tuple(_frame_error(record, pose) for record, pose in matched),
+        terrain=None if truth.ground is None else score_terrain(universal, truth.ground),
     )
 
 

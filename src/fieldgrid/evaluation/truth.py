@@ -15,11 +15,13 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, Bool, Int32
 from fieldgrid.documents import MAX_BYTES, parse_json
 from fieldgrid.errors import LimitError, TruthError
+from fieldgrid.evaluation.terrain import TrueGround
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.limits import bounded_lines, counted_rows
 
 _OBSTACLES = "obstacle_raster_5cm.npz"
+_GROUND = "ground_dtm_25cm.npz"
 _MAX_TRUTH_CELLS = 100_000_000
 _MAX_TRUTH_BYTES = 4 * _MAX_TRUTH_CELLS + 4096  # int32, and what stands before them
 
@@ -43,7 +45,8 @@ class TruthPose:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """A truth folder: obstacle cells, how often each could be seen, and poses by frame."""
+    """A truth folder: obstacle cells, how often each could be seen, poses by frame, and the ground
+    where the folder has it."""
 
     lattice: Lattice
     window: Window
@@ -51,6 +54,7 @@ class Truth:
     obstacle_pixels: Int32
     poses: tuple[TruthPose, ...]
     datum: Datum | None
+    ground: TrueGround | None = None
 
 
 def read_truth(folder: str | Path) -> Truth:
@@ -77,7 +81,24 @@ def read_truth(folder: str | Path) -> Truth:
     )
     window = Window(int(i0), int(j0), occupied.shape[1], occupied.shape[0])
     poses = _read_poses(folder / "poses_frames.csv")
-    return Truth(lattice, window, occupied, pixels, poses, _read_datum(folder))
+    ground = _read_ground(folder / _GROUND) if (folder / _GROUND).exists() else None
+    return Truth(lattice, window, occupied, pixels, poses, _read_datum(folder), ground)
+
+
+def _read_ground(path: Path) -> TrueGround:
+    """The heights of the true ground, which a truth folder may hold."""
+    found = _read_npz(path, ("ground_U", "east0", "north0", "cell"))
+    try:
+        up_m = found["ground_U"].astype(np.float64)
+        west_m, south_m, cell_m = (float(found[name]) for name in ("east0", "north0", "cell"))
+    except (TypeError, ValueError) as error:
+        raise TruthError(f"{path} cannot be read as heights of the ground: {error}.") from error
+    if up_m.ndim != 2 or not math.isfinite(west_m + south_m) or not 0.0 < cell_m < math.inf:
+        raise TruthError(
+            f"{path} has heights of shape {up_m.shape} from {west_m}, {south_m} in cells of "
+            f"{cell_m} m; give ground_U [north, east], and east0, north0 and cell in metres."
+        )
+    return TrueGround(up_m, west_m, south_m, cell_m)
 
 
 def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:

@@ -26,6 +26,7 @@ from fieldgrid.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.layers.registry import (
     GROUPS,
     LAYERS,
+    RETIRED_GROUPS,
     channel_names,
     check_layers,
     groups_of,
@@ -39,6 +40,7 @@ from fieldgrid.layers.traversability import Mobility, traversability
 __all__ = [
     "GROUPS",
     "LAYERS",
+    "RETIRED_GROUPS",
     "Cells",
     "Channel",
     "ChannelGroup",

@@ -30,18 +30,23 @@ class Combine(StrEnum):
     MAX = "max"
     """The larger one; made again from what stays when a session leaves."""
 
+    ABSENT = "absent"
+    """Of base cells only: a larger cell has no such channel."""
+
 
 class Cells(Mapping[str, UInt64]):
     """The channels of some cells by name, uint64 [rows north, columns east].
 
     Each cell stands for `base_cells` cells of the lattice that frames were folded into. Where that
     is no whole number, base cells are cut into parts, and `base_cells` counts these, like the sums
-    of overviews.
+    of overviews. Those of a tile have one value for each block of `block` x `block` cells in the
+    channels of groups with `blocks`.
     """
 
-    def __init__(self, arrays: Mapping[str, UInt64], base_cells: int = 1) -> None:
+    def __init__(self, arrays: Mapping[str, UInt64], base_cells: int = 1, block: int = 1) -> None:
         self._arrays = dict(arrays)
         self.base_cells = base_cells
+        self.block = block
 
     def __getitem__(self, name: str) -> UInt64:
         return self._arrays[name]
@@ -90,11 +95,12 @@ class Channel:
 @dataclass(frozen=True, slots=True)
 class OverviewChannel:
     """A channel that follows from the other channels of its group in a base cell, and is stored
-    only of larger cells, where it no longer does."""
+    only of larger cells, where it no longer does. See `Channel` for `signed`."""
 
     name: str
     coarser: Combine
     of_base: Callable[[Cells], UInt64]
+    signed: bool = False
 
 
 class Fold(Protocol):
@@ -103,8 +109,8 @@ class Fold(Protocol):
     def add(self, frame: FrameInPlace) -> None:
         """Add a frame to the cells that it lands in."""
 
-    def channels(self) -> UInt64:
-        """The channels so far, uint64 [channels, cells]; a cell without a frame is all 0.
+    def channels(self) -> Iterable[UInt64]:
+        """The channels so far, uint64 [cells] each; a cell without a frame is all 0.
 
         Where no frame had anything to tell, `nothing` says so.
         """
@@ -119,7 +125,8 @@ class ChannelGroup:
     names channels of a frame's evidence that are needed beyond density and mask. `expected` guesses
     each channel from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
-    give 0 for a cell of weight 0.
+    give 0 for a cell of weight 0. With `blocks` there is one value for each block of cells
+    (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are stored above the base only.
@@ -133,6 +140,7 @@ class ChannelGroup:
     expected: Callable[[UInt64, UInt64], Iterable[UInt64]] | None = None
     frame: tuple[str, ...] = ()
     follows_from: tuple[str, ...] = ()
+    blocks: bool = False
 
     @property
     def derived(self) -> bool:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from fieldgrid.array_types import AnyArray, Int32
 from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.layers.blocks import BlockPoints, block_points
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Landing
 
@@ -36,3 +37,8 @@ class FrameInPlace:
     def touched(self) -> Int32:
         """The cells of the window that any local cell landed in, each once, flat indices."""
         return self.touch(self.landing)
+
+    @cached_property
+    def in_blocks(self) -> BlockPoints:
+        """Where the blocks under the window lie in the local grid."""
+        return block_points(self.cells.grid.spec, self.pose, self.lattice, self.window)

@@ -1,15 +1,22 @@
-"""The terrain: height and slope of the ground that frames saw.
+"""The terrain: height and slope of the ground that frames saw, in blocks of cells.
 
 A frame's channel `ground_cm` says how high the ground of a cell lies above that on which its
-vehicle stood; the pose says how high that is. Frames meet by the mean, weighted by 1/sigma² of a
-frame's height there:
+vehicle stood; the pose says how high that is. A frame's height has the error
 
     sigma² = (2 · position sigma)² + (2 cm)² + (0.4 % · distance)²
 
-since receivers know heights half as well, and a tilt of 0.2° is 0.4 % of the distance. All sums are
-whole numbers, so neither the order of frames nor a session taken out changes a bit. What frames
-share (the receiver's slow error) does not shrink with their number, so the sigma that is read is
-that of one of them, the harmonic mean.
+since receivers know heights half as well, and a tilt of 0.2° is 0.4 % of the distance.
+
+**In a session** the height of a block is the mean of the middle fifth of its frames, by the weights
+1/sigma²: a weighted median that does not jump where weights change. Frames share most of their
+error (the receiver's slow one), so the session's sigma is that of one of them, the harmonic mean;
+or what the frames are apart, where that is more.
+
+**Sessions meet** in a histogram of heights in bins of 25 cm, which repeats every 4 m. A session
+adds its weight, and weight times height, to one bin. All are whole sums, so neither the order of
+sessions nor one taken out changes a bit. What is read is the mean of the middle fifth of the bins,
+each at the mean of what it holds. The sigma is that of the sessions, their harmonic mean, or what
+they are apart, where that is more.
 """
 
 from __future__ import annotations
@@ -21,69 +28,108 @@ from functools import lru_cache
 import numpy as np
 
 from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, Bool, Int64, UInt64
+from fieldgrid.array_types import AnyArray, Float64, Int64, UInt64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer, nothing
+from fieldgrid.layers.blocks import COLUMN_BITS, session_means
+from fieldgrid.layers.declaration import (
+    Cells,
+    Channel,
+    ChannelGroup,
+    Colours,
+    Combine,
+    Layer,
+    OverviewChannel,
+    is_nothing,
+    nothing,
+)
 from fieldgrid.layers.frame import FrameInPlace
+from fieldgrid.layers.robust import (
+    BIN_CM,
+    BINS,
+    HEIGHT_BITS,
+    MOST_HALVINGS,
+    WEIGHT_BITS,
+    WIDEST_SIGMA_M,
+    Heights,
+    read_bins,
+    settle,
+)
 
 HEIGHT_SHARE, LEAST_SIGMA_M, SIGMA_SHARE = 2.0, 0.02, 0.004
-
-WIDEST_SIGMA_M, MOST_HALVINGS = 4.0, 14
-"""Weights are powers of 2, so that their sums are stored in few bytes: 1 is a sigma of 4 m, and
-each halving of its square doubles the weight, up to a sigma of 3 cm."""
 
 RISE_REACH_M = 0.5
 """The slope of a cell is that between the heights so far to either side of it."""
 
-_PER_RISE = 100
-"""Slopes are summed in whole percent."""
+_PER_RISE = 500
+"""Slopes are kept in steps of 0.2 %."""
 
 
 class _Terrain:
-    """Six sums over the parts of local cells that land in a cell: how many have a height, their
-    weights, weights times centimetres; how many have a slope, and its rise to east and north."""
+    """Heights of blocks, frame by frame, and the sums of their slopes: how many, and their rise to
+    east and north."""
 
-    def __init__(self, cells: int, _: Lattice) -> None:
-        self._shape = cells, 6
-        self._sums: Int64 | None = None  # before the first frame that tells any
+    def __init__(self, blocks: int, _: Lattice) -> None:
+        self._blocks = blocks
+        self._heights = Heights()
+        self._rises: Int64 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
         ground_cm, pose = frame.cells.channels.get(GROUND_CHANNEL), frame.pose
         if ground_cm is None or not math.isfinite(pose.up_m):
             return
-        if self._sums is None:
-            self._sums = np.zeros(self._shape, dtype=np.int64)
-        spec, landing = frame.cells.grid.spec, frame.landing
+        if self._rises is None:
+            self._rises = np.zeros((self._blocks, 3), dtype=np.int64)
+        spec, (block, cell) = frame.cells.grid.spec, frame.in_blocks
+        reach = max(round(RISE_REACH_M / spec.cell_m), 1)
+        scale = _PER_RISE / (100.0 * 2.0 * reach * spec.cell_m)
         phi = math.radians(pose.heading_deg)
-        add_terrain(
+        keys = np.empty(block.size, np.int64)
+        count = add_terrain(
             np.ascontiguousarray(ground_cm, dtype=np.int16),
-            landing.cell,
-            landing.shift,
-            landing.unit,
-            weights(spec, float(pose.position_sigma_m)),
+            block,
+            cell,
+            halvings(spec, float(pose.position_sigma_m)),
             round(100.0 * pose.up_m),
-            max(round(RISE_REACH_M / spec.cell_m), 1),
-            math.cos(phi) * _PER_RISE / (100.0 * spec.cell_m),
-            math.sin(phi) * _PER_RISE / (100.0 * spec.cell_m),
-            self._sums,
+            reach,
+            math.cos(phi) * scale,
+            math.sin(phi) * scale,
+            keys,
+            self._rises,
         )
+        self._heights.add(keys[:count])
 
-    def channels(self) -> UInt64:
-        return nothing(self._shape[::-1]) if self._sums is None else self._sums.T.view(np.uint64)
+    def channels(self) -> Sequence[UInt64]:
+        none = nothing((self._blocks,))
+        if self._rises is None:
+            return [none] * len(GROUP.channels)
+        seen, weight, height_cm = (np.zeros(self._blocks, np.int64) for _ in range(3))
+        settle(*self._heights.sorted(), seen, weight, height_cm)
+        bins = height_cm // BIN_CM % BINS
+        sums = []
+        for k in range(BINS):
+            inside = (seen > 0) & (bins == k)
+            some = inside.any()
+            sums += [
+                np.where(inside, of, 0) if some else none for of in (weight, weight * height_cm)
+            ]
+        count, *rises = self._rises.T
+        slopes = (count > 0).astype(np.int64), *(session_means(one, count) for one in rises)
+        return [one.view(np.uint64) for one in (seen, *sums, *slopes)]
 
 
-def weights(spec: GridSpec, position_sigma_m: float) -> Int64:
-    """The weight of a height in each row of a local grid, int64 [n_y]."""
-    return _weights(spec, _halvings(HEIGHT_SHARE * position_sigma_m))
+def halvings(spec: GridSpec, position_sigma_m: float) -> Int64:
+    """How often the square of `WIDEST_SIGMA_M` was halved, for a height in each row of a local
+    grid, int64 [n_y]: the weight is 2 to the power of it."""
+    return _row_halvings(spec, _halvings(HEIGHT_SHARE * position_sigma_m))
 
 
 @lru_cache(maxsize=256)
-def _weights(spec: GridSpec, pose_halvings: int) -> Int64:
+def _row_halvings(spec: GridSpec, pose_halvings: int) -> Int64:
     pose_m2 = WIDEST_SIGMA_M**2 / 2.0**pose_halvings
     sigma_m = np.sqrt(pose_m2 + LEAST_SIGMA_M**2 + (SIGMA_SHARE * spec.centres_m()[1]) ** 2)
-    return np.array([1 << _halvings(sigma) for sigma in sigma_m.tolist()], dtype=np.int64)
+    return np.array([_halvings(sigma) for sigma in sigma_m.tolist()], dtype=np.int64)
 
 
 def _halvings(sigma_m: float) -> int:
@@ -93,85 +139,134 @@ def _halvings(sigma_m: float) -> int:
 
 
 @kernel
-def add_terrain(ground_cm, cell, shift, unit, weights, up_cm, reach, cos, sin, sums):  # type: ignore[no-untyped-def]
-    """Add a frame's heights [n_y, n_x] to `sums` [cells, 6], where its parts land.
+def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, rises):  # type: ignore[no-untyped-def]
+    """Fill `keys` with the heights of a frame, ground_cm [n_y, n_x], in the blocks where it has one
+    at any of the points, and add its slopes to `rises` [blocks, 3]. Returns how many there are.
 
-    `cos` and `sin` of the heading turn a difference of centimetres between neighbouring cells into
-    the rise to east and north.
+    `cos` and `sin` of the heading turn a difference of centimetres over twice the reach into the
+    rise to east and north.
     """
     n_y, n_x = ground_cm.shape
-    by = np.uint32(reach)
-    for r in range(cell.shape[0]):
-        j = np.uint32(r >> shift)
-        weight = unit * weights[j]
-        inside = reach <= j < n_y - reach
-        for c in range(cell.shape[1]):
-            i = np.uint32(c >> shift)
-            height = ground_cm[j, i]
-            if cell[r, c] < 0 or height == NO_GROUND_CM:
+    count = 0
+    for b in range(block.size):
+        known = total = slopes = np.int64(0)
+        east = north = 0.0
+        row = np.int64(0)
+        for p in range(cell.shape[1]):
+            if cell[b, p] < 0:
                 continue
-            k = np.uint32(cell[r, c])
-            sums[k, 0] += unit
-            sums[k, 1] += weight
-            sums[k, 2] += weight * (up_cm + height)
-            if not inside or i < reach or i >= n_x - reach:
+            j, i = cell[b, p] >> COLUMN_BITS, cell[b, p] & ((1 << COLUMN_BITS) - 1)
+            height = np.int64(ground_cm[j, i])
+            if height == NO_GROUND_CM:
                 continue
-            left, right = ground_cm[j, i - by], ground_cm[j, i + by]
-            near, far = ground_cm[j - by, i], ground_cm[j + by, i]
+            known, total, row = known + 1, total + height, np.int64(j)
+            if j < reach or j >= n_y - reach or i < reach or i >= n_x - reach:
+                continue
+            left, right = np.int64(ground_cm[j, i - reach]), np.int64(ground_cm[j, i + reach])
+            near, far = np.int64(ground_cm[j - reach, i]), np.int64(ground_cm[j + reach, i])
             if min(min(left, right), min(near, far)) == NO_GROUND_CM:
                 continue
-            to_right = (np.int64(right) - np.int64(left)) / (2.0 * reach)
-            ahead = (np.int64(far) - np.int64(near)) / (2.0 * reach)
-            sums[k, 3] += unit
-            sums[k, 4] += unit * np.int64(np.floor(cos * to_right + sin * ahead + 0.5))
-            sums[k, 5] += unit * np.int64(np.floor(cos * ahead - sin * to_right + 0.5))
+            slopes += 1
+            east += cos * (right - left) + sin * (far - near)
+            north += cos * (far - near) - sin * (right - left)
+        if known == 0:
+            continue
+        height = up_cm + np.int64(np.floor(total / known + 0.5))
+        shifted = height + (1 << (HEIGHT_BITS - 1))
+        key = (np.int64(block[b]) << (HEIGHT_BITS + WEIGHT_BITS)) | (shifted << WEIGHT_BITS)
+        keys[count] = key | halvings[row]
+        count += 1
+        if slopes > 0:
+            rises[block[b], 0] += 1
+            rises[block[b], 1] += np.int64(np.floor(east / slopes + 0.5))
+            rises[block[b], 2] += np.int64(np.floor(north / slopes + 0.5))
+    return count
 
 
-def _over(cells: Cells, total: str, count: str) -> tuple[AnyArray, Bool]:
-    """A mean of signed sums, and where there is one."""
-    known: Bool = cells[count] > 0
-    return cells[total].view(np.int64) / np.maximum(cells[count], np.uint64(1)), known
+def _from_bins(cells: Cells) -> tuple[Float64, Float64]:
+    """The height over all sessions, NaN where there is none, and its spread, centimetres."""
+    number = [k for k in range(BINS) if not is_nothing(cells[_BINS[k][0].name])]
+    shape = cells["ground_sessions"].shape
+    height_cm, spread_cm = np.full(shape, np.nan), np.zeros(shape)
+    if number:
+        weight, weighted_cm = (
+            np.stack([cells[_BINS[k][of].name].reshape(-1) for k in number]).view(np.int64)
+            for of in (0, 1)
+        )
+        into = height_cm.reshape(-1), spread_cm.reshape(-1)
+        read_bins(np.array(number), weight, weighted_cm, *into)
+    return height_cm, spread_cm
+
+
+def _base_cells(cells: Cells) -> UInt64:
+    return np.isfinite(_from_bins(cells)[0]).astype(np.uint64)
+
+
+def _base_height(cells: Cells) -> UInt64:
+    """Whole millimetres."""
+    height_mm = np.rint(10.0 * np.nan_to_num(_from_bins(cells)[0]))
+    return height_mm.astype(np.int64).view(np.uint64)
+
+
+def _base_variance(cells: Cells) -> UInt64:
+    """Square millimetres: what the sessions state, or what they are apart where that is more."""
+    sessions = cells["ground_sessions"].astype(np.float64)
+    weight = np.sum([cells[own.name] for own, _ in _BINS], axis=0, dtype=np.float64)
+    height_cm, spread_cm = _from_bins(cells)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stated_mm2 = (1000.0 * WIDEST_SIGMA_M) ** 2 * sessions / weight
+    variance_mm2 = np.maximum(stated_mm2, (10.0 * spread_cm) ** 2)
+    return np.where(np.isfinite(height_cm), np.rint(variance_mm2), 0.0).astype(np.uint64)
+
+
+def _mean(cells: Cells, total: str, count: str) -> AnyArray:
+    """A mean of signed sums, NaN where there is none."""
+    known = cells[count] > 0
+    mean = cells[total].view(np.int64) / np.maximum(cells[count], np.uint64(1))
+    return np.where(known, mean, np.nan)
 
 
 def _height(cells: Cells) -> AnyArray:
-    height_cm, known = _over(cells, "ground_cm_weighted", "ground_weight")
-    return np.where(known, height_cm / 100.0, np.nan)
+    return _mean(cells, "ground_mm", "ground_cells") / 1000.0
 
 
 def _sigma(cells: Cells) -> AnyArray:
-    weight, known = _over(cells, "ground_weight", "ground_parts")
-    return np.where(known, WIDEST_SIGMA_M / np.sqrt(np.where(known, weight, 1.0)), np.nan)
+    return np.sqrt(_mean(cells, "ground_variance", "ground_cells")) / 1000.0
 
 
 def _slope(cells: Cells) -> AnyArray:
-    east, known = _over(cells, "rise_east", "rise_parts")
-    north, _ = _over(cells, "rise_north", "rise_parts")
-    slope = np.degrees(np.arctan(np.hypot(east, north) / _PER_RISE))
-    return np.where(known, slope, np.nan)
+    rises = (_mean(cells, name, "rise_parts") for name in ("rise_east", "rise_north"))
+    return np.degrees(np.arctan(np.hypot(*rises) / _PER_RISE))
 
 
-def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
-    """Mostly the ground is seen wherever anything is."""
-    none = nothing(weight.shape)
-    return weight, none, none, weight, none, none
-
+_BINS = [
+    (
+        Channel(f"ground_weight_{k}", coarser=Combine.ABSENT),
+        Channel(f"ground_cm_{k}", coarser=Combine.ABSENT, signed=True),
+    )
+    for k in range(BINS)
+]
 
 GROUP = ChannelGroup(
-    "ground",
+    "terrain",
     (
-        Channel("ground_parts", signed=True),
-        Channel("ground_weight"),
-        Channel("ground_cm_weighted", signed=True),
-        Channel("rise_parts", signed=True),
+        Channel("ground_sessions", coarser=Combine.ABSENT),
+        *(one for both in _BINS for one in both),
+        Channel("rise_parts"),
         Channel("rise_east", signed=True),
         Channel("rise_north", signed=True),
     ),
     fold=_Terrain,
-    expected=_expected,
+    overview=(
+        OverviewChannel("ground_cells", Combine.SUM, _base_cells),
+        OverviewChannel("ground_mm", Combine.SUM, _base_height, signed=True),
+        OverviewChannel("ground_variance", Combine.SUM, _base_variance),
+    ),
     frame=(GROUND_CHANNEL,),
+    blocks=True,
 )
 
-_GROUPS, _NAN = ("density", "ground"), float("nan")
+_GROUPS, _NAN = ("density", "terrain"), float("nan")
 
 GROUND = Layer(
     "ground",
@@ -189,7 +284,7 @@ SIGMA = Layer(
     "ground_sigma",
     "float32",
     "m",
-    "1-sigma error of the ground's height, as a frame knows it; frames share most of it",
+    "1-sigma error of the ground's height: what a session states, or what sessions are apart",
     _GROUPS,
     _sigma,
     _NAN,

@@ -1,7 +1,7 @@
 """The height of the ground under the vehicle, as the frames that observed a cell have it.
 
 A local grid says what stands on the ground, not how high the ground is. What is known is where
-the vehicle stood when it saw the cell.
+the vehicle stood when it saw the cell, or the block of cells that it belongs to.
 """
 
 from __future__ import annotations
@@ -14,44 +14,44 @@ import numpy as np
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, UInt64
 from fieldgrid.lattice import Lattice
-from fieldgrid.layers.count import frames_of_weight
-from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer, nothing
+from fieldgrid.layers.blocks import blocks_of, session_means
+from fieldgrid.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer
 from fieldgrid.layers.frame import FrameInPlace
 
-_PER_M = 1000
-"""Heights are summed in whole millimetres, so that a sum does not depend on the frames' order."""
+_PER_M = 100
+"""Heights are summed in whole centimetres, so that a sum does not depend on the frames' order."""
 
 
 class _Heights:
-    """The sum of heights, and of how many frames: one whose pose has no height does not count."""
+    """The sum of heights in whole centimetres, and of how many frames: one whose pose has no height
+    does not count."""
 
-    def __init__(self, cells: int, _: Lattice) -> None:
-        self._sums = np.zeros((2, cells), dtype=np.int64)
+    def __init__(self, blocks: int, _: Lattice) -> None:
+        self._sums = np.zeros((2, blocks), dtype=np.int64)
 
     def add(self, frame: FrameInPlace) -> None:
         if math.isfinite(frame.pose.up_m):
-            self._sums[0, frame.touched] += round(frame.pose.up_m * _PER_M)
-            self._sums[1, frame.touched] += 1
+            seen = blocks_of(frame.touched, frame.lattice, frame.window)
+            self._sums[0, seen] += round(frame.pose.up_m * _PER_M)
+            self._sums[1, seen] += 1
 
-    def channels(self) -> UInt64:
-        return self._sums.view(np.uint64)
-
-
-def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
-    return nothing(weight.shape), frames_of_weight(weight)
+    def channels(self) -> Sequence[UInt64]:
+        total, frames = self._sums
+        said = session_means(total, frames), (frames > 0).astype(np.int64)
+        return [one.view(np.uint64) for one in said]
 
 
 def _height(cells: Cells) -> AnyArray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        height: AnyArray = cells["height_mm"].view(np.int64) / cells["height_frames"] / _PER_M
+        height: AnyArray = cells["height_cm"].view(np.int64) / cells["height_sessions"] / _PER_M
     return height
 
 
 GROUP = ChannelGroup(
-    "height",
-    (Channel("height_mm", signed=True), Channel("height_frames", signed=True)),
+    "vehicle_height",
+    (Channel("height_cm", signed=True), Channel("height_sessions")),
     fold=_Heights,
-    expected=_expected,
+    blocks=True,
 )
 
 HEIGHT = Layer(
@@ -59,8 +59,8 @@ HEIGHT = Layer(
     "float32",
     "m",
     "ground height of the vehicle when it saw the cell, metres above the datum's plane: the mean "
-    "over the frames that observed it",
-    ("density", "height"),
+    "over the sessions, of their frames that observed it",
+    ("density", "vehicle_height"),
     _height,
     float("nan"),
     Colours.of(palette.VALUES),

@@ -27,6 +27,12 @@ from fieldgrid.layers.declaration import ChannelGroup, Layer
 _GROUPS: dict[str, ChannelGroup] = {}
 _LAYERS: dict[str, Layer] = {}
 
+RETIRED_GROUPS: Mapping[str, str] = MappingProxyType(
+    {"height": "vehicle_height", "ground": "terrain", "relief": "surface"}
+)
+"""Groups of older maps, with a value for each cell and sums over frames, and what replaces them.
+The next change of such a map makes the new ones from its frames."""
+
 GROUPS: Mapping[str, ChannelGroup] = MappingProxyType(_GROUPS)
 """The channel groups by name; a group may use those before it, and all may use the density."""
 

@@ -1,7 +1,9 @@
 """The relief of the ground about a cell, as frames saw it: how rough it is, and its steps.
 
 Both are differences of heights within one frame, so that what frames have in common, and what the
-heights of their poses are off, plays no part. Roughness is the residual of the plane through nine
+heights of their poses are off, plays no part. Both are kept for blocks of cells, and each session
+has one voice: the mean roughness of its frames, and a step where half of those that could tell saw
+one. Roughness is the residual of the plane through nine
 heights half a metre apart; steps come with the frames (:func:`fieldgrid.edges.find_edges`).
 """
 
@@ -22,6 +24,7 @@ from fieldgrid.grids import (
 )
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
+from fieldgrid.layers.blocks import COLUMN_BITS, session_means
 from fieldgrid.layers.declaration import (
     Cells,
     Channel,
@@ -44,7 +47,8 @@ LEAST_STEP_CM = 10
 """Lower steps are noise."""
 
 STEP_VOTES = 2
-"""There is a step where one in so many frames that could tell saw one."""
+"""There is a step where one in so many frames of a session that could tell saw one, and one in so
+many sessions."""
 
 _PER_M = 500
 """Roughness is summed in steps of 2 mm."""
@@ -53,11 +57,11 @@ _UNKNOWN = -1
 
 
 class _Relief:
-    """Five sums over the parts of local cells that land in a cell: how many have a roughness, and
-    theirs; how many tell of steps, in how many there is one, and the steps' centimetres."""
+    """Five sums over the points of blocks: how many have a roughness, and theirs; how many tell of
+    steps, at how many there is one, and the steps' centimetres."""
 
-    def __init__(self, cells: int, _: Lattice) -> None:
-        self._shape = cells, 5
+    def __init__(self, blocks: int, _: Lattice) -> None:
+        self._blocks = blocks
         self._sums: Int64 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
@@ -67,23 +71,32 @@ class _Relief:
         if heights_cm is None and steps_cm is None:
             return
         if self._sums is None:
-            self._sums = np.zeros(self._shape, dtype=np.int64)
-        spec, landing = frame.cells.grid.spec, frame.landing
-        block = max(round(BLOCK_M / spec.cell_m), 1)
+            self._sums = np.zeros((self._blocks, 5), dtype=np.int64)
+        spec = frame.cells.grid.spec
+        side = max(round(BLOCK_M / spec.cell_m), 1)
         if steps_cm is None:
             steps_cm = np.full(spec.shape, NO_STEP_KNOWN, np.uint8)
         add_relief(
-            roughness(heights_cm, spec, block),
-            block,
+            roughness(heights_cm, spec, side),
+            side,
             np.ascontiguousarray(steps_cm, dtype=np.uint8),
-            landing.cell,
-            landing.shift,
-            landing.unit,
+            *frame.in_blocks,
             self._sums,
         )
 
-    def channels(self) -> UInt64:
-        return nothing(self._shape[::-1]) if self._sums is None else self._sums.T.view(np.uint64)
+    def channels(self) -> Sequence[UInt64]:
+        if self._sums is None:
+            return [nothing((self._blocks,))] * len(GROUP.channels)
+        rough_parts, rough, step_parts, steps, cm = self._sums.T
+        voted = (steps > 0) & (steps * STEP_VOTES >= step_parts)
+        said = (
+            (rough_parts > 0).astype(np.int64),
+            session_means(rough, rough_parts),
+            (step_parts > 0).astype(np.int64),
+            voted.astype(np.int64),
+            np.where(voted, session_means(cm, steps), 0),
+        )
+        return [one.view(np.uint64) for one in said]
 
 
 def roughness(heights_cm: AnyArray | None, spec: GridSpec, block: int) -> Int64:
@@ -127,37 +140,35 @@ def fill_roughness(heights_cm, block, reach, rough):  # type: ignore[no-untyped-
 
 
 @kernel
-def add_relief(rough, block, steps_cm, cell, shift, unit, sums):  # type: ignore[no-untyped-def]
-    """Add what a frame says to `sums` [cells, 5], where its parts land."""
-    block_of = np.empty(cell.shape[1], dtype=np.int64)
-    for c in range(cell.shape[1]):
-        block_of[c] = (c >> shift) // block
-    for r in range(cell.shape[0]):
-        j = r >> shift
-        row = j // block
-        for c in range(cell.shape[1]):
-            if cell[r, c] < 0:
+def add_relief(rough, side, steps_cm, block, cell, sums):  # type: ignore[no-untyped-def]
+    """Add what a frame says at the points of blocks to `sums` [blocks, 5]; `rough` has squares of
+    `side` x `side` local cells."""
+    for b in range(block.size):
+        k = np.uint32(block[b])
+        for p in range(cell.shape[1]):
+            if cell[b, p] < 0:
                 continue
-            k = np.uint32(cell[r, c])
-            residual, step = rough[row, np.uint32(block_of[c])], steps_cm[j, c >> shift]
+            j, i = cell[b, p] >> COLUMN_BITS, cell[b, p] & ((1 << COLUMN_BITS) - 1)
+            residual, step = rough[j // side, i // side], steps_cm[j, i]
             if residual >= 0:
-                sums[k, 0] += unit
-                sums[k, 1] += unit * residual
+                sums[k, 0] += 1
+                sums[k, 1] += residual
             if step != NO_STEP_KNOWN:
-                sums[k, 2] += unit
+                sums[k, 2] += 1
                 if step >= LEAST_STEP_CM:
-                    sums[k, 3] += unit
-                    sums[k, 4] += unit * np.int64(step)
+                    sums[k, 3] += 1
+                    sums[k, 4] += np.int64(step)
 
 
 def _roughness(cells: Cells) -> AnyArray:
-    parts, total = cells["rough_parts"], cells["rough_sum"]
+    parts, total = cells["rough_sessions"], cells["rough_sum"]
     return np.where(parts > 0, total / np.maximum(parts, np.uint64(1)) / _PER_M, np.nan)
 
 
 def _steps_cm(cells: Cells) -> AnyArray:
-    """The step of base cells in whole centimetres, one more, 0 where none could be told."""
-    known, seen, total = (cells[name] for name in ("step_known", "step_parts", "step_cm_sum"))
+    """The step of base cells in whole centimetres, one more, 0 where none could be told: one that
+    half of the sessions saw."""
+    known, seen, total = (cells[name] for name in ("step_known", "step_sessions", "step_cm_sum"))
     one = np.uint64(1)
     voted = (known > 0) & (seen * np.uint64(STEP_VOTES) >= known)
     half = seen // np.uint64(2)
@@ -170,25 +181,19 @@ def _step(cells: Cells) -> AnyArray:
     return np.where(highest > 0, (highest.astype(np.float64) - 1.0) / 100.0, np.nan)
 
 
-def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:
-    """Mostly a place is seen well enough wherever anything is, and there is no step."""
-    none = nothing(weight.shape)
-    return weight, none, weight, none, none
-
-
 GROUP = ChannelGroup(
-    "relief",
+    "surface",
     (
-        Channel("rough_parts", signed=True),
+        Channel("rough_sessions"),
         Channel("rough_sum"),
-        Channel("step_known", signed=True),
-        Channel("step_parts"),
+        Channel("step_known"),
+        Channel("step_sessions"),
         Channel("step_cm_sum"),
     ),
     fold=_Relief,
     overview=(OverviewChannel("step_highest", Combine.MAX, _steps_cm),),
-    expected=_expected,
     frame=(GROUND_CHANNEL, STEP_CHANNEL),
+    blocks=True,
 )
 
 _NAN = float("nan")
@@ -198,7 +203,7 @@ ROUGHNESS = Layer(
     "float32",
     "m",
     "how far the ground is off a plane of a metre, RMS, as a frame sees it",
-    ("density", "relief"),
+    ("density", "surface"),
     _roughness,
     _NAN,
     Colours(palette.STEEP, 0.0, 0.1),
@@ -210,7 +215,7 @@ STEP = Layer(
     "m",
     "highest step up or down in the ground, edge of a ditch or terrace, of which the cell is a "
     "side; 0 for none of 10 cm; of a larger cell, the highest of its base cells",
-    ("density", "relief"),
+    ("density", "surface"),
     _step,
     _NAN,
     Colours(palette.STEEP, 0.0, 0.4),

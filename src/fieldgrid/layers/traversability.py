@@ -57,7 +57,7 @@ def traversability(mobility: Mobility, name: str = "traversability") -> Layer:
         f"how well a vehicle {2.0 * mobility.half_width_m:g} m wide can stand here, by the worst "
         f"under it: 1 level and even, 0 a slope of {mobility.slope_deg:g}°, a roughness of "
         f"{mobility.roughness_m:g} m, a step of {mobility.step_m:g} m or an obstacle",
-        ("density", "ground", "relief"),
+        ("density", "terrain", "surface"),
         goodness,
         float("nan"),
         Colours(palette.GOODNESS, 0.0, 1.0),

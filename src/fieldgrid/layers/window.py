@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from fieldgrid.array_types import Int32, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.layers.blocks import block_side, blocks_under
 from fieldgrid.layers.declaration import (
     Cells,
     Channel,
@@ -36,14 +38,19 @@ class WindowFold:
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
     ) -> None:
-        self._lattice, self._window, self._transfer = lattice, window, transfer
+        self._lattice, self._asked, self._transfer = lattice, window, transfer
         self._groups = groups
-        size = window.width * window.height
+        self._side = block_side(lattice)
+        self._under = blocks_under(window, self._side)
+        # Whether a frame saw anything of a block is known where all of it is.
+        self._window = Window(*(value * self._side for value in self._under))
         self._folds = {
-            group.name: group.fold(size, lattice) for group in groups if group.fold is not None
+            group.name: group.fold(math.prod(self._units(group).shape), lattice)
+            for group in groups
+            if group.fold is not None
         }
         self._stamps: Int32 | None = None  # some groups do without the cells that a frame touched
-        self._done: dict[str, UInt64] = {}
+        self._done: dict[str, list[UInt64]] = {}
         self._frames = 0
 
     def add(self, cells: FrameCells, pose: Pose) -> None:
@@ -57,34 +64,83 @@ class WindowFold:
         for fold in self._folds.values():
             fold.add(frame)
 
+    def _units(self, group: ChannelGroup) -> Window:
+        """What a group has values of: the cells of the window, or the blocks under it."""
+        return self._under if group.blocks else self._window
+
     def _touched(self, landing: Landing) -> Int32:
         """The cells that the latest frame landed in, each once."""
         if self._stamps is None:
-            self._stamps = np.zeros(self._window.width * self._window.height, np.int32)
+            self._stamps = np.zeros(math.prod(self._window.shape), np.int32)
         touched = np.empty(min(landing.cell.size, self._stamps.size), dtype=np.int32)
         return touched[: touch(landing.cell, self._frames, self._stamps, touched)]
 
-    def cells(self, part: Window | None = None) -> Cells:
-        """The channels of the window, or of a part of it; no frame follows."""
+    def cells(self, part: Window | None = None, *, whole_blocks: bool = False) -> Cells:
+        """The channels of the window, or of a part of it; no frame follows.
+
+        Where the part has `whole_blocks`, groups with blocks give one value for each.
+        """
         if self._folds:
-            shape = (-1, *self._window.shape)
-            self._done = {name: f.channels().reshape(shape) for name, f in self._folds.items()}
-            self._folds = {}
-        inside = (slice(None), *self._window.slices_of(part or self._window))
-        arrays: dict[str, UInt64] = {}
+            self._finish()
+        inside, arrays = part or self._asked, dict[str, UInt64]()
         for group in self._groups:
             if group.derived:
                 continue
-            if group.of_session is None:
-                channels = self._done[group.name][inside]
-            else:
+            channels: Iterable[UInt64]
+            if group.of_session is not None:
                 channels = group.of_session(Cells(arrays))
+            else:
+                channels = self._channels(group, inside, whole_blocks)
             for one, values in zip(group.channels, channels, strict=True):
                 if group is self._groups[0]:  # that kernels take
                     arrays[one.name] = np.ascontiguousarray(values)
                 else:
                     arrays[one.name] = _own(values)
-        return Cells(arrays)
+        return Cells(arrays, block=self._side if whole_blocks else 1)
+
+    def _finish(self) -> None:
+        """Take the channels from the folds: nothing of blocks in which no cell was observed."""
+        folds, self._folds = self._folds, {}
+        seen = np.empty(0, np.bool_)
+        for group in self._groups:
+            if (fold := folds.get(group.name)) is None:
+                continue
+            channels = [one.reshape(self._units(group).shape) for one in fold.channels()]
+            if group is self._groups[0]:
+                side, (height, width) = self._side, self._under.shape
+                weighty = (channels[0] > 0).reshape(height, side, width, side)
+                seen = np.logical_or.reduce(weighty, axis=(1, 3))
+            elif group.blocks:
+                channels = [one if is_nothing(one) else one * seen for one in channels]
+            self._done[group.name] = channels
+
+    def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> list[UInt64]:
+        """The channels of a group that was folded, in a part of the window."""
+        done = self._done[group.name]
+        if not group.blocks:
+            return [values[self._window.slices_of(part)] for values in done]
+        under = self._under.slices_of(blocks_under(part, self._side))
+        return [
+            values[under] if whole_blocks else at_cells(values[under], part, self._side)
+            for values in done
+        ]
+
+
+def at_cells(values: UInt64, window: Window, side: int) -> UInt64:
+    """The values of the blocks under a window at its cells, [rows, columns]."""
+    if side == 1:
+        return values
+    if is_nothing(values):
+        return nothing(window.shape)
+    under = blocks_under(window, side)
+    rows, columns = (
+        (first + np.arange(size)) // side - start
+        for first, size, start in (
+            (window.j0, window.height, under.j0),
+            (window.i0, window.width, under.i0),
+        )
+    )
+    return values[rows][:, columns]
 
 
 def _own(values: UInt64) -> UInt64:
@@ -112,7 +168,9 @@ def merge_sessions(groups: Iterable[ChannelGroup], a: Cells, b: Cells) -> Cells:
     """What two sessions, or two sets of them, have in the same cells together."""
     channels = (channel for group in groups for channel in group.channels)
     return Cells(
-        {c.name: combined(c.sessions, a[c.name], b[c.name]) for c in channels}, a.base_cells
+        {c.name: combined(c.sessions, a[c.name], b[c.name]) for c in channels},
+        a.base_cells,
+        a.block,
     )
 
 
@@ -126,28 +184,32 @@ def combined(how: Combine, a: UInt64, b: UInt64) -> UInt64:
 def with_overviews(groups: Iterable[ChannelGroup], cells: Cells) -> Cells:
     """Base cells with the channels that are stored only of larger ones."""
     made = {extra.name: extra.of_base(cells) for group in groups for extra in group.overview}
-    return Cells({**cells, **made}, cells.base_cells)
+    return Cells({**cells, **made}, cells.base_cells, cells.block)
 
 
 def coarser(groups: Iterable[ChannelGroup], cells: Cells, factor: int) -> Cells:
     """Cells of `factor` times the side, from cells that have the channels of overviews.
 
-    The window's sides are multiples of the factor.
+    The window's sides are multiples of the factor. Blocks that are no smaller than the new cells
+    stay as they are; `factor` is a power of 2 where cells have blocks.
     """
     if factor == 1:
         return cells
     arrays: dict[str, UInt64] = {}
     for group in groups:
+        of = max(factor // cells.block, 1) if group.blocks else factor
         channels: tuple[Channel | OverviewChannel, ...] = (*group.channels, *group.overview)
         for channel in channels:
+            if channel.coarser is Combine.ABSENT:
+                continue
             fine = cells[channel.name]
-            shape = fine.shape[0] // factor, fine.shape[1] // factor
+            shape = fine.shape[0] // of, fine.shape[1] // of
             if is_nothing(fine):
                 arrays[channel.name] = nothing(shape)
                 continue
             arrays[channel.name] = np.zeros(shape, np.uint64)
-            gather(fine, factor, channel.coarser is Combine.MAX, arrays[channel.name])
-    return Cells(arrays, cells.base_cells * factor * factor)
+            gather(fine, of, channel.coarser is Combine.MAX, arrays[channel.name])
+    return Cells(arrays, cells.base_cells * factor * factor, max(cells.block // factor, 1))
 
 
 @kernel
@@ -163,8 +225,11 @@ def gather(fine, factor, highest, coarse):  # type: ignore[no-untyped-def]
             coarse[j // factor, i] = total
 
 
-def empty_cells(groups: Iterable[ChannelGroup], shape: tuple[int, int]) -> Cells:
-    """Cells that no frame has seen."""
-    return Cells(
-        {channel.name: np.zeros(shape, np.uint64) for g in groups for channel in g.channels}
-    )
+def empty_cells(groups: Iterable[ChannelGroup], shape: tuple[int, int], block: int = 1) -> Cells:
+    """Cells that no frame has seen; `block` is a number of cells along the side of a block."""
+    arrays: dict[str, UInt64] = {}
+    for group in groups:
+        side = block if group.blocks else 1
+        for channel in group.channels:
+            arrays[channel.name] = np.zeros((shape[0] // side, shape[1] // side), np.uint64)
+    return Cells(arrays, block=block)

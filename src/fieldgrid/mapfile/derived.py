@@ -7,6 +7,7 @@ map can be shown, read and changed at a cost that does not grow with it.
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Collection
 from pathlib import Path
 
 from fieldgrid.mapfile import schema
@@ -124,6 +125,24 @@ def rebuild(
     Pyramid(connection, tables, jobs).rebuild()
     drop_styles(connection)
     touch(connection)
+
+
+def add_groups(
+    connection: sqlite3.Connection, path: Path, header: Header, names: Collection[str]
+) -> None:
+    """Add channel groups to the tiles of a map that are up to date but for them, within the
+    caller's transaction; those above the base are left for `settle`."""
+    tables = tables_of(connection, header, path)
+    added = [group for group in tables.groups if group.name in names]
+    groups = (tables.groups[0], *added)
+    for session_id, _ in active(connection):
+        frames = placed_frames(frames_of(connection, session_id))
+        with SessionTiles.folded(frames, header.lattice, header.transfer, groups) as tiles:
+            for tile in sorted(tiles.tiles):
+                blobs = tiles.blobs(tile)
+                kept = {group.name: blobs[group.name] for group in added if group.name in blobs}
+                tables.add_to_session(session_id, tile, kept)
+    Pyramid(connection, tables).add_to_base(added)
 
 
 def active(connection: sqlite3.Connection) -> list[tuple[int, str]]:

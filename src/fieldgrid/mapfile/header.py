@@ -17,7 +17,7 @@ from fieldgrid.errors import (
 )
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import TILE_CELLS, Lattice
-from fieldgrid.layers import GROUPS, ChannelGroup
+from fieldgrid.layers import GROUPS, RETIRED_GROUPS, ChannelGroup
 from fieldgrid.mapfile import schema
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 
@@ -36,6 +36,12 @@ class Header(NamedTuple):
     transfer: Transfer
     groups: tuple[str, ...]
     version: int = schema.FORMAT_VERSION
+
+    @property
+    def is_old(self) -> bool:
+        """Whether the next change brings the map up to date: its format, or some of its groups."""
+        retired = any(name in RETIRED_GROUPS for name in self.groups)
+        return retired or self.version < schema.FORMAT_VERSION
 
     def known_groups(self) -> tuple[ChannelGroup, ...]:
         """The channel groups of the map's tiles that this program knows."""

@@ -36,7 +36,7 @@ from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.stored_features import keep_features
 from fieldgrid.mapfile.transform import Transform
-from fieldgrid.mapfile.upgrade import upgrade, upgraded
+from fieldgrid.mapfile.upgrade import replace_retired, upgrade, upgraded
 from fieldgrid.mapfile.verification import repair
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
@@ -277,9 +277,9 @@ class MapFile(MapReader):
         return repaired.problems
 
     def upgrade(self) -> bool:
-        """Bring a map of an older format to the present one, at once or not at all; returns whether
-        there was anything to do."""
-        is_old = self._header.version < FORMAT_VERSION
+        """Bring a map of an older format, or with retired channel groups, up to date, at once or
+        not at all; returns whether there was anything to do."""
+        is_old = self._header.is_old
         if is_old:
             with self._changing():
                 pass
@@ -300,7 +300,7 @@ class MapFile(MapReader):
         """One transaction in which the map is changed; `trusting` what its root digest covers.
         `keep` is where it is copied to before.
 
-        A map of an older format is upgraded in it: where the change is refused, it stays old.
+        An older map is brought up to date in it: where the change is refused, it stays old.
         """
         before = self._header
         try:
@@ -317,6 +317,10 @@ class MapFile(MapReader):
                     return
                 check_root(self._connection, self.path)
                 with self._counter.counting():
+                    if self._header.is_old:
+                        replace_retired(self._connection, self.path, self._header)
+                        self._header = upgraded(self._header)
+                        self._unsettled = True
                     yield
                     seal(self._connection)
         except BaseException:

@@ -17,6 +17,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.grids import GridSpec
 from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, FrameCells
+from fieldgrid.layers.blocks import block_side
 from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile.tile_codec import (
     Box,
@@ -105,7 +106,9 @@ class Squares:
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
             fold.add(self._recent.cells(k), self._frames[k].pose)
-        found = ((tile, fold.cells(tile_window(tile))) for tile in window.tiles())
+        found = (
+            (tile, fold.cells(tile_window(tile), whole_blocks=True)) for tile in window.tiles()
+        )
         return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
 
 
@@ -149,8 +152,8 @@ class SessionTiles(Closing):
     system's place for temporary files.
     """
 
-    def __init__(self, groups: Sequence[ChannelGroup]) -> None:
-        self._groups = groups
+    def __init__(self, groups: Sequence[ChannelGroup], lattice: Lattice) -> None:
+        self._groups, self._block = groups, block_side(lattice)
         self._lock = threading.Lock()
         self._recent: OrderedDict[TileIndex, Cells] = OrderedDict()
         self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
@@ -171,7 +174,7 @@ class SessionTiles(Closing):
         jobs: int | None = None,
     ) -> SessionTiles:
         """Place the accepted frames of a session."""
-        made = cls(groups)
+        made = cls(groups, lattice)
 
         def encode(tile: TileIndex, cells: Cells) -> tuple[TileIndex, Cells, dict[str, bytes]]:
             return tile, cells, encode_groups(stored_of_session(groups), cells, base=True)
@@ -205,7 +208,8 @@ class SessionTiles(Closing):
         """The channels of a tile."""
         found = self._recent.get(tile)
         if found is None:
-            found = session_cells(self._groups, self.blobs(tile), f"tile {tuple(tile)}")
+            what = f"tile {tuple(tile)}"
+            found = session_cells(self._groups, self.blobs(tile), what, self._block)
         return found
 
     def close(self) -> None:
@@ -224,32 +228,38 @@ def encode_groups(
     """The blobs of a tile that has been observed, by channel group."""
     inside = box or box_of(cells["weight"])
     expectation = Expectation(cells, base=base)
+    blocks = inside.blocks(cells.block)
     return {
-        group.name: encode_tile(group, cells, inside, expectation, base=base)
+        group.name: encode_tile(
+            group, cells, blocks if group.blocks else inside, expectation, base=base
+        )
         for group in groups
         if not (base and group.derived)
     }
 
 
-def session_cells(groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str) -> Cells:
-    """What a session has in a tile, from the blobs of its session tiles."""
-    arrays = dict(decode_groups(stored_of_session(groups), blobs, what, base=True))
+def session_cells(
+    groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str, block: int
+) -> Cells:
+    """What a session has in a tile, from the blobs of its session tiles; see `decode_groups`."""
+    arrays = dict(decode_groups(stored_of_session(groups), blobs, what, base=True, block=block))
     for group in groups:
         if group.of_session is not None:
             made = group.of_session(Cells(arrays))
             arrays.update(zip((channel.name for channel in group.channels), made, strict=True))
-    return Cells(arrays)
+    return Cells(arrays, block=block)
 
 
 def decode_groups(
-    groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str, *, base: bool
+    groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str, *, base: bool, block: int
 ) -> Cells:
-    """The channels of a tile from its blobs; MapError when one is damaged or missing."""
+    """The channels of a tile from its blobs, which has `block` cells along the side of a block;
+    MapError when one is damaged or missing."""
     arrays: dict[str, UInt64] = {}
     expectation = Expectation(arrays, base=base)
     for group in groups:
         if base and group.derived:
             continue
         blob, name = blobs.get(group.name), f"{group.name} of {what}"
-        arrays.update(decode_tile(group, blob, expectation, name, base=base))
-    return Cells(arrays)
+        arrays.update(decode_tile(group, blob, expectation, name, base=base, block=block))
+    return Cells(arrays, block=block)

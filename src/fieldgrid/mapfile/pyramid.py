@@ -94,6 +94,17 @@ class Pyramid:
         self._raise_levels(dict.fromkeys(tiles), self._groups)
         self._announce(shrinks=False)
 
+    def add_to_base(self, added: Sequence[ChannelGroup]) -> None:
+        """Add groups, which the tiles of sessions have already, to the base tiles."""
+        groups = (self._groups[0], *added)
+
+        def made(tile: TileIndex) -> tuple[TileIndex, dict[str, bytes]]:
+            cells = self.merged(tile, groups=groups)
+            return tile, {} if cells is None else encode_groups(added, cells, base=True)
+
+        for tile, blobs in in_order(made, self._tables.tiles(self._base), self._jobs):
+            self._tables.add_groups(self._base, tile, blobs)
+
     def merged(
         self,
         tile: TileIndex,
@@ -122,7 +133,8 @@ class Pyramid:
                 level, tile, has = row
                 cells = self._tables.cells(level, tile)
                 assert cells is not None
-                lacking = [group for group in self._groups if group.name not in has]
+                kept = self._tables.kept(self._base - level)
+                lacking = [group for group in kept if group.name not in has]
                 return level, tile, encode_groups(lacking, cells, base=False)
 
             for level, tile, blobs in in_order(complete, list(rows), self._jobs):
@@ -135,8 +147,9 @@ class Pyramid:
         """A base tile over all sessions, after a session's share has changed."""
         total = self._tables.cells(self._base, tile)
         if total is None:
-            return joining or empty_cells(self._groups, _SHAPE)
-        arrays, part = dict(total), None if joining is None else box_of(joining["weight"]).slices
+            return joining or empty_cells(self._groups, _SHAPE, self._tables.block(0))
+        arrays = dict(total)
+        box = None if joining is None else box_of(joining["weight"])
         stay: Cells | None = None
         maxima = [
             group
@@ -147,20 +160,21 @@ class Pyramid:
             # What is expected of the others is made of the density.
             groups = tuple(dict.fromkeys((self._groups[0], *maxima)))
             stay = self.merged(tile, session_id, groups)
-        for channel in (channel for group in self._groups for channel in group.channels):
+        for of, channel in ((group, one) for group in self._groups for one in group.channels):
             name, by_sum = channel.name, channel.sessions is Combine.SUM
             if leaving is not None and by_sum and not is_nothing(leaving[name]):
                 arrays[name] = arrays[name] - leaving[name]
             elif leaving is not None and not by_sum:
                 arrays[name] = nothing(_SHAPE) if stay is None else stay[name]
-            if joining is None or is_nothing(joining[name]):
+            if joining is None or box is None or is_nothing(joining[name]):
                 continue
             if is_nothing(value := arrays[name]):
                 arrays[name] = joining[name]
             else:  # in place: nobody else has these arrays
                 combine = np.add if by_sum else np.maximum
+                part = (box.blocks(joining.block) if of.blocks else box).slices
                 combine(value[part], joining[name][part], out=value[part])
-        return Cells(arrays)
+        return Cells(arrays, block=total.block)
 
     def _raise_levels(
         self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]
@@ -193,7 +207,9 @@ class Pyramid:
                 }
                 before = self._tables.cells(level, tile, groups)
                 cells = self._tables.above(level, tile, groups, before, parts)
-                return self._encoded(tile, cells, groups), cells
+                kept = self._tables.kept(self._base - level)
+                stored = [group for group in groups if group in kept]
+                return self._encoded(tile, cells, stored), cells
 
             raised: dict[TileIndex, Cells | None] = {}
             for encoded, cells in in_order(work, sorted(below), self._jobs):

@@ -8,13 +8,24 @@ from typing import Protocol
 
 import numpy as np
 
+from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import Lattice, TileIndex, Window, tile_window
-from fieldgrid.layers import Cells, ChannelGroup
-from fieldgrid.layers.window import WindowFold, empty_cells, merge_sessions, with_overviews
+from fieldgrid.layers import Cells, ChannelGroup, is_nothing, nothing
+from fieldgrid.layers.blocks import blocks_under
+from fieldgrid.layers.window import (
+    WindowFold,
+    at_cells,
+    empty_cells,
+    merge_sessions,
+    with_overviews,
+)
 from fieldgrid.mapfile.base_cells import Multiple, Touching
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.transfer import Transfer, footprint
+
+_FOR_KERNELS = ("weight", "sum")
+"""Kernels take no channel that takes no memory."""
 
 
 class CellSource(Protocol):
@@ -156,15 +167,26 @@ class FoldedOverBase:
 
 
 def assembled(window: Window, parts: Iterable[tuple[Window, Cells]]) -> Cells | None:
-    """The cells of a window from windows that it touches; None when there are none."""
-    arrays, base_cells = None, 1
+    """The cells of a window from windows that it touches; None when there are none.
+
+    What has one value for each block of a part has one for each cell here.
+    """
+    names: tuple[str, ...] = ()
+    arrays, base_cells = dict[str, UInt64](), 1
     for whole, cells in parts:
-        if arrays is None:
-            arrays = {name: np.zeros(window.shape, dtype=np.uint64) for name in cells}
-            base_cells = cells.base_cells
+        names, base_cells = tuple(cells), cells.base_cells
         part = whole.intersect(window)
-        if part is not None:
-            inside, place = whole.slices_of(part), window.slices_of(part)
-            for name, array in arrays.items():
-                array[place] = cells[name][inside]
-    return None if arrays is None else Cells(arrays, base_cells)
+        if part is None:
+            continue
+        place = window.slices_of(part)
+        for name, values in cells.items():
+            if is_nothing(values) and name not in _FOR_KERNELS:
+                continue
+            if name not in arrays:
+                arrays[name] = np.zeros(window.shape, dtype=np.uint64)
+            side = whole.width // values.shape[1]
+            under = blocks_under(whole, side).slices_of(blocks_under(part, side))
+            arrays[name][place] = at_cells(values[under], part, side)
+    if not names:
+        return None
+    return Cells({name: arrays.get(name, nothing(window.shape)) for name in names}, base_cells)

@@ -10,12 +10,18 @@ import numpy as np
 
 from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import TILE_CELLS
-from fieldgrid.layers import ChannelGroup, is_nothing, nothing
+from fieldgrid.layers import (
+    Channel,
+    ChannelGroup,
+    Combine,
+    OverviewChannel,
+    is_nothing,
+    nothing,
+)
 from fieldgrid.mapfile.codec import damaged, deflate, inflate
 from fieldgrid.mapfile.packing import differences, join, split
 
 _WORD_BYTES = 8
-_SHAPE = (TILE_CELLS, TILE_CELLS)
 _DENSITY = ("weight", "sum")
 _NOTHING = np.empty(0, dtype=np.uint64)
 
@@ -41,6 +47,10 @@ class Box(NamedTuple):
             slice(self.first_column, self.last_column + 1),
         )
 
+    def blocks(self, side: int) -> Box:
+        """The blocks of `side` x `side` cells that it touches."""
+        return Box(*(value // side for value in self))
+
 
 def box_of(weight: UInt64) -> Box:
     """The extent of the cells of a tile that have weight; there is at least one."""
@@ -50,9 +60,11 @@ def box_of(weight: UInt64) -> Box:
 
 def stored_channels(group: ChannelGroup, *, base: bool) -> tuple[tuple[str, bool], ...]:
     """The names of a group's channels that a tile has, and which are signed: above the base level
-    those of overviews, too."""
-    own = tuple((channel.name, channel.signed) for channel in group.channels)
-    return own if base else own + tuple((extra.name, False) for extra in group.overview)
+    those of overviews, too, and none that are absent there."""
+    if base:
+        return tuple((channel.name, channel.signed) for channel in group.channels)
+    above: tuple[Channel | OverviewChannel, ...] = (*group.channels, *group.overview)
+    return tuple((one.name, one.signed) for one in above if one.coarser is not Combine.ABSENT)
 
 
 class Expectation:
@@ -90,7 +102,8 @@ def encode_tile(
     *,
     base: bool,
 ) -> bytes:
-    """The blob of a group's channels, uint64 [256, 256] each."""
+    """The blob of a group's channels, uint64 [256, 256] each; of a group with blocks they have one
+    value for each, and `box` counts these."""
     names = stored_channels(group, base=base)
     if all(is_nothing(cells[name]) or not cells[name].any() for name, _ in names):
         # All outside of the box is 0, so that what was expected in vain is not written down.
@@ -113,15 +126,25 @@ def encode_tile(
 
 
 def decode_tile(
-    group: ChannelGroup, blob: object, expectation: Expectation, what: str, *, base: bool
+    group: ChannelGroup,
+    blob: object,
+    expectation: Expectation,
+    what: str,
+    *,
+    base: bool,
+    block: int = 1,
 ) -> dict[str, UInt64]:
-    """The channels of a group, uint64 [256, 256] each; `what` names the tile when it is damaged."""
+    """The channels of a group, uint64 [256, 256] each; `what` names the tile when it is damaged.
+
+    Those of a group with blocks have one value for each `block` x `block` cells.
+    """
+    side = TILE_CELLS // block if group.blocks else TILE_CELLS
     names = stored_channels(group, base=base)
     head = 5 + 2 * len(names)
     if not isinstance(blob, bytes) or len(blob) < head or blob[0] != len(names):
         raise damaged(what, "its header does not fit its channels")
     box, shifts, counts = Box(*blob[1:5]), blob[5:head:2], blob[6:head:2]
-    if min(box.shape) < 1 or max(shifts) > 63 or max(counts) > _WORD_BYTES:
+    if min(box.shape) < 1 or max(box) >= side or max(shifts) > 63 or max(counts) > _WORD_BYTES:
         raise damaged(what, f"its header is {tuple(blob[:head])}")
     try:
         expected = expectation.of(group, box)
@@ -133,9 +156,9 @@ def decode_tile(
     arrays, first = dict[str, UInt64](), 0
     for guess, (name, signed), shift, count in zip(expected, names, shifts, counts, strict=True):
         if not (count or guess.size or name in _DENSITY):  # that kernels take
-            arrays[name] = nothing(_SHAPE)
+            arrays[name] = nothing((side, side))
             continue
-        arrays[name] = np.zeros(_SHAPE, dtype=np.uint64)
+        arrays[name] = np.zeros((side, side), dtype=np.uint64)
         part = planes[first : first + count]
         join(part, shift, guess, signed, box.first_row, box.first_column, arrays[name])
         first += count

@@ -10,19 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from fieldgrid.array_types import UInt64
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
 from fieldgrid.layers import Cells, ChannelGroup, is_nothing
+from fieldgrid.layers.blocks import block_side
 from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
 from fieldgrid.mapfile.tile_codec import stored_channels
 from fieldgrid.mapfile.tiling import TileMatrixSet, children
 
-_HALF = TILE_CELLS // 2
 _FARTHEST = 1 << 31
 """Beyond the places of all tiles."""
-
-_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
 class TileTables:
@@ -64,7 +63,7 @@ class TileTables:
             (session_id, *tile),
         )
         what = f"tile {tuple(tile)} of session {session_id}"
-        return session_cells(groups or self.groups, dict(rows), what)
+        return session_cells(groups or self.groups, dict(rows), what, self.block(0))
 
     def sessions_in(self, tile: TileIndex) -> list[int]:
         """The sessions that have something in a base tile."""
@@ -102,11 +101,23 @@ class TileTables:
         wanted = self.groups if groups is None else groups
         stored = [group for group in wanted if levels == 0 or group.name in blobs]
         what = f"tile {tuple(tile)} of level {zoom}"
-        found = dict(decode_groups(stored, blobs, what, base=levels == 0))
+        block = self.block(levels)
+        found = dict(decode_groups(stored, blobs, what, base=levels == 0, block=block))
         if len(stored) < len(wanted):
             later = [group for group in wanted if group not in stored]
             found.update(self.above(zoom, tile, later))
-        return Cells(found, 1 << 2 * levels)
+        return Cells(found, 1 << 2 * levels, block)
+
+    def block(self, levels: int) -> int:
+        """Cells along the side of a block, so many levels above the base."""
+        return max(block_side(self.matrices.lattice) >> levels, 1)
+
+    def kept(self, levels: int) -> Sequence[ChannelGroup]:
+        """The groups that the tiles of a level hold: above the base none whose blocks are larger
+        than its cells, which would be the same once more."""
+        if levels == 0 or self.block(levels) == 1:
+            return self.groups
+        return [group for group in self.groups if not group.blocks]
 
     def above(
         self,
@@ -128,31 +139,36 @@ class TileTables:
             others = (group for group in self.groups if group.name in sources)
             wanted = tuple(dict.fromkeys((self.groups[0], *others, *groups)))
             below = {child: self.cells(zoom + 1, child, wanted) for child in children(tile)}
-        names = [name for group in groups for name, _ in stored_channels(group, base=False)]
-        arrays = {
-            name: np.zeros(_SHAPE, np.uint64)
-            if before is None or is_nothing(before[name])
-            else before[name]
-            for name in names
-        }
+        levels = self.matrices.base_zoom - zoom
+        block = self.block(levels)
+        arrays = dict[str, UInt64]()
+        for group in groups:
+            side = TILE_CELLS // block if group.blocks else TILE_CELLS
+            for name, _ in stored_channels(group, base=False):
+                if before is None or is_nothing(before[name]):
+                    arrays[name] = np.zeros((side, side), np.uint64)
+                else:
+                    arrays[name] = before[name]
         for child, cells in below.items():
-            quadrant = quadrant_of(child)
             halved = None
             if cells is not None:
                 if zoom + 1 == self.matrices.base_zoom:
                     cells = with_overviews(groups, cells)
                 halved = coarser(groups, cells, 2)
-            for name in names:
-                arrays[name][quadrant] = 0 if halved is None else halved[name]
-        return Cells(arrays, 1 << 2 * (self.matrices.base_zoom - zoom))
+            for name, values in arrays.items():
+                quadrant = quadrant_of(child, len(values) // 2)
+                values[quadrant] = 0 if halved is None else halved[name]
+        return Cells(arrays, 1 << 2 * levels, block)
 
     def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
         """The tiles above the base that lack some groups, the lower levels first, and those that
         they have."""
+        base, whole = self.matrices.base_zoom, self.block(0).bit_length() - 1
         rows = self.rows(
             "SELECT zoom, ty, tx, json_group_array(channels) FROM fieldgrid_tile WHERE zoom < ? "
-            "GROUP BY 1, 2, 3 HAVING count(*) < ? ORDER BY 1 DESC, 2, 3",
-            (self.matrices.base_zoom, len(self.groups)),
+            "GROUP BY 1, 2, 3 HAVING count(*) < CASE WHEN zoom > ? THEN ? ELSE ? END "
+            "ORDER BY 1 DESC, 2, 3",
+            (base, base - whole, len(self.kept(1)), len(self.groups)),
         )
         return [(zoom, _index(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
 
@@ -187,10 +203,12 @@ class TileTables:
                 "DELETE FROM fieldgrid_session_tile WHERE session_id = ? AND ty = ? AND tx = ?",
                 (session_id, *tile),
             )
-            self._connection.executemany(
-                "INSERT INTO fieldgrid_session_tile VALUES (?, ?, ?, ?, ?)",
-                [(session_id, *tile, name, blob) for name, blob in blobs.items()],
-            )
+            self._insert_session(session_id, tile, blobs)
+
+    def add_to_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        """Add groups to what a session has in a base tile."""
+        with self._lock:
+            self._insert_session(session_id, tile, blobs)
 
     def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
         """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
@@ -218,6 +236,12 @@ class TileTables:
         with self._lock:
             self._insert(zoom, tile, blobs)
 
+    def _insert_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        self._connection.executemany(
+            "INSERT INTO fieldgrid_session_tile VALUES (?, ?, ?, ?, ?)",
+            [(session_id, *tile, name, blob) for name, blob in blobs.items()],
+        )
+
     def _insert(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         self._connection.executemany(
             "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
@@ -232,7 +256,7 @@ def _index(ty: object, tx: object) -> TileIndex:
     return TileIndex(ty, tx)
 
 
-def quadrant_of(child: TileIndex) -> tuple[slice, slice]:
-    """Where a tile lies in the array of the one above it."""
-    j, i = _HALF * (child.ty & 1), _HALF * (child.tx & 1)
-    return slice(j, j + _HALF), slice(i, i + _HALF)
+def quadrant_of(child: TileIndex, half: int) -> tuple[slice, slice]:
+    """Where a tile lies in an array of the one above it, which has sides of twice `half`."""
+    j, i = half * (child.ty & 1), half * (child.tx & 1)
+    return slice(j, j + half), slice(i, i + half)

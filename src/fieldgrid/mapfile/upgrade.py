@@ -3,6 +3,9 @@
 Format 2 kept a frame's density and mask in its own row, had no transforms and no root digest, and
 other tiles. Its pictures are those of today, so a density is read from them; everything else is
 folded anew from the frames until the map is upgraded.
+
+Maps of the present format may hold retired channel groups. Those that replace them are read from
+the frames until they are made, with the next change.
 """
 
 from __future__ import annotations
@@ -15,10 +18,10 @@ import numpy as np
 
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.grids import GridSpec
-from fieldgrid.layers import stored_groups
+from fieldgrid.layers import RETIRED_GROUPS, stored_groups
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
-from fieldgrid.mapfile.derived import rebuild
+from fieldgrid.mapfile.derived import add_groups, rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
 from fieldgrid.mapfile.header import Header, check_plane
 from fieldgrid.mapfile.metadata import digest_of, find
@@ -57,10 +60,30 @@ def read_as_is(connection: sqlite3.Connection) -> None:
 
 
 def upgraded(header: Header) -> Header:
-    """The settings of a map once it is of the present format."""
-    if header.version == schema.FORMAT_VERSION:
+    """The settings of a map once it is up to date."""
+    if header.version < schema.FORMAT_VERSION:
+        return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    if not header.is_old:
         return header
-    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    names = {RETIRED_GROUPS.get(name, name) for name in header.groups}
+    foreign = tuple(name for name in header.groups if name in names - set(stored_groups()))
+    return header._replace(
+        groups=tuple(name for name in stored_groups() if name in names) + foreign
+    )
+
+
+def replace_retired(connection: sqlite3.Connection, path: Path, header: Header) -> None:
+    """Make the groups that replace retired ones, from the frames, within the caller's transaction.
+
+    Raises MapError when the frames of an active session cannot be read.
+    """
+    renewed = upgraded(header)
+    for table in ("fieldgrid_session_tile", "fieldgrid_tile"):
+        connection.executemany(
+            f"DELETE FROM {table} WHERE channels = ?", [(name,) for name in RETIRED_GROUPS]
+        )
+    schema.set_groups(connection, renewed.groups)
+    add_groups(connection, path, renewed, set(renewed.groups) - set(header.groups))
 
 
 def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) -> sqlite3.Connection:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
-from fieldgrid.layers import GROUPS, stored_groups
+from fieldgrid.layers import GROUPS, RETIRED_GROUPS, stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
 from fieldgrid.mapfile.codec import cells_sha256
@@ -106,7 +106,13 @@ def verify(
             f"The map is of format {header.version}: its frames and pictures were checked by "
             "upgrading a copy. `fieldgrid repair --upgrade` brings the map itself up to date."
         )
-    unknown = [name for name in header.groups if name not in GROUPS]
+    retired = [name for name in header.groups if name in RETIRED_GROUPS]
+    if retired:
+        notes.append(
+            f"The tiles of {', '.join(retired)} were not checked: an older fieldgrid made them. "
+            "The next change of the map, or `fieldgrid repair --upgrade`, replaces them."
+        )
+    unknown = [name for name in header.groups if name not in {*GROUPS, *RETIRED_GROUPS}]
     if unknown:
         notes.append(
             f"The tiles of {', '.join(unknown)} were not checked: no imported module knows them."

@@ -1,0 +1,150 @@
+"""How heights of one place meet, robustly: those of frames in a session, and those of sessions.
+
+Both are a weighted median: the mean of the middle fifth of the weight. It must not depend on order,
+and sessions must be taken out again exactly. So a session settles on one height for each block, and
+sessions add up in a histogram of heights.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import Int64
+from fieldgrid.kernel import kernel, part_of_kernel
+
+WIDEST_SIGMA_M, MOST_HALVINGS = 4.0, 14
+"""Weights are powers of 2, so that their sums are stored in few bytes: 1 is a sigma of 4 m, and
+each halving of its square doubles the weight, up to a sigma of 3 cm."""
+
+BINS, BIN_CM = 16, 25
+"""Of the histogram of sessions: canopies, wrong antenna heights and poor fixes are less than the
+4 m after which it repeats. A height that is off by more shares a bin with the others in one of 16
+cases."""
+
+LOW_SHARE = 0.4
+"""Heights meet by the mean of what lies between this share of their weight from below and from
+above: wrong ones of less than this share do not move it, and it does not jump where the weights of
+two become equal, as a median does."""
+
+IQR_OF_SIGMA = 1.349
+"""The middle half of normal errors is so many sigmas wide."""
+
+TOGETHER = 1 << 20
+"""Heights that are kept one by one; more are counted by their value, so that a vehicle at rest
+takes no more memory."""
+
+HEIGHT_BITS, WEIGHT_BITS = 32, 8
+"""Of a key: the block is above them. Heights are shifted, so that keys sort by height."""
+
+
+class Heights:
+    """The heights of blocks, each with the weight of its frame, as keys that sort by block and
+    height; `counts` says how often each occurred."""
+
+    def __init__(self) -> None:
+        self._new: list[Int64] = []
+        self._size = 0
+        self._keys, self._counts = np.empty(0, np.int64), np.empty(0, np.int64)
+
+    def add(self, keys: Int64) -> None:
+        """Add those of a frame."""
+        self._new.append(keys)
+        self._size += keys.size
+        if self._size > TOGETHER:
+            self.sorted()
+
+    def sorted(self) -> tuple[Int64, Int64]:
+        """All keys, each once, in order, and their counts."""
+        if self._new:
+            keys, counts = np.unique(np.concatenate(self._new), return_counts=True)
+            if self._keys.size:
+                both = np.concatenate([self._keys, keys])
+                added = np.concatenate([self._counts, counts])
+                keys, place = np.unique(both, return_inverse=True)
+                counts = np.zeros(keys.size, np.int64)
+                np.add.at(counts, place, added)
+            self._keys, self._counts = keys, counts.astype(np.int64)
+            self._new, self._size = [], 0
+        return self._keys, self._counts
+
+
+@part_of_kernel
+def spread(values, weights, count):  # type: ignore[no-untyped-def]
+    """The sigma of `count` values, sorted, by how far the middle half of their weight reaches."""
+    total = 0.0
+    for k in range(count):
+        total += weights[k]
+    low = high = values[count - 1]
+    passed = 0.0
+    for k in range(count):
+        before, passed = passed, passed + weights[k]
+        if before < 0.25 * total <= passed:
+            low = values[k]
+        if before < 0.75 * total <= passed:
+            high = values[k]
+    return (high - low) / IQR_OF_SIGMA
+
+
+@part_of_kernel
+def middle(values, weights, count):  # type: ignore[no-untyped-def]
+    """The mean of the middle fifth of the weight of `count` values, sorted."""
+    total = 0.0
+    for k in range(count):
+        total += weights[k]
+    low, high = LOW_SHARE * total, (1.0 - LOW_SHARE) * total
+    passed = inside = 0.0
+    for k in range(count):
+        before, passed = passed, passed + weights[k]
+        inside += values[k] * max(min(passed, high) - max(before, low), 0.0)
+    return inside / (high - low)
+
+
+@kernel
+def settle(keys, counts, seen, weight, height_cm):  # type: ignore[no-untyped-def]
+    """Fill what a session says of each block [blocks]: 1 where it saw it, its weight and height."""
+    values, weights = np.empty(keys.size), np.empty(keys.size)
+    first = 0
+    while first < keys.size:
+        block = keys[first] >> (HEIGHT_BITS + WEIGHT_BITS)
+        count, frames, total = 0, 0.0, 0.0
+        while first + count < keys.size:
+            key = keys[first + count]
+            if key >> (HEIGHT_BITS + WEIGHT_BITS) != block:
+                break
+            shifted = (key >> WEIGHT_BITS) & ((1 << HEIGHT_BITS) - 1)
+            times = counts[first + count]
+            values[count] = shifted - (1 << (HEIGHT_BITS - 1))
+            weights[count] = times * (1 << (key & ((1 << WEIGHT_BITS) - 1)))
+            frames, total, count = frames + times, total + weights[count], count + 1
+        apart_m = spread(values, weights, count) / 100.0
+        sigma_m = max(WIDEST_SIGMA_M / np.sqrt(total / frames), apart_m)
+        twice = np.floor(2.0 * np.log2(WIDEST_SIGMA_M / sigma_m) + 0.5)
+        seen[block] = 1
+        weight[block] = 1 << np.int64(min(max(twice, 0.0), MOST_HALVINGS))
+        height_cm[block] = np.int64(np.floor(middle(values, weights, count) + 0.5))
+        first += count
+
+
+@kernel
+def read_bins(number, weight, weighted_cm, height_cm, spread_cm):  # type: ignore[no-untyped-def]
+    """Fill the height and the spread [n] of what the bins [bins, n] hold, which are those of
+    `number`; they stay where there is none."""
+    values, weights = np.empty(number.size), np.empty(number.size)
+    for at in range(height_cm.size):
+        count = 0
+        for k in range(number.size):
+            if weight[k, at] == 0:
+                continue
+            value = weighted_cm[k, at] / weight[k, at]
+            # Otherwise it mixes heights that are turns of the histogram apart.
+            if np.floor(value / BIN_CM) % BINS != number[k]:
+                continue
+            place = count
+            while place > 0 and values[place - 1] > value:
+                values[place], weights[place] = values[place - 1], weights[place - 1]
+                place -= 1
+            values[place], weights[place] = value, weight[k, at]
+            count += 1
+        if count > 0:
+            height_cm[at] = middle(values, weights, count)
+            spread_cm[at] = spread(values, weights, count)

@@ -1,0 +1,114 @@
+"""Maps with channel groups that others replace: read from their frames, brought up to date with
+the next change."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.errors import MapError
+from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, LocalGrid
+from fieldgrid.layers import RETIRED_GROUPS, stored_groups
+from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.mapfile.root import seal
+from fieldgrid.mapfile.row_sums import begin_sums
+from fieldgrid.trajectory import Pose
+from tests.mapfile.content import content
+from tests.mapfile.maps import DATUM, drive, grid_of, write_session
+
+LAYERS = ("ground", "ground_sigma", "slope", "roughness", "step", "height", "traversability")
+
+
+def write(path: Path) -> Path:
+    """Two drives over ground that rises to the north, and one without ground."""
+    spec = grid_of(0).spec
+    rise = np.broadcast_to(np.arange(spec.n_y)[:, None], spec.shape).astype(np.int16)
+    seen = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
+    channels = {GROUND_CHANNEL: rise, STEP_CHANNEL: np.full(spec.shape, 12, np.uint8)}
+    with create_map(path, DATUM, cell_m=0.1) as universal:
+        for number in range(2):
+            with universal.add_session(f"s{number}") as session:
+                for k in range(3):
+                    pose = Pose(k, 9.7 * k, 0.3 * number, 4.0 + k, 12.0 * k, 0.02, 0.3, 1.0)
+                    session.add(seen, pose, frame_id=str(k), channels=channels)
+        write_session(universal, "bare", drive(3))
+    return path
+
+
+def aged(path: Path) -> Path:
+    """The map as an older program left it: other groups, of which nothing can be read now."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        for old, new in RETIRED_GROUPS.items():
+            for table in ("fieldgrid_session_tile", "fieldgrid_tile"):
+                database.execute(
+                    f"UPDATE {table} SET channels = ?, data = x'00' WHERE channels = ?", (old, new)
+                )
+        back = {new: old for old, new in RETIRED_GROUPS.items()}
+        groups = json.dumps([back.get(name, name) for name in stored_groups()])
+        database.execute(
+            "UPDATE fieldgrid_meta SET value = ? WHERE key = 'channel_groups'", (groups,)
+        )
+        seal(database)
+        begin_sums(database)
+    return path
+
+
+def test_they_are_read_from_the_frames(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
+    before = old.read_bytes()
+    for cell_m in (0.1, 0.4, 0.25):
+        views = [open_map(path).read(cell_m=cell_m, layers=LAYERS) for path in (new, old)]
+        for name in LAYERS:
+            assert np.isfinite(views[0].layer(name)).any()
+            np.testing.assert_array_equal(views[0].layer(name), views[1].layer(name), name)
+    with open_map(old) as universal:
+        for deep in (False, True):
+            found = universal.verify(deep=deep)
+            assert found.sound
+            # What tells in one reading that nothing was changed does not look into tiles.
+            assert deep == ("height, ground, relief were not checked" in " ".join(found.notes))
+    assert old.read_bytes() == before
+
+
+def test_the_next_change_replaces_them(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
+    other = aged(write(tmp_path / "other.gpkg"))
+    for path in (new, old):
+        with open_map(path, writable=True) as universal:
+            universal.remove_session("s0")
+    with open_map(other, writable=True) as universal:
+        assert universal.upgrade()
+        assert not universal.upgrade()
+        universal.remove_session("s0")
+    for path in (old, other):
+        assert content(path) == content(new)
+        with open_map(path) as universal:
+            for deep in (False, True):
+                found = universal.verify(deep=deep)
+                assert (found.problems, found.notes) == ((), ())
+
+
+def test_a_drive_that_is_added_replaces_them(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
+    for path in (new, old):
+        with open_map(path, datum=DATUM) as universal:
+            write_session(universal, "more", drive(4, heading_deg=80.0))
+    assert content(old) == content(new)
+
+
+def test_a_change_that_is_refused_leaves_the_map_as_it_is(tmp_path: Path) -> None:
+    old = aged(write(tmp_path / "old.gpkg"))
+    with closing(sqlite3.connect(old)) as database:
+        database.execute("UPDATE fieldgrid_grid SET data = x'00' WHERE channel = 'ground_cm'")
+        database.commit()
+    before = content(old)
+    with open_map(old, writable=True) as universal, pytest.raises(MapError, match="damaged"):
+        universal.remove_session("bare")
+    assert content(old) == before
+    with open_map(old) as universal:
+        assert [info.name for info in universal.sessions()] == ["s0", "s1", "bare"]
