@@ -27,7 +27,8 @@ from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.live import LiveGrid, LiveResult, live_folder, replay
-from fieldgrid.live.session_folder import SessionFolder, read_drive
+from fieldgrid.live.kept_drive import read_drive
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import open_recording
 from fieldgrid.settings import BuildSettings
