@@ -59,7 +59,7 @@ def gridded_again(
     def make(frame: KeptFrame) -> _Made:
         was = kept.stage[frame.number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
-        seen = kept.points.read(frame.points_at, gridder)
+        seen = kept.points.read(frame.points, gridder)
         if seen is not None:
             return _Made(_again(was, seen, gridder, tilt, way), False)
         return _Made(was if frame.is_level == (tilt is not None) else None, True)

@@ -16,14 +16,15 @@ from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.journal import read_journal
+from fieldgrid.live.points_file import Place
 from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
 from fieldgrid.mapfile import StageEntry
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 
-JOURNAL = "journal"
-"""The file of the journal in a session's folder."""
+JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
+"""The files in a session's folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +96,17 @@ def _datum_to_json(datum: Datum | None) -> list[float] | None:
 
 
 class KeptFrame(NamedTuple):
-    """A frame that was staged: its number in the stage file, the step to it, where its points begin
+    """A frame that was staged: its number in the stage file, the step to it, where its points are
     in theirs, None where they were not kept, and whether its grid is level."""
 
     number: int
     found: Found
-    points_at: int | None = None
+    points: Place | None = None
     is_level: bool = False
+
+    def is_within(self, end: int) -> bool:
+        """Whether a file of points that is so long has those of the frame."""
+        return self.points is None or self.points.start + self.points.size <= end
 
 
 @dataclass(slots=True)
@@ -114,6 +119,8 @@ class Drive:
     frames: list[KeptFrame] = field(default_factory=list)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     dropped: int = 0
+    cut_at: int | None = None
+    """The number of the first frame whose points were lost with the power: it does not count."""
     times: StageTimes = field(default_factory=StageTimes)
 
 
@@ -124,15 +131,20 @@ def live_folder(out: Path) -> Path:
 
 
 def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
-    """What a journal holds, with the frames that the stage file has as well; None without a
-    beginning: then nothing was pushed."""
+    """What a journal holds, with the frames that the stage file has as well, and the file of points
+    if their points were kept; None without a beginning: then nothing was pushed."""
     drive: Drive | None = None
+    points = folder / POINTS
+    points_end = (points.stat().st_size or None) if points.is_file() else None
     try:
         for kind, value in read_journal(folder / JOURNAL):
             if kind == "begin":
                 drive = drive or Drive(About.from_json(value))
             elif drive is not None:
                 _take(drive, kind, value, entries)
+        if drive is not None and points_end is not None:
+            while drive.frames and not drive.frames[-1].is_within(points_end):
+                drive.cut_at = drive.frames.pop().number
     except (KeyError, ValueError, TypeError, IndexError) as error:
         if isinstance(error, MapError):
             raise
@@ -150,15 +162,24 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
         part, rows = rows_from_json(value)
         drive.parts.setdefault(part, []).append(rows)
     elif kind == "frame":
-        number, frame_id, found, times, *points = value
+        number, frame_id, found, times, *rest = value
         # A frame that was lost with the power is written anew under the same number.
-        while drive.frames and drive.frames[-1].number >= number:
-            drive.frames.pop()
+        _cut(drive, number)
         if number < len(entries) and entries[number].frame_id == frame_id:
-            drive.frames.append(KeptFrame(number, found_from_json(found), *points))
+            points, is_level = rest or (None, False)
+            place = None if points is None else Place(*points)
+            drive.frames.append(KeptFrame(number, found_from_json(found), place, is_level))
             drive.times.add(StageTimes(*times))
+    elif kind == "cut":
+        _cut(drive, value)
     elif kind == "bad":
         time_ns, *bad = value
         drive.bad.append((time_ns, BadFrame(*bad)))
     elif kind == "dropped":
         drive.dropped += 1
+
+
+def _cut(drive: Drive, number: int) -> None:
+    """Frames from this number on do not count any more."""
+    while drive.frames and drive.frames[-1].number >= number:
+        drive.frames.pop()

@@ -13,7 +13,7 @@ import numpy as np
 from fieldgrid.closing import Closing
 from fieldgrid.errors import MapWriteError
 from fieldgrid.live.given import GIVEN_ROWS
-from fieldgrid.live.points_file import PointsFile, Seen, packed
+from fieldgrid.live.points_file import Place, PointsFile, Seen, packed
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
@@ -38,14 +38,15 @@ class KeptPoints(Closing):
 
     def __init__(self, path: Path, reach_m: float, most_bytes: int, first_ns: int | None) -> None:
         """Open the file of a session, or make it for one that has no frame yet (`first_ns` is the
-        time of the first). Of grids that reach `reach_m`, at most `most_bytes` are kept. OSError
-        where there can be no file."""
+        time of the first). Of grids that reach `reach_m`, at most `most_bytes` are kept; none where
+        that is 0. OSError where there can be no file."""
         self._path, self._reach_m, self._most = path, reach_m, most_bytes
         self._first_ns = first_ns
         self._lock = threading.Lock()
         self._is_needed, self._warning = False, ""
         is_kept = path.is_file() and path.stat().st_size > 0
-        self._file = PointsFile(path) if first_ns is None or is_kept else None
+        begins = first_ns is None and most_bytes > 0
+        self._file = PointsFile(path) if begins or is_kept else None
         self._is_full = self._file is not None and self._file.size >= most_bytes
 
     @property
@@ -70,8 +71,8 @@ class KeptPoints(Closing):
     def _takes(self) -> bool:
         return self._file is not None and not self._is_full
 
-    def add(self, record: bytes | None, time_ns: int) -> int | None:
-        """Keep the points of the next frame; where they begin, None where they are not kept.
+    def add(self, record: bytes | None, time_ns: int) -> Place | None:
+        """Keep the points of the next frame; where they are, None where they are not kept.
         MapWriteError on a full disk."""
         with self._lock:
             if self._first_ns is None:
@@ -108,8 +109,8 @@ class KeptPoints(Closing):
         warning, self._warning = self._warning, ""
         return warning
 
-    def read(self, at: int | None, gridder: LocalGridder) -> Seen | None:
-        """The points of a frame that begin there; None where they were not kept or are damaged."""
+    def read(self, at: Place | None, gridder: LocalGridder) -> Seen | None:
+        """The points of a frame that are there; None where they were not kept or are damaged."""
         return None if at is None or self._file is None else self._file.read(at, gridder)
 
     def sync(self) -> None:

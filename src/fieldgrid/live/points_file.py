@@ -13,18 +13,21 @@ import os
 import zlib
 from pathlib import Path
 from struct import Struct
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.closing import Closing
 from fieldgrid.depth import CodedDepth
+from fieldgrid.errors import MapError
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
 Seen = CodedDepth | Sweep
 """What a grid is made of: an image of depths, or points."""
 
+MAGIC = b"fieldgrid points 1\n"
 _RECORD = Struct("<4sIII")
 """Of each record: a mark, the length of its JSON header and of its data, the CRC-32 of both."""
 _MARK = b"SEEN"
@@ -35,43 +38,49 @@ CARRIED_M = 10.0
 """How far a point is moved at most by the motion within a sweep."""
 
 
+class Place(NamedTuple):
+    """Where a record is in the file, bytes."""
+
+    start: int
+    size: int
+
+
 class PointsFile(Closing):
-    """A file of records that is open to append to it; safe to call from threads that take turns."""
+    """A file of records that is open to append to it; appending is for one thread at a time."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file, or make it. OSError where there can be none."""
-        self.path = path
+        """Open the file, or make it. MapError for another file, OSError where there can be
+        none."""
         self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         self.size = os.fstat(self._file).st_size
+        if not self.size:
+            self.size = os.pwrite(self._file, MAGIC, 0)
+        if os.pread(self._file, len(MAGIC), 0) != MAGIC:
+            self.close()
+            raise MapError(f"{path} holds no points of a live session. Check the name.")
 
-    def append(self, record: bytes) -> int:
-        """Write what `packed` made behind the others; returns where it begins. OSError on a full
-        disk: then nothing was added."""
+    def append(self, record: bytes) -> Place:
+        """Write what `packed` made behind the others. OSError on a full disk: then nothing was
+        added."""
         assert self._file is not None, "the file of points is closed"
         start, left = self.size, memoryview(record)
         while left:  # a disk that fills up takes a part first
             written = os.pwrite(self._file, left, start + len(record) - len(left))
             left = left[written:]
         self.size += len(record)
-        return start
+        return Place(start, len(record))
 
-    def read(self, start: int, gridder: LocalGridder) -> Seen | None:
-        """The points of the record that begins there; None where it is cut off or damaged."""
-        body = self._body(start)
-        return None if body is None else _unpacked(*body, gridder)
-
-    def _body(self, start: int) -> tuple[bytes, bytes] | None:
-        """Header and data of a record."""
+    def read(self, place: Place, gridder: LocalGridder) -> Seen | None:
+        """The points of the record there; None where it is cut off or damaged."""
         assert self._file is not None, "the file of points is closed"
-        head = os.pread(self._file, _RECORD.size, start)
-        if len(head) < _RECORD.size:
+        record = os.pread(self._file, place.size, place.start)
+        if len(record) < max(place.size, _RECORD.size):
             return None
-        mark, size, length, check = _RECORD.unpack(head)
-        start += _RECORD.size
-        if mark != _MARK or start + size + length > self.size:
+        mark, size, length, check = _RECORD.unpack(record[: _RECORD.size])
+        body = record[_RECORD.size :]
+        if mark != _MARK or len(body) != size + length or zlib.crc32(body) != check:
             return None
-        body = os.pread(self._file, size + length, start)
-        return (body[:size], body[size:]) if zlib.crc32(body) == check else None
+        return _unpacked(body[:size], body[size:], gridder)
 
     def duplicate(self) -> int:
         """A descriptor of its own, to sync the file beside appending; the caller closes it."""

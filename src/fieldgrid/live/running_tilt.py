@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,8 +32,8 @@ from fieldgrid.trajectory import Pose
 KEPT_NS = 15_000_000_000
 """Rows are kept for so long."""
 
-BIAS_S, LEAST_BIAS_S = 10.0, 3.0
-"""Over the last seconds of an estimate the bias of the rates is told, and over no less."""
+BIAS_S, PIECE_NS, LEAST_PIECES = 10.0, 1_000_000_000, 3
+"""Over the last seconds of an estimate the bias of the rates is told, in pieces, and of no less."""
 
 CARRIED_S = 5.0
 """So long after the estimate the lean is known."""
@@ -68,9 +69,12 @@ class RunningTilt:
         if part not in _COLUMNS or not len(rows.time_ns):
             return
         values = np.column_stack(rows.columns[: _COLUMNS[part]]).astype(np.float64)
+        known = np.isfinite(values).all(axis=1)
+        if not known.any():
+            return
         with self._lock:
             chunks = self._rows[part]
-            chunks.append((rows.time_ns, values))
+            chunks.append((rows.time_ns[known], values[known]))
             while chunks[0][0][-1] < rows.time_ns[-1] - KEPT_NS:
                 chunks.popleft()
 
@@ -85,17 +89,27 @@ class RunningTilt:
         if attitude is None:
             self._known = None
             return
+        self._known = _Known(attitude, self._bias_rad_s(attitude))
+
+    def _bias_rad_s(self, attitude: Attitude) -> Float64:
+        """How far the rates are off by an estimate over its last seconds, [3]; 0 where they are
+        missing or too few to tell."""
         until_ns = int(attitude.time_ns[-1])
         since_ns = max(int(attitude.time_ns[0]), until_ns - round(BIAS_S * 1e9))
-        took_s, bias = (until_ns - since_ns) / 1e9, np.zeros(3)
-        turned = self._turned(since_ns, until_ns, bias) if took_s >= LEAST_BIAS_S else None
-        if turned is not None:
-            ends = attitude.at(np.array([since_ns, until_ns]))
-            start, stop = R_enu_level(ends.heading_deg) @ R_level_vehicle(
-                ends.roll_deg, ends.pitch_deg
-            )
-            bias = -to_vectors(turned.T @ start.T @ stop) / took_s
-        self._known = _Known(attitude, bias)
+        pieces = int((until_ns - since_ns) // PIECE_NS)
+        track = self._track("inertial", since_ns, until_ns)
+        if track is None or pieces < LEAST_PIECES:
+            return np.zeros(3)
+        edges_ns = until_ns - PIECE_NS * np.arange(pieces, -1, -1)
+        ends = attitude.at(edges_ns)
+        R = R_enu_level(ends.heading_deg) @ R_level_vehicle(ends.roll_deg, ends.pitch_deg)
+        # Piece by piece: over more, a turn moves the bias from one axis to another.
+        by_rates = [_turned(*track, *edges) for edges in pairwise(edges_ns.tolist())]
+        off_rad = to_vectors(
+            np.stack(by_rates).transpose(0, 2, 1) @ R[:-1].transpose(0, 2, 1) @ R[1:]
+        )
+        bias = -off_rad.mean(axis=0) / (PIECE_NS / 1e9)
+        return bias if np.isfinite(bias).all() else np.zeros(3)
 
     def at(self, time_ns: int) -> Tilt | None:
         """The tilt at an instant; None where nothing tells it."""
@@ -114,9 +128,10 @@ class RunningTilt:
         if told is not None:
             (roll_0, pitch_0), (roll_1, pitch_1) = _at(np.array([end_ns, time_ns]), *told)
             return Tilt(float(roll + roll_1 - roll_0), float(pitch + pitch_1 - pitch_0), sigma)
-        turned = self._turned(end_ns, time_ns, known.bias_rad_s)
-        if turned is None:
+        track = self._track("inertial", end_ns, time_ns)
+        if track is None:
             return attitude.tilt_at(time_ns)
+        turned = _turned(track[0], track[1] - known.bias_rad_s, end_ns, time_ns)
         roll_deg, pitch_deg = roll_pitch_deg(R_level_vehicle(roll, pitch) @ turned)
         return Tilt(float(roll_deg), float(pitch_deg), sigma)
 
@@ -135,22 +150,18 @@ class RunningTilt:
             return None
         return times, values[first]
 
-    def _turned(self, from_ns: int, to_ns: int, bias_rad_s: Float64) -> Float64 | None:
-        """The vehicle's axes at the later instant, seen from those at the earlier one [3, 3], by
-        the IMU's rates; None where it does not tell them."""
-        track = self._track("inertial", from_ns, to_ns)
-        if track is None:
-            return None
-        count = math.ceil((to_ns - from_ns) / 1e9 / _TICK_S)
-        edges_ns = from_ns + np.rint(np.linspace(0, to_ns - from_ns, count + 1)).astype(np.int64)
-        rate_rad_s = _at((edges_ns[1:] + edges_ns[:-1]) // 2, *track) - bias_rad_s
-        if not np.isfinite(rate_rad_s).all():
-            return None
-        R = from_vectors(rate_rad_s * (np.diff(edges_ns) / 1e9)[:, None])
-        while len(R) > 1:  # the product in order, neighbours first
-            even = np.concatenate([R, np.eye(3)[None]]) if len(R) % 2 else R
-            R = even[0::2] @ even[1::2]
-        return np.asarray(R[0])
+
+def _turned(time_ns: Int64, rate_rad_s: Float64, from_ns: int, to_ns: int) -> Float64:
+    """The vehicle's axes at the later instant, seen from those at the earlier one [3, 3], by rates
+    [n, 3] at times [n]."""
+    count = math.ceil((to_ns - from_ns) / 1e9 / _TICK_S)
+    edges_ns = from_ns + np.rint(np.linspace(0, to_ns - from_ns, count + 1)).astype(np.int64)
+    middle = _at((edges_ns[1:] + edges_ns[:-1]) // 2, time_ns, rate_rad_s)
+    R = from_vectors(middle * (np.diff(edges_ns) / 1e9)[:, None])
+    while len(R) > 1:  # the product in order, neighbours first
+        even = np.concatenate([R, np.eye(3)[None]]) if len(R) % 2 else R
+        R = even[0::2] @ even[1::2]
+    return np.asarray(R[0])
 
 
 def _at(wanted_ns: Int64, time_ns: Int64, values: Float64) -> Float64:

@@ -2,7 +2,7 @@
 
 `MAP.live/` holds `journal` (`live.journal`), `frames.grids` (a stage file), `frames.points` (points
 before gridding, `live.points_file`) and the pairs by which the cameras are checked at the end. A
-frame counts when the first two have it, so a kill between the two loses that frame alone.
+frame counts when all files have it, so a kill between two of them loses that frame alone.
 """
 
 from __future__ import annotations
@@ -25,7 +25,16 @@ from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal
-from fieldgrid.live.kept_drive import JOURNAL, About, Drive, KeptFrame, live_folder, read_drive
+from fieldgrid.live.kept_drive import (
+    GRIDS,
+    JOURNAL,
+    POINTS,
+    About,
+    Drive,
+    KeptFrame,
+    live_folder,
+    read_drive,
+)
 from fieldgrid.live.kept_points import KeptPoints
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pairs import KeptPairs, pair_numbers
@@ -40,8 +49,6 @@ from fieldgrid.rig import StereoCamera
 MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
 of frames that follow faster, since a pair takes as much as a third of a frame."""
-
-_FRAMES, _POINTS = "frames.grids", "frames.points"
 
 
 class SessionFolder(Closing):
@@ -68,7 +75,7 @@ class SessionFolder(Closing):
                     f"Another program maps into {self.folder}; end it, or give another map."
                 )
             self.journal = self._open.enter_context(Journal(journal))
-            self.stage = self._open.enter_context(StageFile(self.folder / _FRAMES, out))
+            self.stage = self._open.enter_context(StageFile(self.folder / GRIDS, out))
         except OSError as error:
             self._open.close()
             if isinstance(error, MapWriteError):
@@ -103,6 +110,8 @@ class SessionFolder(Closing):
                 "was in the map, of another rig or other settings; finish it with fieldgrid live "
                 f"-o {self.out} --finish, or remove it with --discard."
             )
+        if drive.cut_at is not None:
+            self.journal.append("cut", drive.cut_at)
         return drive
 
     def _points(self, most_bytes: int) -> KeptPoints:
@@ -111,10 +120,10 @@ class SessionFolder(Closing):
         first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
         reach_m = drive.about.settings.grid.spec().reach_m
         try:
-            points = KeptPoints(self.folder / _POINTS, reach_m, most_bytes, first_ns)
+            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns)
         except OSError as error:
             raise MapWriteError(
-                f"{self.folder / _POINTS} could not be written ({error.strerror}); check the "
+                f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
                 "folder and its permissions."
             ) from error
         for part, chunks in drive.parts.items():
