@@ -9,10 +9,12 @@ absent.
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,15 +22,20 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
+from fieldgrid.attitude import Attitude
 from fieldgrid.build import estimate_drive, visual_odometry
 from fieldgrid.convert import convert_recording
+from fieldgrid.errors import FieldgridError
 from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
-from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at
+from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
+from fieldgrid.live.running_tilt import KEPT_NS, RunningTilt
 from fieldgrid.live.sensor_rows import PARTS, Rows
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
+from fieldgrid.pose import Estimate
 from fieldgrid.recording import DriveOptions, Recording, open_recording
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
@@ -42,6 +49,10 @@ DRIVES = (
     ("two months later, RTK", LATER, "gnss_rtk.nmea"),
     ("two months later, decimetres", LATER, "gnss_sf1.nmea"),
 )
+SLOPES = tuple(
+    (f"slope, {quality}", SHARED / "vineyard_slope", log)
+    for quality, log in (("RTK", "gnss_rtk.nmea"), ("decimetres", "gnss_sf1.nmea"))
+)
 TEN_HZ = 16.0
 """The example has a pair each 1.6 s: its sensors come as many times faster, too."""
 
@@ -51,10 +62,14 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
     options.add_argument("--sessions", action="store_true", help="only latency, drops and load")
+    options.add_argument("--tilts", action="store_true", help="only roll and pitch while driving")
     options.add_argument("--lags", action="store_true", help="only what longer lags would give")
     chosen = options.parse_args()
     if chosen.lags:
         longer_lags()
+        return
+    if chosen.tilts:
+        tilts()
         return
     if not chosen.sessions:
         fixed_lags()
@@ -75,7 +90,7 @@ def fixed_lags() -> None:
             continue
         with open_recording(folder, gnss=log) as recording:
             steps = visual_odometry(recording)
-            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            batch = estimate_drive(recording, steps=steps).trajectory
             times_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
             of_batch = [batch.at(time_ns) for time_ns in times_ns.tolist()]
             of_lag, spent_s = fixed_lag(recording, steps, lag_s, LiveOptions().window_s)
@@ -128,6 +143,56 @@ def apart(poses: list[Pose], others: list[Pose]) -> tuple[float, float]:
     return float(np.percentile(moved, 95.0)), within
 
 
+def tilts() -> None:
+    """Roll and pitch by which grids are level while driving, beside those of the whole drive."""
+    ages_s = (0.2, 0.5, 1.0, 2.0)
+    print(
+        "roll and pitch of frames by an estimate so old, beside the batch: off 95 %, °, < 3 sigma"
+    )
+    print(f"{'':<30}{'steepest, °':>12}" + "".join(f"{f'{age:g} s':>16}" for age in ages_s))
+    for name, folder, log in (*DRIVES, *SLOPES):
+        if not (folder / "gnss" / log).exists():
+            continue
+        with open_recording(folder, gnss=log) as recording:
+            steps = visual_odometry(recording)
+            attitude = estimate_drive(recording, steps=steps).report.attitude
+            if attitude is None:
+                continue
+            shown = []
+            for age_s in ages_s:
+                off_deg, sigma_deg = carried_tilts(recording, steps, attitude, age_s)
+                within = 100.0 * float((off_deg <= 3.0 * sigma_deg).mean())
+                shown.append(f"{np.percentile(off_deg, 95.0):.2f}, {within:.0f} %")
+        steepest = max(attitude.as_dict()[f"steepest_{axis}_deg"] for axis in ("roll", "pitch"))
+        print(f"{name:<30}{steepest:>12.1f}" + "".join(f"{one:>16}" for one in shown), flush=True)
+
+
+def carried_tilts(
+    recording: Recording, steps: Steps, attitude: Attitude, age_s: float
+) -> tuple[Float64, Float64]:
+    """How far roll or pitch of each frame are off those of the batch, and their sigma, degrees, by
+    the estimate of what was pushed until `age_s` before the frame."""
+    running, off_deg, sigma_deg = RunningTilt(), list[float](), list[float]()
+    values = {part: getattr(recording.motion(), part) for part in PARTS}
+
+    def told(time_ns: int, found: Estimate) -> None:
+        for part, columns in values.items():
+            if columns is not None:  # those of so long as it keeps
+                first, stop = np.searchsorted(columns[0], [time_ns - KEPT_NS, time_ns])
+                running.forget({part})
+                piece = tuple(column[first:stop] for column in columns)
+                running.add_rows(part, Rows(piece[0], piece[1:]))
+        running.know(found.report.attitude)
+        tilt = running.at(time_ns)
+        if tilt is not None:
+            true = attitude.tilt_at(time_ns)
+            off_deg.append(max(abs(a - b) for a, b in zip(tilt[:2], true[:2], strict=True)))
+            sigma_deg.append(math.hypot(tilt.sigma_deg, true.sigma_deg))
+
+    fixed_lag(recording, steps, -age_s, LiveOptions().window_s, told)
+    return np.array(off_deg), np.array(sigma_deg)
+
+
 def longer_lags() -> None:
     """How much of the heading's error is owed to what comes after the lag, and to what lies before
     the window."""
@@ -139,7 +204,7 @@ def longer_lags() -> None:
             continue
         with open_recording(folder, gnss=log) as recording:
             steps = visual_odometry(recording)
-            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            batch = estimate_drive(recording, steps=steps).trajectory
             frame_ns = recording.frame_times_ns()
             whole = [batch.at(t) for t in (frame_ns + recording.rig.image_time_offset_ns).tolist()]
             headings = {p.time_ns: p.heading_deg for p in read_truth(folder / "truth").poses}
@@ -153,10 +218,14 @@ def longer_lags() -> None:
 
 
 def fixed_lag(
-    recording: Recording, steps: Steps, lag_s: float, window_s: float
+    recording: Recording,
+    steps: Steps,
+    lag_s: float,
+    window_s: float,
+    tell: Callable[[int, Estimate], None] = lambda _time_ns, _estimate: None,
 ) -> tuple[list[Pose], float]:
     """The pose of each frame by what was pushed until `lag_s` after it, and the median processor
-    time of an estimate."""
+    time of an estimate, of which it can `tell`."""
     trailing = FixedLagSmoother(recording.rig, BuildSettings(), recording.datum_hint, window_s)
     fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
     values = {part: getattr(recording.motion(), part) for part in PARTS}
@@ -184,8 +253,14 @@ def fixed_lag(
             trailing.add_frame(times_ns[frames], step_to.get(times_ns[frames]))
             frames += 1
         start = time.process_time()
-        poses.append(pose_at(trailing.estimate(time_ns).trajectory, time_ns)[0])
+        try:
+            found = trailing.estimate(time_ns)
+        except FieldgridError as error:  # there is too little yet
+            poses.append(unknown_pose(time_ns, str(error)))
+            continue
+        poses.append(pose_at(found.trajectory, time_ns)[0])
         spent.append(time.process_time() - start)
+        tell(time_ns, found)
     return poses, float(np.median(spent))
 
 

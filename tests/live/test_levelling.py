@@ -3,6 +3,7 @@ its end."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude
-from fieldgrid.build import estimate_drive, local_grid
+from fieldgrid.build import build_map, estimate_drive, local_grid
+from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import (
     LiveGrid,
@@ -28,7 +30,7 @@ from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import open_recording
+from fieldgrid.recording import DriveOptions, open_drive, open_recording
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, from_vectors, roll_pitch_deg
 from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import Sweep
@@ -52,6 +54,30 @@ def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
     assert content(out) == content(built_level)
     assert not any("--finish-from" in note for note in report.notes)
     assert not live_folder(out).exists()
+
+
+KITTI = "kitti_2011_09_30_drive_0020/2011_09_30/2011_09_30_drive_0020_sync"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["slope", "bag", "kitti"])
+def test_maps_of_slopes_bags_and_recorded_tilts_are_those_of_a_build(
+    kind: str, shared_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    drive = shared_data(KITTI if kind == "kitti" else "vineyard_slope")
+    options = DriveOptions(gnss=None if kind == "kitti" else "gnss_rtk.nmea")
+    if kind == "bag":
+        convert_recording(drive, tmp_path / "drive.mcap", options)
+        drive, options = tmp_path / "drive.mcap", DriveOptions()
+    build_map([drive], tmp_path / "built.gpkg", BuildSettings(), options)
+    with (
+        open_drive(drive, options) as opened,
+        begin(opened.recording(), tmp_path / "live.gpkg") as live,
+    ):
+        replay(live, opened.recording(), rate=None)
+    with open_map(tmp_path / "live.gpkg") as universal:
+        assert universal.sessions()[0].config["level_grids"] is True
+    assert content(tmp_path / "live.gpkg") == content(tmp_path / "built.gpkg")
 
 
 def test_a_restart_goes_on_with_level_grids(
