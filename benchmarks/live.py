@@ -26,17 +26,21 @@ from fieldgrid.array_types import Float64
 from fieldgrid.attitude import Attitude
 from fieldgrid.build import estimate_drive, visual_odometry
 from fieldgrid.convert import convert_recording
+from fieldgrid.depth import CodedDepth
 from fieldgrid.errors import FieldgridError
 from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
 from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
+from fieldgrid.live.points_file import PointsFile, packed
 from fieldgrid.live.running_tilt import KEPT_NS, RunningTilt
 from fieldgrid.live.sensor_rows import PARTS, Rows
 from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
 from fieldgrid.pose import Estimate
-from fieldgrid.recording import DriveOptions, Recording, open_recording
+from fieldgrid.recording import DriveOptions, Recording, StereoFrame, open_recording
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
 
@@ -62,7 +66,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
     options.add_argument("--sessions", action="store_true", help="only latency, drops and load")
-    options.add_argument("--tilts", action="store_true", help="only roll and pitch while driving")
+    options.add_argument("--tilts", action="store_true", help="only level grids and their points")
     options.add_argument("--lags", action="store_true", help="only what longer lags would give")
     chosen = options.parse_args()
     if chosen.lags:
@@ -70,6 +74,7 @@ def main() -> None:
         return
     if chosen.tilts:
         tilts()
+        points()
         return
     if not chosen.sessions:
         fixed_lags()
@@ -191,6 +196,35 @@ def carried_tilts(
 
     fixed_lag(recording, steps, -age_s, LiveOptions().window_s, told)
     return np.array(off_deg), np.array(sigma_deg)
+
+
+def points() -> None:
+    """What it takes to keep the points of frames, and to make their grids again."""
+    print(f"{'points of a frame':<30}{'kB':>8}{'to keep, ms':>14}{'to grid again, ms':>20}")
+    settings = BuildSettings()
+    for name, folder in (("example", EXAMPLE), ("slope", SLOPES[0][1]), ("KITTI", KITTI)):
+        if not folder.exists():
+            continue
+        log = None if folder == KITTI else "gnss_rtk.nmea"
+        spent: list[tuple[float, float, float]] = []
+        with open_recording(folder, gnss=log) as recording, tempfile.TemporaryDirectory() as place:
+            gridder = LocalGridder(recording.rig, settings.grid.spec())
+            reach_m, file = settings.grid.spec().reach_m, PointsFile(Path(place) / "points")
+            for frame in recording.frames():
+                assert isinstance(frame, StereoFrame)
+                seen = gridder.coded(*gridder.matcher.disparity(*frame.images()))
+                start = time.process_time()
+                at = file.append(packed(seen, reach_m))
+                kept = time.process_time()
+                again = file.read(at, gridder)
+                assert isinstance(again, CodedDepth)
+                gridder.from_coded(again, Tilt(1.0, 1.0, 0.2))
+                spent.append(
+                    (at.size / 1e3, 1e3 * (kept - start), 1e3 * (time.process_time() - kept))
+                )
+            file.close()
+        size, keeping, gridding = np.median(np.array(spent), axis=0)
+        print(f"{name:<30}{size:>8.0f}{keeping:>14.1f}{gridding:>20.1f}", flush=True)
 
 
 def longer_lags() -> None:
