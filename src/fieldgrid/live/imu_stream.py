@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,9 +55,9 @@ class ImuStream:
         self._said = axes
         self._held: list[tuple[int, Float64]] = []
         self._axes: _Axes | None = None
-        self._unturned: list[tuple[int, Float64]] | None = []
+        self._unturned: deque[tuple[int, Float64]] | None = deque(maxlen=MOST_UNTURNED)
         self.notes: list[str] = []
-        """What the user must know, until it is taken."""
+        """What the user must know of it."""
 
     def take(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:
         """Rows, by their parts, that are known with the next message, of `sensor_msgs/Imu`."""
@@ -115,10 +116,10 @@ class ImuStream:
             return []
         if self._unturned is not None:
             # With one axis, an IMU says 0 or NaN of the others.
-            messages = self._unturned = [*self._unturned, *messages][-MOST_UNTURNED:]
+            self._unturned.extend(messages)
             if not turns_across(_stacked(messages)[1], axes.upward):
                 return []
-            self._unturned = None
+            messages, self._unturned = list(self._unturned), None
         times_ns, sensed = _stacked(messages)
         rates, forces = (sensed[:, part] @ axes.R_vehicle_imu.T for part in _PARTS)
         forces = forces.astype(np.float32)
