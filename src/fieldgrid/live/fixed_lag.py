@@ -90,7 +90,8 @@ class FixedLagSmoother:
         self._budget = cell_budget(rig, settings)
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
-        self._kept_ns = round((KEPT_S if body is None else GIVEN_KEPT_S) * 1e9)
+        kept_s = max(window_s, KEPT_S if body is None else GIVEN_KEPT_S)
+        self._kept_ns = round(kept_s * 1e9)
         self._fixes: deque[Fix] = deque()
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, Step | None]] = deque()
