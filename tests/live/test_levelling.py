@@ -3,15 +3,18 @@ its end."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude
-from fieldgrid.build import build_map, estimate_drive, local_grid
+from fieldgrid.build import add_recording, build_map, estimate_drive, local_grid
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import (
@@ -29,7 +32,8 @@ from fieldgrid.live.points_file import PointsFile, packed
 from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.motion import RecordedTilt
 from fieldgrid.recording import DriveOptions, open_drive, open_recording
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, from_vectors, roll_pitch_deg
 from fieldgrid.settings import BuildSettings
@@ -54,6 +58,65 @@ def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
     assert content(out) == content(built_level)
     assert not any("--finish-from" in note for note in report.notes)
     assert not live_folder(out).exists()
+
+
+@pytest.fixture(scope="module")
+def depth_drive(leaning_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as depths in millimetres."""
+    drive = tmp_path_factory.mktemp("depths") / "drive"
+    shutil.copytree(leaning_drive, drive, symlinks=True, ignore=lambda *_: ["left", "right"])
+    (drive / "depth").mkdir()
+    with open_recording(leaning_drive) as recording:
+        gridder, camera = LocalGridder(recording.rig), recording.rig.camera
+        rows = ["frame_id,time_ns,depth\n"]
+        for frame in recording.frames():
+            values, row_start = gridder.matcher.disparity(*frame.images())
+            depth_mm = np.zeros((camera.height_px, camera.width_px), np.uint16)
+            seen = values > 48  # nearer than some fifty metres
+            found_mm = 1000.0 * 16.0 * camera.focal_baseline_px_m / np.maximum(values, 1)
+            depth_mm[row_start:][seen] = np.minimum(found_mm[seen], 60_000.0)
+            cv2.imwrite(str(drive / "depth" / f"{frame.frame_id}.png"), depth_mm)
+            rows.append(f"{frame.frame_id},{frame.time_ns},depth/{frame.frame_id}.png\n")
+    (drive / "frames.csv").write_text("".join(rows))
+    return drive
+
+
+@pytest.mark.parametrize("part", ["imu", "tilt"])
+def test_pushed_depths_with_an_imu_or_angles_make_the_grids_of_a_build(
+    part: str, depth_drive: Path, tmp_path: Path
+) -> None:
+    """Arrays, as a program of one's own pushes them."""
+    drive = depth_drive
+    angles = {"roll_deg": 3.0, "pitch_deg": -2.0, "sigma_deg": 0.3}
+    with open_recording(drive) as recording:
+        motion, fixes = recording.motion(), recording.fixes()
+        at_ns = np.arange(fixes.time_ns[0], fixes.time_ns[-1], 100_000_000)
+        tilt = RecordedTilt(at_ns, *(np.full(len(at_ns), value) for value in angles.values()))
+        live = begin(recording, tmp_path / "live.gpkg")
+        live.push_gyro(*motion.gyro)
+        if part == "imu":
+            live.push_imu(*motion.inertial)
+        else:
+            live.push_tilt(*tilt)
+        for fix in fixes:
+            live.push_fix(fix)
+        for frame in recording.frames():
+            live.push_depth(frame.source.read(), frame.time_ns, frame_id=frame.frame_id, wait=True)
+        live.drain()
+        live.finish()
+        if part == "tilt":
+            said = motion._replace(inertial=None, tilt=tilt)
+            recording = replace(recording, log=recording.log._replace(motion=said))
+        with create_map(tmp_path / "built.gpkg", estimate_drive(recording).trajectory.datum) as to:
+            add_recording(to, recording, name="drive")
+    with open_map(tmp_path / "live.gpkg") as ours, open_map(tmp_path / "built.gpkg") as theirs:
+        assert ours.sessions()[0].config["level_grids"] is True
+        made, expected = (
+            {frame.frame_id: (frame.cells_sha256, frame.pose) for frame in one.frames("drive")}
+            for one in (ours, theirs)
+        )
+    assert made == expected
+    assert len(made) == 6
 
 
 KITTI = "kitti_2011_09_30_drive_0020/2011_09_30/2011_09_30_drive_0020_sync"
