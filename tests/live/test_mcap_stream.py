@@ -287,9 +287,10 @@ def test_what_is_no_mcap_is_told_and_what_follows_is_read(
 
 def test_topics_of_other_names(short_drive: Path, recorded: Path, pipe: Path) -> None:
     with running(stream(short_drive, pipe, left="/nothing")) as notes:
-        write(pipe, recorded.read_bytes())
+        writing = write(pipe, recorded.read_bytes())
         notes.wait(lambda: len(notes.fixes) > 20)
     assert not notes.frames
+    writing.join()  # what it has left would be the begin of what is read next
     images = McapStream(str(pipe), stream(short_drive, pipe)._kind, takes_fixes=False)
     with running(images) as notes:
         write(pipe, recorded.read_bytes())
