@@ -9,10 +9,12 @@ absent.
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,16 +22,25 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from fieldgrid.angles import wrap_deg
+from fieldgrid.array_types import Float64
+from fieldgrid.attitude import Attitude
 from fieldgrid.build import estimate_drive, visual_odometry
 from fieldgrid.convert import convert_recording
+from fieldgrid.depth import CodedDepth
+from fieldgrid.errors import FieldgridError
 from fieldgrid.evaluation import read_truth
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
-from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at
+from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
+from fieldgrid.live.points_file import PointsFile, packed
+from fieldgrid.live.running_tilt import KEPT_NS, RunningTilt
 from fieldgrid.live.sensor_rows import PARTS, Rows
 from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Step
-from fieldgrid.recording import DriveOptions, Recording, open_recording
+from fieldgrid.pose import Estimate
+from fieldgrid.recording import DriveOptions, Recording, StereoFrame, open_recording
+from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose, Status
 
@@ -42,6 +53,11 @@ DRIVES = (
     ("two months later, RTK", LATER, "gnss_rtk.nmea"),
     ("two months later, decimetres", LATER, "gnss_sf1.nmea"),
 )
+SLOPES = tuple(
+    (f"slope, {quality}", SHARED / "vineyard_slope", log)
+    for quality, log in (("RTK", "gnss_rtk.nmea"), ("decimetres", "gnss_sf1.nmea"))
+)
+ALL_S = 1e6
 TEN_HZ = 16.0
 """The example has a pair each 1.6 s: its sensors come as many times faster, too."""
 
@@ -51,10 +67,15 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--poses", action="store_true", help="only the poses of a fixed lag")
     options.add_argument("--sessions", action="store_true", help="only latency, drops and load")
+    options.add_argument("--tilts", action="store_true", help="only level grids and their points")
     options.add_argument("--lags", action="store_true", help="only what longer lags would give")
     chosen = options.parse_args()
     if chosen.lags:
         longer_lags()
+        return
+    if chosen.tilts:
+        tilts()
+        points()
         return
     if not chosen.sessions:
         fixed_lags()
@@ -63,11 +84,12 @@ def main() -> None:
 
 
 def fixed_lags() -> None:
-    """Poses of the last 2 s beside those of the whole drive, against truth."""
+    """Poses of the last 2 s beside those of the whole drive, against truth. Between them the best
+    that the same model can do with 2 s of future: by all of the drive before."""
     lag_s = LiveOptions().lag_s
     print(f"poses {lag_s:g} s after their time beside the batch; asked: 1.5 times, and 98 %")
     print(
-        f"{'':<30}{'used':>10}{'heading 95 %, °':>20}{'< 3 sigma':>14}{'apart 95 %, m':>16}"
+        f"{'':<30}{'used':>10}{'heading 95 %, °':>25}{'< 3 sigma':>16}{'apart 95 %, m':>16}"
         f"{'< 3 sigma':>11}{'ms an estimate':>16}"
     )
     for name, folder, log in DRIVES:
@@ -75,19 +97,21 @@ def fixed_lags() -> None:
             continue
         with open_recording(folder, gnss=log) as recording:
             steps = visual_odometry(recording)
-            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            batch = estimate_drive(recording, steps=steps).trajectory
             times_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
             of_batch = [batch.at(time_ns) for time_ns in times_ns.tolist()]
             of_lag, spent_s = fixed_lag(recording, steps, lag_s, LiveOptions().window_s)
+            of_best, _ = fixed_lag(recording, steps, lag_s, ALL_S)
             headings = {
                 pose.time_ns: pose.heading_deg for pose in read_truth(folder / "truth").poses
             }
             true_deg = [headings[time_ns] for time_ns in recording.frame_times_ns().tolist()]
         lag, whole = Compared.of(of_lag, true_deg), Compared.of(of_batch, true_deg)
+        best = Compared.of(of_best, true_deg)
         apart_m, within = apart(of_lag, of_batch)
         print(
             f"{name:<30}{lag.used:>4} / {whole.used:<3}"
-            f"{lag.error_deg:>9.2f} / {whole.error_deg:<8.2f}"
+            f"{lag.error_deg:>9.2f} / {best.error_deg:.2f} / {whole.error_deg:<8.2f}"
             f"{100.0 * lag.within:>6.0f} / {100.0 * whole.within:<4.0f}%"
             f"{apart_m:>9.3f}{100.0 * within:>8.0f} %"
             f"{1e3 * spent_s:>13.0f}"
@@ -128,18 +152,104 @@ def apart(poses: list[Pose], others: list[Pose]) -> tuple[float, float]:
     return float(np.percentile(moved, 95.0)), within
 
 
+def tilts() -> None:
+    """Roll and pitch by which grids are level while driving, beside those of the whole drive."""
+    ages_s = (0.2, 0.5, 1.0, 2.0)
+    print(
+        "roll and pitch of frames by an estimate so old, beside the batch: off 95 %, °, < 3 sigma"
+    )
+    print(f"{'':<30}{'steepest, °':>12}" + "".join(f"{f'{age:g} s':>16}" for age in ages_s))
+    for name, folder, log in (*DRIVES, *SLOPES):
+        if not (folder / "gnss" / log).exists():
+            continue
+        with open_recording(folder, gnss=log) as recording:
+            steps = visual_odometry(recording)
+            attitude = estimate_drive(recording, steps=steps).report.attitude
+            if attitude is None:
+                continue
+            shown = []
+            for age_s in ages_s:
+                off_deg, sigma_deg = carried_tilts(recording, steps, attitude, age_s)
+                within = 100.0 * float((off_deg <= 3.0 * sigma_deg).mean())
+                shown.append(f"{np.percentile(off_deg, 95.0):.2f}, {within:.0f} %")
+        steepest = max(attitude.as_dict()[f"steepest_{axis}_deg"] for axis in ("roll", "pitch"))
+        print(f"{name:<30}{steepest:>12.1f}" + "".join(f"{one:>16}" for one in shown), flush=True)
+
+
+def carried_tilts(
+    recording: Recording, steps: Steps, attitude: Attitude, age_s: float
+) -> tuple[Float64, Float64]:
+    """How far roll or pitch of each frame are off those of the batch, and their sigma, degrees, by
+    the estimate of what was pushed until `age_s` before the frame."""
+    running, off_deg, sigma_deg = RunningTilt(), list[float](), list[float]()
+    values = {part: getattr(recording.motion(), part) for part in PARTS}
+
+    def told(time_ns: int, found: Estimate) -> None:
+        for part, columns in values.items():
+            if columns is not None:  # those of so long as it keeps
+                first, stop = np.searchsorted(columns[0], [time_ns - KEPT_NS, time_ns])
+                running.forget({part})
+                piece = tuple(column[first:stop] for column in columns)
+                running.add_rows(part, Rows(piece[0], piece[1:]))
+        running.know(found.report.attitude)
+        tilt = running.at(time_ns)
+        if tilt is not None:
+            true = attitude.tilt_at(time_ns)
+            off_deg.append(max(abs(a - b) for a, b in zip(tilt[:2], true[:2], strict=True)))
+            sigma_deg.append(math.hypot(tilt.sigma_deg, true.sigma_deg))
+
+    fixed_lag(recording, steps, -age_s, LiveOptions().window_s, told)
+    return np.array(off_deg), np.array(sigma_deg)
+
+
+def points() -> None:
+    """What it takes to keep the points of frames, and to make their grids again."""
+    print(f"{'points of a frame':<30}{'kB':>8}{'to keep, ms':>14}{'to grid again, ms':>20}")
+    settings = BuildSettings()
+    for name, folder in (("example", EXAMPLE), ("slope", SLOPES[0][1]), ("KITTI", KITTI)):
+        if not folder.exists():
+            continue
+        log = None if folder == KITTI else "gnss_rtk.nmea"
+        spent: list[tuple[float, float, float]] = []
+        with open_recording(folder, gnss=log) as recording, tempfile.TemporaryDirectory() as place:
+            gridder = LocalGridder(recording.rig, settings.grid.spec())
+            reach_m, file = settings.grid.spec().reach_m, PointsFile(Path(place) / "points")
+            for frame in recording.frames():
+                assert isinstance(frame, StereoFrame)
+                seen = gridder.coded(*gridder.matcher.disparity(*frame.images()))
+                start = time.process_time()
+                at = file.append(packed(seen, reach_m))
+                kept = time.process_time()
+                again = file.read(at, gridder)
+                assert isinstance(again, CodedDepth)
+                gridder.from_coded(again, Tilt(1.0, 1.0, 0.2))
+                spent.append(
+                    (at.size / 1e3, 1e3 * (kept - start), 1e3 * (time.process_time() - kept))
+                )
+            file.close()
+        size, keeping, gridding = np.median(np.array(spent), axis=0)
+        print(f"{name:<30}{size:>8.0f}{keeping:>14.1f}{gridding:>20.1f}", flush=True)
+
+
 def longer_lags() -> None:
     """How much of the heading's error is owed to what comes after the lag, and to what lies before
     the window."""
-    ways = [(2.0, 20.0), (2.0, 50.0), (5.0, 20.0), (10.0, 20.0), (10.0, 50.0)]
+    ways = [(2.0, 20.0), (2.0, 50.0), (2.0, ALL_S), (5.0, 20.0), (5.0, ALL_S), (10.0, 20.0)]
+    ways += [(10.0, 50.0), (10.0, ALL_S)]
     print("heading error 95 % beside that of the batch, by lag and window")
-    print(f"{'':<30}" + "".join(f"{f'{lag:g} s, {window:g} s':>14}" for lag, window in ways))
+    print(
+        f"{'':<30}"
+        + "".join(
+            f"{f'{lag:g} s, {window:g} s' if window < ALL_S else f'{lag:g} s, all':>14}"
+            for lag, window in ways
+        )
+    )
     for name, folder, log in DRIVES:
         if not (folder / "gnss" / log).exists():
             continue
         with open_recording(folder, gnss=log) as recording:
             steps = visual_odometry(recording)
-            batch = estimate_drive(recording, steps=steps, level_grids=False).trajectory
+            batch = estimate_drive(recording, steps=steps).trajectory
             frame_ns = recording.frame_times_ns()
             whole = [batch.at(t) for t in (frame_ns + recording.rig.image_time_offset_ns).tolist()]
             headings = {p.time_ns: p.heading_deg for p in read_truth(folder / "truth").poses}
@@ -153,10 +263,14 @@ def longer_lags() -> None:
 
 
 def fixed_lag(
-    recording: Recording, steps: Steps, lag_s: float, window_s: float
+    recording: Recording,
+    steps: Steps,
+    lag_s: float,
+    window_s: float,
+    tell: Callable[[int, Estimate], None] = lambda _time_ns, _estimate: None,
 ) -> tuple[list[Pose], float]:
     """The pose of each frame by what was pushed until `lag_s` after it, and the median processor
-    time of an estimate."""
+    time of an estimate, of which it can `tell`."""
     trailing = FixedLagSmoother(recording.rig, BuildSettings(), recording.datum_hint, window_s)
     fixes = sorted(recording.fixes(), key=lambda fix: fix.time_ns)
     values = {part: getattr(recording.motion(), part) for part in PARTS}
@@ -184,8 +298,14 @@ def fixed_lag(
             trailing.add_frame(times_ns[frames], step_to.get(times_ns[frames]))
             frames += 1
         start = time.process_time()
-        poses.append(pose_at(trailing.estimate(time_ns).trajectory, time_ns)[0])
+        try:
+            found = trailing.estimate(time_ns)
+        except FieldgridError as error:  # there is too little yet
+            poses.append(unknown_pose(time_ns, str(error)))
+            continue
+        poses.append(pose_at(found.trajectory, time_ns)[0])
         spent.append(time.process_time() - start)
+        tell(time_ns, found)
     return poses, float(np.median(spent))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8
+from fieldgrid.array_types import Bool, Float32, Float64, Int16, Int32, UInt8
 from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.cloud import Cloud
 from fieldgrid.depth import (
@@ -128,13 +128,32 @@ class LocalGridder:
         """The local grid of a disparity image of the rig's own matcher."""
         if self._matcher is None:
             raise CalibrationError(_gives_no(self.rig, "disparities"))
-        return self._from_seen(CodedDepth(*disparity, self._depth_m), tilt)
+        return self.from_coded(self.coded(*disparity), tilt)
 
     def from_depth(
         self, depth_m: Float32, tilt: Tilt | None = None
     ) -> tuple[LocalGrid, FrameGround]:
         """The local grid of an image of depths along the optical axis [height, width], metres,
         NaN where there is none."""
+        return self.from_coded(self.coded_depth(depth_m), tilt)
+
+    def from_coded(
+        self, seen: CodedDepth, tilt: Tilt | None = None
+    ) -> tuple[LocalGrid, FrameGround]:
+        """The local grid of a disparity or depth image that this gridder has coded (`coded`,
+        `coded_depth`)."""
+        return self._from_seen(seen, tilt)
+
+    def coded(self, codes: Int16, row_start: int) -> CodedDepth:
+        """Codes of this gridder, of the rows from `row_start`, with what they mean: disparities of
+        the rig's own matcher are such, and what `coded_depth` made."""
+        if isinstance(self.rig.sensor, Lidar):
+            raise CalibrationError(_gives_no(self.rig, "images"))
+        return CodedDepth(codes, row_start, self._depth_m)
+
+    def coded_depth(self, depth_m: Float32) -> CodedDepth:
+        """Depths along the optical axis [height, width], metres, NaN where there is none, coded;
+        CalibrationError for another sensor's."""
         camera = self.rig.sensor
         if not isinstance(camera, DepthCamera):
             raise CalibrationError(_gives_no(self.rig, "depth images"))
@@ -145,7 +164,7 @@ class LocalGridder:
                 f"{camera.height_px}; use the calibration of these images."
             )
         depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
-        return self._from_seen(encode_depth(depth_m, self._depth_m), tilt)
+        return encode_depth(depth_m, self._depth_m)
 
     def from_cloud(self, points: Cloud, tilt: Tilt | None = None) -> tuple[LocalGrid, FrameGround]:
         """The local grid of points [n, 3] in the lidar's frame, metres: x right, y down, z

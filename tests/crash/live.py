@@ -27,12 +27,13 @@ from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.live import LiveGrid, LiveResult, live_folder, replay
-from fieldgrid.live.session_folder import SessionFolder, read_drive
+from fieldgrid.live.kept_drive import read_drive
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import open_recording
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
-from tests.conftest import make_small_drive
+from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import begin, cut_log, drive_live
 
 FRAMES = range(20, 28)
@@ -58,6 +59,7 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
     cv2.setNumThreads(1)  # threads of OpenCV do not live on in a fork
     drive = make_small_drive(folder / "drive", FRAMES)
     cut_log(drive)
+    (drive / "imu").symlink_to(TWO_LANES / "imu")  # by which its grids are level at the end
     names = [f"{k:06d}" for k in FRAMES]
     built, out = folder / "built.gpkg", folder / "m.gpkg"
     build_map([drive], built, BuildSettings(), jobs=1)

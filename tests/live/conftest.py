@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from fieldgrid.build import build_map
 from fieldgrid.settings import BuildSettings
-from tests.conftest import make_small_drive
+from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import cut_log
 
 FRAMES = range(20, 26)
@@ -27,4 +28,21 @@ def built(short_drive: Path) -> Path:
     """Its map, as a build makes it."""
     out = short_drive.parent / "built.gpkg"
     build_map([short_drive], out, BuildSettings())
+    return out
+
+
+@pytest.fixture(scope="session")
+def leaning_drive(short_drive: Path) -> Path:
+    """The same with its IMU: it tells how the vehicle leans."""
+    drive = short_drive.parent / "leaning" / "drive"
+    shutil.copytree(short_drive, drive, symlinks=True)
+    (drive / "imu").symlink_to(TWO_LANES / "imu")
+    return drive
+
+
+@pytest.fixture(scope="session")
+def built_level(leaning_drive: Path) -> Path:
+    """Its map, as a build makes it."""
+    out = leaning_drive.parent / "built.gpkg"
+    build_map([leaning_drive], out, BuildSettings())
     return out

@@ -179,7 +179,7 @@ def test_poses_in_a_declared_frame_need_no_receiver(
         assert universal.sessions()[0].accepted == 6
 
 
-def test_poses_that_tell_how_the_vehicle_leans_make_grids_that_are_not_level(
+def test_poses_that_tell_how_the_vehicle_leans_make_level_grids(
     short_drive: Path, tmp_path: Path
 ) -> None:
     tum = slam(short_drive, tmp_path / "leaning.tum", roll_deg=2.0)
@@ -190,14 +190,7 @@ def test_poses_that_tell_how_the_vehicle_leans_make_grids_that_are_not_level(
         replay(live, recording, rate=None)
         live.stop()
     report = finish_session(out)
-    assert any("--finish-from" in note for note in report.notes)
-    with open_map(out) as ours, open_map(tmp_path / "built.gpkg") as theirs:
-        assert ours.sessions()[0].accepted == 6
-        assert theirs.sessions()[0].config["level_grids"]
-        far = [
-            math.hypot(a.pose.east_m - b.pose.east_m, a.pose.north_m - b.pose.north_m)
-            for a, b in zip(ours.frames("drive"), theirs.frames("drive"), strict=True)
-        ]
-    with open_recording(short_drive) as recording:
-        lean_m = recording.rig.mount.height_m * math.sin(math.radians(2.0))
-    assert far == pytest.approx([lean_m] * 6, abs=1e-3)
+    assert not any("--finish-from" in note for note in report.notes)
+    with open_map(out) as ours:
+        assert ours.sessions()[0].config["level_grids"]
+    assert content(out) == content(tmp_path / "built.gpkg")

@@ -31,7 +31,6 @@ from fieldgrid.live import (
     LiveResult,
     LiveWindow,
     discard_session,
-    finish_from,
     finish_session,
     live_folder,
     perceiver,
@@ -43,7 +42,7 @@ from fieldgrid.mapfile import StagedFrame, StageFile, open_map
 from fieldgrid.recording import Frame, Recording, open_recording
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
-from tests.conftest import TWO_LANES, make_small_drive
+from tests.conftest import make_small_drive
 from tests.live.making import Told, begin, drive_live
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
@@ -389,35 +388,3 @@ def test_an_error_of_the_clients_program_keeps_the_drive(short_drive: Path, tmp_
         assert live.counts.frames == 1
         live.stop()
     assert "goes on: 1 frames are kept" in told.texts("session")[0]
-
-
-def test_a_drive_that_tells_how_it_leans_says_that_live_grids_are_not_level(
-    short_drive: Path, tmp_path: Path
-) -> None:
-    drive = tmp_path / "drive"
-    shutil.copytree(short_drive, drive, symlinks=True)
-    (drive / "imu").symlink_to(TWO_LANES / "imu")
-    build_map([drive], tmp_path / "built.gpkg", BuildSettings())
-    with open_recording(drive) as recording:
-        live = begin(recording, tmp_path / "live.gpkg")
-        replay(live, recording, rate=None)
-        report = live.finish()
-        assert any("finish-from" in note for note in report.notes)
-        live = begin(recording, tmp_path / "anew.gpkg")
-        replay(live, recording, rate=None)
-        live.stop()
-    other = make_small_drive(tmp_path / "other", range(30, 33))
-    with pytest.raises(ConfigError, match="no frame of the time"):
-        finish_from(tmp_path / "anew.gpkg", other)
-    finish_from(tmp_path / "anew.gpkg", drive)
-    assert content(tmp_path / "anew.gpkg") == content(tmp_path / "built.gpkg")
-    with open_map(tmp_path / "live.gpkg") as ours, open_map(tmp_path / "built.gpkg") as theirs:
-        assert ours.sessions()[0].config["level_grids"] is False
-        assert theirs.sessions()[0].config["level_grids"] is True
-        # Its poses say so, too: they lie below the sensor along the vehicle's own axis.
-        moved = [
-            np.hypot(a.pose.east_m - b.pose.east_m, a.pose.north_m - b.pose.north_m)
-            for a, b in zip(ours.frames("drive"), theirs.frames("drive"), strict=True)
-        ]
-        assert 0.0 < max(moved) < 0.3
-    assert {path.name for path in tmp_path.iterdir()} >= {"live.gpkg", "built.gpkg"}

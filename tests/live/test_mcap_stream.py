@@ -132,6 +132,41 @@ def write(pipe: Path, data: bytes) -> threading.Thread:
     return thread
 
 
+@pytest.fixture(scope="module")
+def recorded_leaning(leaning_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same drive with its IMU."""
+    folder = tmp_path_factory.mktemp("mcap_leaning")
+    convert_recording(leaning_drive, folder / "all.mcap")
+    return write_as_it_comes(folder / "drive.mcap", messages_of(folder / "all.mcap"))
+
+
+def test_the_map_out_of_a_pipe_with_an_imu_is_that_of_a_build(
+    short_drive: Path, recorded_leaning: Path, pipe: Path, tmp_path: Path
+) -> None:
+    out, heard = tmp_path / "m.gpkg", Heard()
+    build_map([recorded_leaning], tmp_path / "built.gpkg", BuildSettings())
+    with open_recording(recorded_leaning) as recording:
+        live = begin(recording, out, on_result=heard, options=LiveOptions(queue_frames=6))
+        motion, fixes = recording.motion(), len(recording.fixes())
+        rows = {"gyro": len(motion.gyro.time_ns), "inertial": len(motion.inertial.time_ns)}
+        with Sources(live, (stream(short_drive, pipe),), QUICK):
+            write(pipe, recorded_leaning.read_bytes())
+            heard.wait(
+                lambda: (
+                    live.counts.frames == 6
+                    and live.counts.fixes == fixes
+                    and live.counts.rows == rows
+                )
+            )
+        live.finish()
+    with open_map(out) as universal:
+        assert universal.sessions()[0].config["level_grids"] is True
+    ours, theirs = content(out), content(tmp_path / "built.gpkg")
+    for kind in theirs:
+        if kind != "fieldgrid_session":
+            assert ours[kind] == theirs[kind], kind
+
+
 def test_the_map_out_of_a_pipe_is_that_of_a_build(
     short_drive: Path, recorded: Path, pipe: Path, tmp_path: Path
 ) -> None:
@@ -252,9 +287,10 @@ def test_what_is_no_mcap_is_told_and_what_follows_is_read(
 
 def test_topics_of_other_names(short_drive: Path, recorded: Path, pipe: Path) -> None:
     with running(stream(short_drive, pipe, left="/nothing")) as notes:
-        write(pipe, recorded.read_bytes())
+        writing = write(pipe, recorded.read_bytes())
         notes.wait(lambda: len(notes.fixes) > 20)
     assert not notes.frames
+    writing.join()  # what it has left would be the begin of what is read next
     images = McapStream(str(pipe), stream(short_drive, pipe)._kind, takes_fixes=False)
     with running(images) as notes:
         write(pipe, recorded.read_bytes())

@@ -153,6 +153,35 @@ def test_grids_of_poses_that_are_not_good_enough_stay_out_of_the_window() -> Non
     assert json.loads(json.dumps([one.as_dict() for one in told.results], allow_nan=False))
 
 
+@pytest.mark.parametrize("is_level", [True, False])
+def test_a_grid_that_is_not_level_lies_below_the_sensor_along_the_vehicles_axis(
+    is_level: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The antenna is at the sensor: below it is the way of the fixes, however the vehicle leans."""
+    placed: list[Placed] = []
+    monkeypatch.setattr(RollingWindow, "_add", lambda _self, _cells, one: placed.append(one))
+    told = Told()
+    poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
+    for k in range(76):
+        seconds = k / 5.0
+        poser.put(fix(seconds))
+        poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+        poser.put(("tilt", rows_of("tilt", at_ns(seconds), 10.0, 0.0, 0.1)))
+        if seconds >= 10.0:
+            poser.put(frame(seconds, None)._replace(is_level=is_level))
+    poser.close()
+    tilt = poser.tilt.at(at_ns(15.0))
+    assert tilt is not None
+    assert tilt.roll_deg == pytest.approx(10.0, abs=0.5)
+    assert len(placed) > 10
+    to_the_left_m = 0.0 if is_level else RIG.mount.height_m * math.sin(math.radians(10.0))
+    usual_m = float(np.median([one.pose.east_m for one in placed]))
+    assert usual_m == pytest.approx(-to_the_left_m, abs=0.03)
+    # What is told is where the vehicle is.
+    told_m = [one.pose.east_m for one in told.of(LivePose)]
+    assert float(np.median(told_m)) == pytest.approx(0.0, abs=0.03)
+
+
 def test_fixes_that_are_not_used_are_told_with_the_reason() -> None:
     told = Told()
     poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)

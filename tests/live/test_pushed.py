@@ -52,7 +52,7 @@ def test_a_frame_of_level_ground_goes_all_the_way(
 ) -> None:
     gridder = LocalGridder(rig, BuildSettings().grid.spec())
     made: list[int] = []
-    for name in ("from_disparity", "from_depth", "from_cloud"):
+    for name in ("from_coded", "from_cloud"):
         real = getattr(LocalGridder, name)
 
         def counted(*arguments: object, real: object = real) -> object:

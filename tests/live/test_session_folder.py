@@ -117,12 +117,13 @@ def staged(drive: Path, out: Path) -> Path:
 
 
 def test_files_that_are_cut_off_anywhere_lose_their_end_only(
-    short_drive: Path, built: Path, tmp_path: Path
+    leaning_drive: Path, built_level: Path, tmp_path: Path
 ) -> None:
-    """A power cut may leave either file shorter than the other."""
+    """A power cut may leave any file shorter than the others."""
     out = tmp_path / "m.gpkg"
-    folder = staged(short_drive, out)
-    whole = {name: (folder / name).read_bytes() for name in ("journal", "frames.grids")}
+    folder = staged(leaning_drive, out)
+    names = ("journal", "frames.grids", "frames.points")
+    whole = {name: (folder / name).read_bytes() for name in names}
     frames = [f"{k:06d}" for k in range(20, 26)]
     draw = random.Random(11)
     for _ in range(12):
@@ -132,10 +133,10 @@ def test_files_that_are_cut_off_anywhere_lose_their_end_only(
             had = [entry.frame_id for entry in kept.staged().entries]
             assert had == frames[: len(had)]
     # The last of these is gone on with, and is the map of a build.
-    with open_recording(short_drive) as recording, begin(recording, out) as live:
+    with open_recording(leaning_drive) as recording, begin(recording, out) as live:
         assert live.counts.frames == len(had) < len(frames)
         replay(live, recording, rate=None)
-    assert content(out) == content(built)
+    assert content(out) == content(built_level)
 
 
 def test_an_end_that_was_killed_after_the_commit_is_not_done_twice(
@@ -218,16 +219,16 @@ def killed_after(lines: int, drive: Path, out: Path) -> list[str]:
 
 
 def test_a_kill_loses_the_last_frame_at_most_and_the_session_goes_on(
-    short_drive: Path, built: Path, tmp_path: Path
+    leaning_drive: Path, built_level: Path, tmp_path: Path
 ) -> None:
     out, draw = tmp_path / "m.gpkg", random.Random(5)
     told: list[str] = []
     for _ in range(2):
-        told += killed_after(draw.randrange(2, 6), short_drive, out)
+        told += killed_after(draw.randrange(2, 6), leaning_drive, out)
         with SessionFolder(out, None) as kept:
             had = [entry.frame_id for entry in kept.staged().entries]
         # What was told may be one ahead of what is kept.
         assert len(had) >= len(set(told)) - 1
-    with open_recording(short_drive) as recording, begin(recording, out) as live:
+    with open_recording(leaning_drive) as recording, begin(recording, out) as live:
         replay(live, recording, rate=None)
-    assert content(out) == content(built)
+    assert content(out) == content(built_level)

@@ -16,6 +16,7 @@ import cv2
 
 from fieldgrid.array_types import Float32
 from fieldgrid.attitude import Attitude
+from fieldgrid.depth import CodedDepth
 from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import LocalGridder
@@ -39,11 +40,13 @@ Gridded = Callable[[LocalGrid, FrameGround], None]
 class Perceived(NamedTuple):
     """One frame after perception, before it meets its pose; seconds by stage.
 
-    `features` are those of visual odometry, None when it was not asked for. Only pairs are
+    `seen` is what the grid was made of: an image of depths, or the points of a cloud as they were
+    read. `features` are those of visual odometry, None when it was not asked for. Only pairs are
     matched: of other frames `match_s` is 0.
     """
 
     frame: Frame
+    seen: CodedDepth | Sweep
     grid: LocalGrid
     ground: FrameGround
     features: Features | None
@@ -71,9 +74,15 @@ def perceive(
     """
 
     def look(frame: Frame) -> Perceived:
-        return perceive_frame(frame, gridder, odometry=odometry, attitude=attitude, way=way)
+        tilt = None if attitude is None else attitude.tilt_at(taken_ns(frame, gridder.rig))
+        return perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way)
 
     return side_by_side(look, frames, jobs)
+
+
+def taken_ns(frame: Frame, rig: Rig) -> int:
+    """When a frame was taken, by the receiver's clock."""
+    return frame.time_ns + rig.image_time_offset_ns
 
 
 def perceive_frame(
@@ -81,13 +90,12 @@ def perceive_frame(
     gridder: LocalGridder,
     *,
     odometry: bool,
-    attitude: Attitude | None,
+    tilt: Tilt | None,
     way: Way | None,
     gridded: Gridded | None = None,
 ) -> Perceived:
-    """One frame, read and perceived here; RecordingError where it cannot be read."""
-    time_ns = frame.time_ns + gridder.rig.image_time_offset_ns
-    tilt = None if attitude is None else attitude.tilt_at(time_ns)
+    """One frame, read and perceived here; RecordingError where it cannot be read. With the
+    vehicle's `tilt` the columns of its grid are vertical."""
     return frame.read(_Stages(frame, gridder, odometry, tilt, way, gridded))
 
 
@@ -192,15 +200,16 @@ class _Stages:
         """Of a pair: matched, gridded and, if that is wanted, its features."""
         gridder, hashes = self._gridder, self._hashes()
         decoded = time.thread_time()
-        disparity = gridder.matcher.disparity(left, right)
+        coded = gridder.coded(*gridder.matcher.disparity(left, right))
         matched = time.thread_time()
-        grid, ground = gridder.from_disparity(disparity, self._tilt)
+        grid, ground = gridder.from_coded(coded, self._tilt)
         gridded = time.thread_time()
         self._tell(grid, ground)
         seen = features(gridder.rig.camera, left, right) if self._odometry else None
         done = time.thread_time()
         return Perceived(
             self._frame,
+            coded,
             grid,
             ground,
             seen,
@@ -213,32 +222,32 @@ class _Stages:
 
     def depth(self, depth_m: Float32) -> Perceived:
         """Of an image of depths."""
-        return self._gridded(self._gridder.from_depth, depth_m)
+        decoded = time.thread_time()
+        coded = self._gridder.coded_depth(depth_m)
+        return self._gridded(coded, self._gridder.from_coded(coded, self._tilt), decoded)
 
     def cloud(self, sweep: Sweep) -> Perceived:
         """Of a cloud, its points as they lay at its stamp where that is known."""
-        points_m = sweep.points_m
-        if self._way is not None:
-            rig = self._gridder.rig
-            time_ns = self._frame.time_ns + rig.image_time_offset_ns
-            points_m = self._way.carried(sweep, time_ns, rig.mount.rotation())
-        return self._gridded(self._gridder.from_cloud, points_m)
+        decoded, rig = time.thread_time(), self._gridder.rig
+        points_m = carried(sweep, taken_ns(self._frame, rig), rig, self._way)
+        return self._gridded(sweep, self._gridder.from_cloud(points_m, self._tilt), decoded)
 
     def _gridded(
-        self,
-        to_grid: Callable[[Float32, Tilt | None], tuple[LocalGrid, FrameGround]],
-        seen: Float32,
+        self, seen: CodedDepth | Sweep, made: tuple[LocalGrid, FrameGround], decoded: float
     ) -> Perceived:
-        hashes, decoded = self._hashes(), time.thread_time()
-        grid, ground = to_grid(seen, self._tilt)
         grid_s = time.thread_time() - decoded
-        self._tell(grid, ground)
-        return Perceived(
-            self._frame, grid, ground, None, hashes, decoded - self._start, 0.0, grid_s, 0.0
-        )
+        self._tell(*made)
+        hashes, decode_s = self._hashes(), decoded - self._start
+        return Perceived(self._frame, seen, *made, None, hashes, decode_s, 0.0, grid_s, 0.0)
 
     def _hashes(self) -> tuple[str, ...]:
         return tuple(source.sha256() for source in self._frame.sources)
+
+
+def carried(sweep: Sweep, time_ns: int, rig: Rig, way: Way | None) -> Float32:
+    """The points [n, 3] of a sweep as they lay at its stamp by the vehicle's `way`, where that and
+    their times are known."""
+    return sweep.points_m if way is None else way.carried(sweep, time_ns, rig.mount.rotation())
 
 
 @lru_cache(maxsize=8)

@@ -20,6 +20,7 @@ from fieldgrid.build.perception import (
     Perceived,
     perceive_frame,
     side_by_side,
+    taken_ns,
 )
 from fieldgrid.build.report import BadFrame, StageTimes
 from fieldgrid.errors import RecordingError
@@ -28,6 +29,7 @@ from fieldgrid.mapfile import StagedFrame, StagedFrames, StageEntry, StageFile, 
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Refusal, Step, features, steps_of
 from fieldgrid.recording import Frame
+from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import Way
 
 Found = Step | Refusal | None
@@ -133,14 +135,10 @@ def stage_frames(
         _begin(work, first, motion)
 
     def look(frame: Frame) -> tuple[Perceived, StagedFrame] | BadFrame:
+        attitude, time_ns = work.attitude, taken_ns(frame, work.gridder.rig)
+        tilt = None if attitude is None else attitude.tilt_at(time_ns)
         try:
-            return stage_frame(
-                frame,
-                work.gridder,
-                odometry=work.odometry,
-                attitude=work.attitude,
-                way=work.way,
-            )
+            return stage_frame(frame, work.gridder, odometry=work.odometry, tilt=tilt, way=work.way)
         except RecordingError as problem:
             if not work.skips_bad:
                 raise
@@ -177,13 +175,8 @@ def _begin(work: DriveWork, first: int, motion: CameraMotion) -> None:
             if not work.skips_bad:
                 raise
             continue
-        motion.add(_time_ns(work, frame), seen)
+        motion.add(taken_ns(frame, work.gridder.rig), seen)
         return
-
-
-def _time_ns(work: DriveWork, frame: Frame) -> int:
-    """When a frame was taken, by the receiver's clock."""
-    return frame.time_ns + work.gridder.rig.image_time_offset_ns
 
 
 def stage_frame(
@@ -191,18 +184,16 @@ def stage_frame(
     gridder: LocalGridder,
     *,
     odometry: bool,
-    attitude: Attitude | None = None,
+    tilt: Tilt | None = None,
     way: Way | None = None,
     gridded: Gridded | None = None,
 ) -> tuple[Perceived, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
-    seen = perceive_frame(
-        frame, gridder, odometry=odometry, attitude=attitude, way=way, gridded=gridded
-    )
+    seen = perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way, gridded=gridded)
     return seen, stage(
         seen.grid,
         frame.frame_id,
-        frame.time_ns + gridder.rig.image_time_offset_ns,
+        taken_ns(frame, gridder.rig),
         images=tuple(source.name for source in frame.sources),
         images_sha256=seen.sources_sha256,
         ground_found=seen.ground.refined,

@@ -203,11 +203,11 @@ def _drive(
     *,
     as_json: bool,
 ) -> tuple[SessionReport, Counts]:
-    from fieldgrid.live import Live
+    from fieldgrid.live import Live, LiveOptions
     from fieldgrid.mapfile import Patience
     from fieldgrid.settings import resolve
 
-    resolved = resolve(config, settings)
+    resolved, limit_gb = resolve(config, settings), sources.points_gb
     with ExitStack() as stack:
         line = stack.enter_context(progress.living())
         watch = _Watch(line, as_json=as_json)
@@ -232,6 +232,7 @@ def _drive(
             source_sha256=driven.source_sha256,
             notes=driven.notes,
             poses=driven.poses,
+            options=LiveOptions() if limit_gb is None else LiveOptions(points_gb=limit_gb),
             on_result=watch.take,
         )
         watch.live = live

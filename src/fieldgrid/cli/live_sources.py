@@ -125,6 +125,17 @@ class SourceFlags(NamedTuple):
             rich_help_panel=_PANEL,
         ),
     ] = None
+    points_gb: Annotated[
+        float | None,
+        typer.Option(
+            "--points-gb",
+            metavar="GB",
+            help="Disk space for the points of frames, from which the grids of a drive with roll "
+            "and pitch are made level at its end; with 0 they stay perpendicular to the ground "
+            "ahead [default: 50].",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
 
 
 class Driven(NamedTuple):

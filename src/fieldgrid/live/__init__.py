@@ -7,6 +7,7 @@ from fieldgrid.live.feeds import open_feed, parse_feed
 from fieldgrid.live.finish import discard_session, finish_from, finish_session
 from fieldgrid.live.images import ImageFolder
 from fieldgrid.live.intake import Pauses, Sources
+from fieldgrid.live.kept_drive import live_folder
 from fieldgrid.live.live import Live
 from fieldgrid.live.mcap_stream import McapStream
 from fieldgrid.live.options import LiveOptions
@@ -22,7 +23,6 @@ from fieldgrid.live.results import (
     LiveWindow,
     What,
 )
-from fieldgrid.live.session_folder import live_folder
 
 __all__ = [
     "Counts",

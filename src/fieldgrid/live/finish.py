@@ -17,21 +17,24 @@ from fieldgrid.build import (
     check_poses,
     estimate_drive,
 )
-from fieldgrid.build.drives import is_in_map
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import check_images
 from fieldgrid.build.session import NewSession, check_names
+from fieldgrid.build.staging import Staged
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
-from fieldgrid.live.session_folder import About, SessionFolder
-from fieldgrid.mapfile import Patience, create_map, open_map
+from fieldgrid.live.gridding_again import gridded_again
+from fieldgrid.live.kept_drive import About
+from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
 from fieldgrid.pose import tells_attitude
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings, Overrides
 from fieldgrid.settings.declare import first_problem
+from fieldgrid.sweep import Way
 from fieldgrid.transfer import check_cell_sizes
 
 NOT_LEVELLED = (
-    "The drive has roll and pitch, but they are complete only after it, so live grids are "
+    "The drive has roll and pitch, but the points of its frames were not kept, so its grids are "
     "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
     "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
 )
@@ -83,9 +86,8 @@ def finish_from(
     patience: Patience | None = None,
 ) -> SessionReport:
     """Build the drive of a live session from a recording of it, under the session's name and by its
-    settings, and remove what the session has kept: the map has the frames that were dropped, too,
-    and grids that are level where the drive tells how its vehicle leans. ConfigError for a
-    recording that lacks a frame of the session: it is of another drive."""
+    settings, and remove what the session has kept: the map has the frames that were dropped, too.
+    ConfigError for a recording that lacks a frame of the session: it is of another drive."""
     with SessionFolder(Path(out), None) as kept:
         about = kept.drive.about
         with open_drive(recording, options) as drive:
@@ -151,46 +153,56 @@ def finish(
 def _placed(
     kept: SessionFolder, recording: Recording, settings: BuildSettings, patience: Patience
 ) -> SessionReport:
-    about, staged, out = kept.drive.about, kept.staged(), kept.out
-    session = NewSession(recording, settings, None, None, about.name, 1, skips_bad=True)
-    if out.exists() and _is_done(out, about.name, staged):
+    about, out = kept.drive.about, kept.out
+    if out.exists() and _is_done(out, about.name, kept.staged()):
+        session = NewSession(recording, settings, None, None, about.name, 1)
         session.report.notes += ("The drive was in the map already.",)
-        session.report.frames = len(staged.entries)
+        session.report.frames = len(kept.staged().entries)
         return session.report
     check_target(out, about)
     datum = about.datum
     if about.append and datum is None:
         with open_map(out) as existing:
             datum = existing.datum
-    estimate = estimate_drive(recording, settings, datum, level_grids=False)
-    trajectory = estimate.trajectory
-    if estimate.report.attitude is not None and tells_attitude(recording.motion()):
-        session.report.notes += (NOT_LEVELLED,)
+    estimate = estimate_drive(recording, settings, datum)
+    trajectory, attitude = estimate.trajectory, None
     check_images(recording, trajectory)
     if recording.pose_name or not follows_camera(recording.rig, settings):
         check_poses(recording, trajectory)
+    tells_lean = tells_attitude(recording.motion())
+    if tells_lean and kept.points.is_levelling:
+        attitude = estimate.report.attitude
+    session = NewSession(recording, settings, None, attitude, about.name, 1, skips_bad=True)
+    if tells_lean and attitude is None and estimate.report.attitude is not None:
+        session.report.notes += (NOT_LEVELLED,)
     datum = datum or trajectory.datum
     chosen = settings.map
-    if about.append:
-        universal = open_map(
-            out, datum=datum, cell_m=chosen.cell_m, transfer=chosen.transfer, patience=patience
-        )
-    else:
-        universal = create_map(
-            out, datum, cell_m=settings.universal_cell_m, transfer=chosen.transfer
-        )
-    with universal:
-        session.check(universal)
-        session.add(universal, staged)
+    with StageFile.temporary(out) as file:
+        final = gridded_again(kept, file, attitude, Way.of(trajectory))
+        session.report.notes += final.notes
+        if about.append:
+            universal = open_map(
+                out, datum=datum, cell_m=chosen.cell_m, transfer=chosen.transfer, patience=patience
+            )
+        else:
+            universal = create_map(
+                out, datum, cell_m=settings.universal_cell_m, transfer=chosen.transfer
+            )
+        with universal:
+            session.check(universal)
+            session.add(universal, final.staged)
     return session.report
 
 
-def _is_done(out: Path, name: str, staged: Any) -> bool:
-    """Whether an end that was killed had put the drive into the map already."""
+def _is_done(out: Path, name: str, staged: Staged) -> bool:
+    """Whether an end that was killed had put the drive into the map already: its frames, that is,
+    whose grids may be others by now."""
     with open_map(out) as universal:
-        return name in {info.name for info in universal.sessions()} and is_in_map(
-            universal, name, staged
-        )
+        if name not in {info.name for info in universal.sessions()}:
+            return False
+        placed = {frame.frame_id: frame.images_sha256 for frame in universal.frames(name)}
+    frames = (staged.frames[k] for k in range(len(staged.entries)))
+    return placed.items() <= {one.frame_id: one.images_sha256 for one in frames}.items()
 
 
 def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettings:

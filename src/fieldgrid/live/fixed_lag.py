@@ -19,7 +19,7 @@ from fieldgrid.live.sensor_rows import Rows, motion_of
 from fieldgrid.live.stamps import FIXES, FRAMES
 from fieldgrid.motion import Motion
 from fieldgrid.odometry import Refusal, Step, steps_of
-from fieldgrid.pose import Budget, Estimate, estimate_poses
+from fieldgrid.pose import Budget, Estimate, estimate_poses, tells_attitude
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, PoseSettings
@@ -48,6 +48,13 @@ class Asked(NamedTuple):
     frame_ns: Int64
     known_ns: int
     """The time of the newest fix; where none is needed, of the newest pose that was given."""
+    level_grids: bool
+    """Whether grids are level where the drive tells how its vehicle leans."""
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the poses are those of level grids."""
+        return self.level_grids and tells_attitude(self.motion)
 
     def estimate(self) -> Estimate:
         """The poses. GnssError where there are none, which says why."""
@@ -59,7 +66,7 @@ class Asked(NamedTuple):
             self.motion,
             self.budget,
             frame_ns=self.frame_ns,
-            level_grids=False,
+            level_grids=self.level_grids,
         )
 
 
@@ -83,7 +90,8 @@ class FixedLagSmoother:
         self._budget = cell_budget(rig, settings)
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
-        self._kept_ns = round((KEPT_S if body is None else GIVEN_KEPT_S) * 1e9)
+        kept_s = max(window_s, KEPT_S if body is None else GIVEN_KEPT_S)
+        self._kept_ns = round(kept_s * 1e9)
         self._fixes: deque[Fix] = deque()
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, Step | None]] = deque()
@@ -132,14 +140,14 @@ class FixedLagSmoother:
             while chunks and chunks[0].time_ns[-1] < oldest_ns:
                 chunks.popleft()
 
-    def estimate(self, oldest_ns: int) -> Estimate:
+    def estimate(self, oldest_ns: int, *, level_grids: bool = True) -> Estimate:
         """The poses of the last seconds, and from before `oldest_ns` on if that is still there.
         GnssError where there are none, which says why."""
-        found = self.asked(oldest_ns).estimate()
+        found = self.asked(oldest_ns, level_grids=level_grids).estimate()
         self.datum = found.trajectory.datum
         return found
 
-    def asked(self, oldest_ns: int) -> Asked:
+    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> Asked:
         """What such an estimate is made of. GnssError where there is too little."""
         known_ns = self._known_ns()
         since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
@@ -158,6 +166,7 @@ class FixedLagSmoother:
             self._budget,
             np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
             known_ns,
+            level_grids,
         )
 
     @property

@@ -20,13 +20,14 @@ from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.finish import check_target, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
+from fieldgrid.live.kept_drive import About
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
 from fieldgrid.live.poser import Poser
 from fieldgrid.live.pushed import Pushed, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensor_rows import Rows, rows_of
-from fieldgrid.live.session_folder import About, SessionFolder
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import Patience
@@ -89,7 +90,7 @@ class Live(Closing):
         warm_up(gridder, odometry=odometry)
         warm_up_poses(rig, settings)
         self.name, self.rig, self._settings = name, rig, settings
-        self._kept = SessionFolder(Path(map_path), about)
+        self._kept = SessionFolder(Path(map_path), about, options.points_gb)
         drive = self._kept.drive
         self._lock = threading.Lock()
         self._nmea = NmeaStream(late_epochs=1)
@@ -101,13 +102,16 @@ class Live(Closing):
         self.newest_frame_ns: int | None = None
         """The time of the last frame that is kept, by the receiver's clock; None without."""
         if drive.frames:
-            self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1][0]].time_ns
+            self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1].number].time_ns
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
         given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))
         self._newest_pose_ns = max(given_ns, default=0)
         self._most_late_ns = round(options.lag_s * 1e9)
-        self._poser = Poser(rig, settings, datum or datum_hint, options, self._tell, poses)
+        self._poser = Poser(
+            *(rig, settings, datum or datum_hint, options, self._tell, poses),
+            is_levelling=lambda: self._kept.points.is_levelling,
+        )
         if self.is_resumed:
             self._go_on()
         self._perceiver = Perceiver(
@@ -118,6 +122,7 @@ class Live(Closing):
             tell=self._tell,
             pass_on=self._poser.put,
             way=self._poser.going.around,
+            tilt=self._poser.tilt.at,
             stamps=self._poser.stamps,
         )
         self._kept.forget()
@@ -153,14 +158,8 @@ class Live(Closing):
         failed = 0 if self._deliverer is None else self._deliverer.failed
         frames = self._perceiver
         return Counts(
-            frames.frames,
-            frames.dropped,
-            frames.late,
-            self._bad,
-            self._fixes,
-            dict(self._rows),
-            self._outbox.missed,
-            failed,
+            *(frames.frames, frames.dropped, frames.late, self._bad),
+            *(self._fixes, dict(self._rows), self._outbox.missed, failed),
         )
 
     def push_pair(

@@ -15,10 +15,11 @@ import numpy as np
 
 from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.fixes import Fix
+from fieldgrid.live.imu_stream import ImuStream
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
 from fieldgrid.live.receiver import ReceiverStream
-from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
 from fieldgrid.recording.bag.mounts import is_optical, optical
@@ -26,7 +27,7 @@ from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
 from fieldgrid.recording.bag.topics import ODOMETRY
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.cloud_files import CloudKind
-from fieldgrid.recording.motion_files import AXES, directions
+from fieldgrid.recording.motion_files import AXES
 from fieldgrid.recording.stored import FrameKind, PairKind
 from fieldgrid.ros import Message, decode
 from fieldgrid.ros.gnss import DATUM
@@ -132,7 +133,7 @@ class McapStream:
                 raise ConfigError(
                     f"No topic of a stream is {role!r}; give one of {', '.join(ROLES)}."
                 )
-        self._kind, self._upward = kind, np.array(directions(imu_axes), dtype=np.float64).T[2]
+        self._kind, self._imu = kind, ImuStream(imu_axes)
         self._takes_fixes, self._poses = takes_fixes, poses
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
@@ -168,7 +169,8 @@ class McapStream:
                 raise RecordingError(f"what comes is no MCAP: {error!r}") from error
 
     def finish(self, intake: Intake) -> None:
-        """Give the fixes that are still open."""
+        """Give the fixes that are still open, and what was held of an IMU."""
+        self._push_imu(self._imu.finish(), intake)
         for fix in self._nmea.finish():
             intake.push_fix(fix)
 
@@ -292,13 +294,13 @@ class McapStream:
             intake.push_fix(fix)
 
     def _turn(self, message: Message, time_ns: int, intake: Intake) -> None:
-        found = decode(message)
-        if found.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition: no gyro
-            return
-        rates = found.angular_velocity
-        rate_rad_s = -float(np.array([rates.x, rates.y, rates.z]) @ self._upward)
-        if np.isfinite(rate_rad_s):
-            intake.push_rows("gyro", rows_of("gyro", time_ns, rate_rad_s))
+        self._push_imu(self._imu.take(decode(message), time_ns), intake)
+
+    def _push_imu(self, made: list[tuple[str, Rows]], intake: Intake) -> None:
+        for part, rows in made:
+            intake.push_rows(part, rows)
+        for note in self._imu.notes:
+            self._say(intake, note)
 
     def _speed(self, message: Message, time_ns: int, intake: Intake) -> None:
         speed_mps = float(decode(message).twist.twist.linear.x)

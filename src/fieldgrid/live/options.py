@@ -8,6 +8,9 @@ from fieldgrid.cost import CostCurve
 from fieldgrid.costmap import Inflation
 from fieldgrid.errors import ConfigError
 
+POINTS_GB = 50.0
+"""Some nine hours of ten pairs of 640 x 480 a second."""
+
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
@@ -16,13 +19,16 @@ class LiveOptions:
     `queue_frames` wait at most; of more the oldest is dropped. A pose is settled when there are
     fixes `lag_s` after it; those that come later count at the end only. An estimate takes the last
     `window_s` seconds before the newest fix. The map around the vehicle is at least `map_side_m`
-    wide; `curve` and `inflation` make costs of it.
+    wide; `curve` and `inflation` make costs of it. Of a drive that tells how its vehicle leans, the
+    points of frames are kept until its end, so that its grids can be made level then; they take at
+    most `points_gb` of the disk.
     """
 
     queue_frames: int = 2
     lag_s: float = 2.0
     window_s: float = 20.0
     map_side_m: float = 40.0
+    points_gb: float = POINTS_GB
     curve: CostCurve = field(default_factory=CostCurve)
     inflation: Inflation = field(default_factory=Inflation)
 
@@ -35,6 +41,7 @@ class LiveOptions:
             ("lag", self.lag_s, 0.0, 10.0, "s"),
             ("window", self.window_s, 5.0, 50.0, "s"),
             ("map around the vehicle", self.map_side_m, 4.0, 500.0, "m"),
+            ("disk for points", self.points_gb, 0.0, 10_000.0, "GB"),
         ):
             if not least <= value <= most:
                 raise ConfigError(

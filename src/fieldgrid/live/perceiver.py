@@ -17,7 +17,9 @@ from fieldgrid.build.staging import Found, stage_frame
 from fieldgrid.errors import FieldgridError, MapWriteError
 from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
+from fieldgrid.live.kept_drive import KeptFrame
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
+from fieldgrid.live.running_tilt import TellTilt
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.live.stamps import Stamps
 from fieldgrid.localgrid import LocalGridder
@@ -36,7 +38,7 @@ MOST_HELD = 20
 
 class Seen(NamedTuple):
     """A frame that was perceived, its grid guarded against drops. `step` is the camera's to it from
-    the last one that `is_kept`."""
+    the last one that `is_kept`; `is_level` is whether the grid's columns are vertical."""
 
     frame_id: str
     time_ns: int
@@ -46,6 +48,7 @@ class Seen(NamedTuple):
     is_kept: bool
     pushed_s: float
     images_sha256: tuple[str, ...] = ()
+    is_level: bool = False
 
 
 class _Waiting(NamedTuple):
@@ -56,10 +59,20 @@ class _Waiting(NamedTuple):
     is_again: bool
 
 
+class _Looked(NamedTuple):
+    """What became of a frame: `points` are the record of those that its grid is made of."""
+
+    seen: Perceived
+    staged: StagedFrame
+    points: bytes | None
+    is_level: bool
+
+
 class Perceiver:
     """Takes frames in order of time, and keeps and tells what they saw.
 
-    The points of a cloud are carried to its stamp by the `way` around it, where that is known.
+    Grids are level where the `tilt` of the vehicle is known. The points of a cloud are carried to
+    its stamp by the `way` around it, where that is known.
     When as many wait as may, the oldest of them is dropped: what is in front of the vehicle now
     matters more than what was.
     """
@@ -75,10 +88,11 @@ class Perceiver:
         tell: Callable[[LiveResult], None],
         pass_on: Callable[[Seen], None],
         way: Callable[[int], Way | None],
+        tilt: TellTilt,
     ) -> None:
         self._kept, self._gridder, self._odometry = kept, gridder, odometry
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
-        self._way, self._stamps = way, stamps
+        self._way, self._tilt, self._stamps = way, tilt, stamps
         self._pushing = threading.Lock()
         self._held: list[tuple[Frame, str]] = []
         self._refuted = 0
@@ -88,7 +102,7 @@ class Perceiver:
         self._taken = self._done = 0
         self._last: Features | None = None
         frames = kept.drive.frames
-        last_ns = kept.stage.entries[frames[-1][0]].time_ns if frames else None
+        last_ns = kept.stage.entries[frames[-1].number].time_ns if frames else None
         self._newest_ns = last_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
         self._again_ns = last_ns if odometry else None
@@ -204,20 +218,13 @@ class Perceiver:
                 self._changed.notify_all()
             problem, looked, pair = None, None, None
             try:
-                way = self._way_of(waiting.frame)
-                looked = stage_frame(
-                    waiting.frame,
-                    self._gridder,
-                    odometry=self._odometry,
-                    way=way,
-                    gridded=partial(self._gridded, waiting, turn),
-                )
+                looked = self._look(waiting, turn)
             except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
                 problem = error
             self._await(turn)
             try:
                 if looked is not None:
-                    pair = self._keep(waiting, *looked)
+                    pair = self._keep(waiting, looked)
             except Exception as error:  # noqa: BLE001 - as above
                 problem = error
             if problem is not None:
@@ -228,6 +235,22 @@ class Perceiver:
                 self._changed.notify_all()
             if pair is not None:
                 self._keep_pair(pair, waiting.frame)
+
+    def _look(self, waiting: _Waiting, turn: int) -> _Looked:
+        """Perceive a frame, beside others."""
+        frame, kept = waiting.frame, self._kept
+        time_ns = self._time_ns(frame)
+        tilt = self._tilt(time_ns) if kept.points.is_levelling else None
+        seen, staged = stage_frame(
+            frame,
+            self._gridder,
+            odometry=self._odometry,
+            tilt=tilt,
+            way=self._way(time_ns) if isinstance(frame, CloudFrame) else None,
+            gridded=partial(self._gridded, waiting, turn),
+        )
+        points = None if waiting.is_again else kept.points.record(seen.seen)
+        return _Looked(seen, staged, points, tilt is not None)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -244,23 +267,15 @@ class Perceiver:
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
 
-    def _way_of(self, frame: Frame) -> Way | None:
-        """Of a cloud, how the vehicle went while it was taken, as far as that is known by now."""
-        if not isinstance(frame, CloudFrame):
-            return None
-        way = self._way(self._time_ns(frame))
-        if way is None:
-            self._kept.add_as_seen(frame.frame_id)
-        return way
-
     def _bad(self, frame: Frame, reason: str) -> None:
         time_ns = self._time_ns(frame)
         self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
         text = f"Frame {frame.frame_id} cannot be used: {reason}"
         self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
 
-    def _keep(self, waiting: _Waiting, seen: Perceived, staged: StagedFrame) -> int | None:
+    def _keep(self, waiting: _Waiting, looked: _Looked) -> int | None:
         """Keep a frame and pass it on; its number where its images are to be kept, too."""
+        seen, staged, points, is_level = looked
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         # Behind it the stage file may have frames of which the journal does not know.
@@ -274,6 +289,7 @@ class Perceiver:
         odometry_s = seen.odometry_s + time.thread_time() - start
         is_kept = True
         try:
+            points_at = kept.points.add(points, time_ns)
             number = kept.stage.append(staged)
         except MapWriteError as error:
             is_kept = False
@@ -289,14 +305,16 @@ class Perceiver:
             self._last = seen.features
             self.frames += 1
             times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-            kept.add_frame(number, frame.frame_id, found, times)
+            kept.add_frame(KeptFrame(number, found, points_at, is_level), frame.frame_id, times)
         self._disk_full = not is_kept
+        if warning := kept.points.take_warning():
+            self._tell(LiveEvent(What.DISK, warning, time_ns))
         one_step = found if isinstance(found, Step) else None
         guarded = seen.grid.guarded(seen.ground.drops_cm)
         self._pass_on(
             Seen(
-                *(frame.frame_id, time_ns, guarded, seen.ground.refined),
-                *(one_step, is_kept, waiting.pushed_s, seen.sources_sha256),
+                *(frame.frame_id, time_ns, guarded, seen.ground.refined, one_step, is_kept),
+                *(waiting.pushed_s, seen.sources_sha256, is_level),
             )
         )
         return number if is_kept and kept.claim_pair(number, time_ns) else None

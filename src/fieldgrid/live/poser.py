@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.attitude import Attitude
 from fieldgrid.build import cell_budget
 from fieldgrid.build.poses import no_ground
 from fieldgrid.costmap import Costmap
@@ -28,9 +29,10 @@ from fieldgrid.live.estimator import Estimated, Estimator, estimated
 from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother, last_known_ns, pose_at, unknown_pose
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Seen
-from fieldgrid.live.propagation import PropagatedPose
+from fieldgrid.live.propagation import PropagatedPose, pose_now
 from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.running_tilt import RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.live.stamps import Judged, Stamps
 from fieldgrid.live.window import MOVES_M, Placed, RollingWindow
@@ -49,9 +51,6 @@ SILENT_S = 3.0
 
 GIVEN_UP_S = 12.0
 """A frame without fixes after it waits for them for so long."""
-
-UNSEEN_DEG = 20.0
-"""How much a heading may change in a second, 1 sigma, that nothing measures: the smoother's."""
 
 MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
@@ -78,7 +77,10 @@ class Poser:
         options: LiveOptions,
         tell: Callable[[LiveResult], None],
         body: PoseBody | None = None,
+        is_levelling: Callable[[], bool] = lambda: True,
     ) -> None:
+        """`is_levelling` tells whether grids are level where the drive tells how its vehicle
+        leans."""
         self._rig, self._options, self._tell = rig, options, tell
         self._trailing = FixedLagSmoother(rig, settings, datum, options.window_s, body)
         self._window = RollingWindow(
@@ -87,6 +89,9 @@ class Poser:
         )
         self.going = DeadReckoning(rig.rear_axle_forward_m)
         """How the vehicle goes just now."""
+        self.tilt = RunningTilt()
+        """How it leans."""
+        self._is_levelling = is_levelling
         self.stamps = Stamps()
         """Whether what is pushed is of the time of all else."""
         self._budget, self._settings = cell_budget(rig, settings), settings.pose
@@ -94,6 +99,7 @@ class Poser:
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
         self._estimate: Estimate | None = None
+        self._attitude: Attitude | None = None
         self._fixes, self._known_ns = FixColumns.of([]), 0
         self._why = "no pose was estimated yet"
         self._estimated_ns = self._asked_ns = self._answered_ns = 0
@@ -132,8 +138,10 @@ class Poser:
             if taken is None:
                 return
             self.going.add_rows(part, taken)
+            self.tilt.add_rows(part, taken)
             said = (part, taken)
         self.going.forget(judged.lost)
+        self.tilt.forget(judged.lost)
         with self._changed:
             if judged.lost:
                 self._inbox.append(judged)
@@ -193,7 +201,8 @@ class Poser:
         """Ask for an estimate; one that is made at once is taken at once."""
         newest_ns = self._asked_ns = self._trailing.newest_ns
         try:
-            asked = self._trailing.asked(min((w.time_ns for w in self._waiting), default=newest_ns))
+            oldest_ns = min((w.time_ns for w in self._waiting), default=newest_ns)
+            asked = self._trailing.asked(oldest_ns, level_grids=self._is_levelling())
         except FieldgridError as error:
             self._take_estimate(Estimated(None, None, str(error)))
             return
@@ -232,6 +241,9 @@ class Poser:
         track = made.estimate.trajectory
         self._trailing.datum = track.datum
         self.going.know(track)
+        is_level = made.asked is not None and made.asked.is_level
+        self._attitude = made.estimate.report.attitude if is_level else None
+        self.tilt.know(self._attitude)
         self._used = np.isin(self._fixes.time_ns, track.time_ns[track.accepted])
         self._say_refused(made.estimate)
 
@@ -239,7 +251,8 @@ class Poser:
         """Place all frames anew by an estimate, so that the next one finds that done."""
         placed = self._placed(self._why)
         if self._estimate is not None:
-            self._window.follow(self._now(self._estimate)[0], MOVES_M / 2.0)
+            pose, *_ = pose_now(self._estimate.trajectory, self._latest, self._trailing.newest_ns)
+            self._window.follow(pose, MOVES_M / 2.0)
         self._window.settle(placed.settled)
         self._window.place(placed.moving)
 
@@ -248,7 +261,8 @@ class Poser:
         doubt, code = self._why, Doubt.NO_FIXES
         placed = self._placed(doubt)
         if self._estimate is not None:
-            self._pose, self._gear, doubt = self._now(self._estimate)
+            track, newest_ns = self._estimate.trajectory, self._trailing.newest_ns
+            self._pose, self._gear, doubt = pose_now(track, self._latest, newest_ns)
             code = Doubt.POSE if doubt else Doubt.NONE
             self._window.follow(self._pose)
         if self._newest is not None and not doubt:
@@ -266,34 +280,6 @@ class Poser:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
         self._doubt = doubt
-
-    def _now(self, estimate: Estimate) -> tuple[Pose, int, str]:
-        """The latest pose with what may have happened since, its gear, and why it is not to be
-        trusted."""
-        trajectory, newest_ns = estimate.trajectory, self._trailing.newest_ns
-        known = trajectory.time_ns[trajectory.accepted]
-        if not len(known):
-            pose, gear = pose_at(trajectory, newest_ns)
-            return pose, gear, pose.reason
-        pose, gear = pose_at(trajectory, min(newest_ns, int(known[-1])))
-        latest = self._latest
-        if latest and latest.since_s and latest.pose.time_ns > pose.time_ns:
-            pose, gear = latest.pose, latest.gear
-        since_s = max(newest_ns - pose.time_ns, 0) / 1e9
-        if since_s > 0.0:
-            speed_mps = abs(pose.speed_mps)
-            turned_deg = UNSEEN_DEG * math.sqrt(since_s) if speed_mps > 0.1 else 0.0
-            pose = replace(
-                pose,
-                time_ns=newest_ns,
-                position_sigma_m=math.hypot(pose.position_sigma_m, speed_mps * since_s),
-                heading_sigma_deg=math.hypot(pose.heading_sigma_deg, turned_deg),
-            )
-        if since_s > SILENT_S / 2.0:
-            after = trajectory.time_ns > known[-1]
-            why = trajectory.reason[-1] if after.any() else "the receiver wrote none"
-            return pose, gear, f"no pose that can be used for {since_s:.1f} s: {why}"
-        return pose, gear, pose.reason if pose.status is Status.REJECTED else ""
 
     def _placed(self, doubt: str) -> _Frames:
         """Tell the poses of the frames that wait, and what becomes of their grids."""
@@ -321,6 +307,9 @@ class Poser:
             if is_good:
                 off_m = self._budget.reach_m * math.radians(pose.heading_sigma_deg)
                 sigma_m = math.hypot(pose.position_sigma_m, off_m)
+                if self._attitude is not None and not seen.is_level:
+                    tilt = self._attitude.tilt_at(seen.time_ns)
+                    pose = square_to_ground(pose, tilt, self._rig.mount.height_m)
                 frame = Placed(seen.grid, pose, seen.time_ns, sigma_m)
                 (found.settled if is_settled else found.moving).append(frame)
             if is_settled:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.live.fixed_lag import pose_at
 from fieldgrid.odometry import Step
 from fieldgrid.pose import Budget
 from fieldgrid.settings import PoseSettings
-from fieldgrid.trajectory import Pose
+from fieldgrid.trajectory import Pose, Status, Trajectory
 
 CARRIED_S = 2.0
 """A step carries a pose on that was estimated so long before the step begins, or less. How long the
@@ -19,6 +21,12 @@ MOST_SHARE = 0.5
 """Of what a cell may be off, the way since then may take so much."""
 
 STILL_MPS = 0.05
+
+POSELESS_S = 1.5
+"""Without a pose for longer, the window is not to be trusted."""
+
+UNSEEN_DEG = 20.0
+"""How much a heading may change in a second, 1 sigma, that nothing measures: the smoother's."""
 
 
 class PropagatedPose(NamedTuple):
@@ -68,3 +76,32 @@ class PropagatedPose(NamedTuple):
             and self.pose.heading_sigma_deg <= settings.max_heading_sigma_deg
             and self.pose.position_sigma_m <= settings.max_position_sigma_m
         )
+
+
+def pose_now(
+    trajectory: Trajectory, latest: PropagatedPose | None, newest_ns: int
+) -> tuple[Pose, int, str]:
+    """The latest pose at the time of the newest data, with what may have happened since, its gear,
+    and why it is not to be trusted. `latest` is the pose of the last frame."""
+    known = trajectory.time_ns[trajectory.accepted]
+    if not len(known):
+        pose, gear = pose_at(trajectory, newest_ns)
+        return pose, gear, pose.reason
+    pose, gear = pose_at(trajectory, min(newest_ns, int(known[-1])))
+    if latest and latest.since_s and latest.pose.time_ns > pose.time_ns:
+        pose, gear = latest.pose, latest.gear
+    since_s = max(newest_ns - pose.time_ns, 0) / 1e9
+    if since_s > 0.0:
+        speed_mps = abs(pose.speed_mps)
+        turned_deg = UNSEEN_DEG * math.sqrt(since_s) if speed_mps > 0.1 else 0.0
+        pose = replace(
+            pose,
+            time_ns=newest_ns,
+            position_sigma_m=math.hypot(pose.position_sigma_m, speed_mps * since_s),
+            heading_sigma_deg=math.hypot(pose.heading_sigma_deg, turned_deg),
+        )
+    if since_s > POSELESS_S:
+        after = trajectory.time_ns > known[-1]
+        why = trajectory.reason[-1] if after.any() else "the receiver wrote none"
+        return pose, gear, f"no pose that can be used for {since_s:.1f} s: {why}"
+    return pose, gear, pose.reason if pose.status is Status.REJECTED else ""

@@ -1,203 +1,67 @@
 """The folder in which a live session stores its data beside the map, written and read back.
 
-`MAP.live/` holds `journal` (`live.journal`), `frames.grids` (a stage file) and the pairs by which
-the cameras are checked at the end. A frame counts when both files have it, so a kill between the
-two loses that frame alone.
+`MAP.live/` holds `journal` (`live.journal`), `frames.grids` (a stage file), `frames.points` (points
+before gridding, `live.points_file`) and the pairs by which the cameras are checked at the end. A
+frame counts when all files have it, so a kill between two of them loses that frame alone.
 """
 
 from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
 from fieldgrid.build import BadFrame
-from fieldgrid.build.parts import found_from_json, found_to_json
+from fieldgrid.build.parts import found_to_json
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.rig_config import rig_from_config, rig_to_config
-from fieldgrid.build.staging import Found, Staged
+from fieldgrid.build.staging import Staged
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.geodesy import Datum
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
-from fieldgrid.live.journal import Journal, read_journal
-from fieldgrid.live.pairs import KeptPairs, pair_numbers
-from fieldgrid.live.sensor_rows import (
-    Rows,
-    fix_from_json,
-    fix_to_json,
-    motion_of,
-    rows_from_json,
-    rows_to_json,
+from fieldgrid.live.journal import Journal
+from fieldgrid.live.kept_drive import (
+    GRIDS,
+    JOURNAL,
+    POINTS,
+    About,
+    Drive,
+    KeptFrame,
+    live_folder,
+    read_drive,
 )
-from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile
+from fieldgrid.live.kept_points import KeptPoints
+from fieldgrid.live.options import POINTS_GB
+from fieldgrid.live.pairs import KeptPairs, pair_numbers
+from fieldgrid.live.sensor_rows import Rows, fix_to_json, motion_of, rows_to_json
+from fieldgrid.mapfile import StagedFrame, StageFile
 from fieldgrid.odometry import Refusal
 from fieldgrid.publish import holding, replacing
 from fieldgrid.recording import FixLog, Image, Recording
 from fieldgrid.recording.given_poses import with_body_poses
-from fieldgrid.recording.pose_source import PoseBody
-from fieldgrid.rig import Lidar, Rig, StereoCamera
-from fieldgrid.settings import BuildSettings
+from fieldgrid.rig import StereoCamera
 
 MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
 of frames that follow faster, since a pair takes as much as a third of a frame."""
 
-_JOURNAL, _FRAMES = "journal", "frames.grids"
-
-
-@dataclass(frozen=True, slots=True)
-class About:
-    """What a session was begun with."""
-
-    name: str
-    rig: Rig
-    settings: BuildSettings
-    datum: Datum | None = None
-    datum_hint: Datum | None = None
-    append: bool = False
-    source: str = "live"
-    source_sha256: str = ""
-    notes: tuple[str, ...] = ()
-    """Remarks on where the data come from, for the report."""
-    poses: PoseBody | None = None
-    """Whose poses are pushed, None where they are estimated."""
-
-    def to_json(self) -> dict[str, Any]:
-        """As a value that JSON has."""
-        return {
-            "name": self.name,
-            "rig": rig_to_config(self.rig),
-            "settings": self.settings.model_dump(mode="json"),
-            "datum": _datum_to_json(self.datum),
-            "datum_hint": _datum_to_json(self.datum_hint),
-            "append": self.append,
-            "source": self.source,
-            "source_sha256": self.source_sha256,
-            "notes": list(self.notes),
-            "poses": None if self.poses is None else list(astuple(self.poses)),
-        }
-
-    def goes_on(self, earlier: About) -> bool:
-        """Whether this is the same session again; what is checked at its end may differ."""
-        ours, theirs = self.to_json(), earlier.to_json()
-        for one in (ours, theirs):
-            del one["settings"]["checks"]
-        return ours == theirs
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any]) -> About:
-        """The same again."""
-        return cls(
-            value["name"],
-            rig_from_config(value["rig"], value["name"]),
-            BuildSettings.model_validate(value["settings"]),
-            Datum(*value["datum"]) if value["datum"] else None,
-            Datum(*value["datum_hint"]) if value["datum_hint"] else None,
-            value["append"],
-            value["source"],
-            value["source_sha256"],
-            tuple(value["notes"]),
-            _body_from_json(value.get("poses")),
-        )
-
-
-def _body_from_json(value: list[Any] | None) -> PoseBody | None:
-    """None, too, of a session that was begun before there were any."""
-    if value is None:
-        return None
-    name, axes, point = value
-    return PoseBody(name, axes, None if point is None else tuple(point))
-
-
-def _datum_to_json(datum: Datum | None) -> list[float] | None:
-    return None if datum is None else [datum.lat_deg, datum.lon_deg, datum.height_m]
-
-
-@dataclass(slots=True)
-class Drive:
-    """What was pushed, as it is read back."""
-
-    about: About
-    fixes: list[Fix] = field(default_factory=list)
-    parts: dict[str, list[Rows]] = field(default_factory=dict)
-    frames: list[tuple[int, Found]] = field(default_factory=list)
-    """Of each frame that was staged: its number in the stage file, and the step to it."""
-    bad: list[tuple[int, BadFrame]] = field(default_factory=list)
-    dropped: int = 0
-    as_seen: set[str] = field(default_factory=set)
-    """Clouds that were taken as they were seen."""
-    times: StageTimes = field(default_factory=StageTimes)
-
-
-def live_folder(out: Path) -> Path:
-    """Where a live session for the map `out` keeps what it has."""
-    place = out.resolve()
-    return place.with_name(f"{place.name}.live")
-
-
-def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
-    """What a journal holds, with the frames that the stage file has as well; None without a
-    beginning: then nothing was pushed."""
-    drive: Drive | None = None
-    try:
-        for kind, value in read_journal(folder / _JOURNAL):
-            if kind == "begin":
-                drive = drive or Drive(About.from_json(value))
-            elif drive is not None:
-                _take(drive, kind, value, entries)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        if isinstance(error, MapError):
-            raise
-        raise MapError(
-            f"The journal in {folder} is of another version of this program or damaged ({error}); "
-            "finish it with the version that wrote it."
-        ) from error
-    return drive
-
-
-def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) -> None:
-    if kind == "fix":
-        drive.fixes.append(fix_from_json(value))
-    elif kind == "rows":
-        part, rows = rows_from_json(value)
-        drive.parts.setdefault(part, []).append(rows)
-    elif kind == "frame":
-        number, frame_id, found, times = value
-        # A frame that was lost with the power is written anew under the same number.
-        while drive.frames and drive.frames[-1][0] >= number:
-            drive.frames.pop()
-        if number < len(entries) and entries[number].frame_id == frame_id:
-            drive.frames.append((number, found_from_json(found)))
-            drive.times.add(StageTimes(*times))
-    elif kind == "bad":
-        time_ns, *bad = value
-        drive.bad.append((time_ns, BadFrame(*bad)))
-    elif kind == "dropped":
-        drive.dropped += 1
-    elif kind == "as seen":
-        drive.as_seen.add(str(value))
-
 
 class SessionFolder(Closing):
     """The folder of an open session, locked against other processes."""
 
-    def __init__(self, out: Path, about: About | None) -> None:
+    def __init__(self, out: Path, about: About | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
-        or where nothing is there to go on with."""
+        or where nothing is there to go on with. Points take at most `points_gb`."""
         self.out, self.folder = out, live_folder(out)
         self._open = ExitStack()
         self._pairing = threading.Lock()
         self._pairs_every, self._pair_ns = 1, -PAIR_EVERY_NS
-        journal = self.folder / _JOURNAL
+        journal = self.folder / JOURNAL
         if about is None and not journal.is_file():
             raise ConfigError(
                 f"There is no live session to finish for {out}: {journal} does not exist."
@@ -211,7 +75,7 @@ class SessionFolder(Closing):
                     f"Another program maps into {self.folder}; end it, or give another map."
                 )
             self.journal = self._open.enter_context(Journal(journal))
-            self.stage = self._open.enter_context(StageFile(self.folder / _FRAMES, out))
+            self.stage = self._open.enter_context(StageFile(self.folder / GRIDS, out))
         except OSError as error:
             self._open.close()
             if isinstance(error, MapWriteError):
@@ -225,6 +89,7 @@ class SessionFolder(Closing):
             raise
         try:
             self.drive = self._begun(about)
+            self.points = self._open.enter_context(self._points(round(points_gb * 1e9)))
         except BaseException:
             self._open.close()
             raise
@@ -236,7 +101,8 @@ class SessionFolder(Closing):
             if about is None:
                 raise ConfigError(f"{self.folder} holds no session; remove it.")
             self.journal.append("begin", about.to_json())
-            self.sync()
+            self.stage.sync()
+            self.journal.sync()
             return Drive(about)
         if about is not None and not about.goes_on(drive.about):
             raise ConfigError(
@@ -244,7 +110,26 @@ class SessionFolder(Closing):
                 "was in the map, of another rig or other settings; finish it with fieldgrid live "
                 f"-o {self.out} --finish, or remove it with --discard."
             )
+        if drive.cut_at is not None:
+            self.journal.append("cut", drive.cut_at)
         return drive
+
+    def _points(self, most_bytes: int) -> KeptPoints:
+        """The points of the frames that are there already, and room for others."""
+        drive = self.drive
+        first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
+        reach_m = drive.about.settings.grid.spec().reach_m
+        try:
+            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns)
+        except OSError as error:
+            raise MapWriteError(
+                f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
+                "folder and its permissions."
+            ) from error
+        for part, chunks in drive.parts.items():
+            for rows in chunks:
+                points.note_rows(part, rows)
+        return points
 
     def add_fix(self, fix: Fix) -> bool:
         """Keep a fix; this and what follows is False while the disk takes nothing."""
@@ -252,12 +137,16 @@ class SessionFolder(Closing):
 
     def add_rows(self, part: str, rows: Rows) -> bool:
         """Keep rows of a sensor."""
+        self.points.note_rows(part, rows)
         return self.journal.append("rows", rows_to_json(part, rows))
 
-    def add_frame(self, number: int, frame_id: str, found: Found, times: StageTimes) -> bool:
-        """Keep what else is known of the frame of this number in the stage file."""
+    def add_frame(self, frame: KeptFrame, frame_id: str, times: StageTimes) -> bool:
+        """Keep what else is known of a frame that is in the stage file."""
         spent = [round(getattr(times, name), 6) for name in times.__slots__]
-        return self.journal.append("frame", [number, frame_id, found_to_json(found), spent])
+        number, found, *points = frame
+        return self.journal.append(
+            "frame", [number, frame_id, found_to_json(found), spent, *points]
+        )
 
     def add_bad(self, time_ns: int, bad: BadFrame) -> bool:
         """Keep that a frame could not be read."""
@@ -266,10 +155,6 @@ class SessionFolder(Closing):
     def add_dropped(self, frame_id: str, time_ns: int) -> bool:
         """Keep that a frame was dropped."""
         return self.journal.append("dropped", [frame_id, time_ns])
-
-    def add_as_seen(self, frame_id: str) -> bool:
-        """Keep that nothing told how the vehicle went while a cloud was taken."""
-        return self.journal.append("as seen", frame_id)
 
     def claim_pair(self, number: int, time_ns: int) -> bool:
         """Whether the pair of this frame is one by which the cameras are checked, and is to be
@@ -304,20 +189,22 @@ class SessionFolder(Closing):
     def sync(self) -> bool:
         """Return when all of it is on the disk; False where the disk does not take it."""
         try:
+            self.points.sync()
             self.stage.sync()
-        except MapWriteError:
+        except (MapWriteError, OSError):
             return False
         return self.journal.sync()
 
-    def _read(self) -> Drive:
+    def read(self) -> Drive:
+        """What was pushed so far."""
         self.stage.recall()
         return read_drive(self.folder, self.stage.entries) or self.drive
 
     def staged(self) -> Staged:
         """The frames, as a build has them of its drive."""
-        drive = self._read()
-        numbers = [number for number, _ in drive.frames]
-        found = [one for _, one in drive.frames]
+        drive = self.read()
+        numbers = [frame.number for frame in drive.frames]
+        found = [frame.found for frame in drive.frames]
         # No step leads to a frame before which the program was started again.
         found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
         if not isinstance(drive.about.rig.sensor, StereoCamera):
@@ -333,21 +220,14 @@ class SessionFolder(Closing):
     def recording(self) -> Recording:
         """The drive as a recording, with the pairs that were kept for its frames. RecordingError
         where poses were to be pushed that cannot be used."""
-        drive = self._read()
+        drive = self.read()
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
-        staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, _ in drive.frames]
+        staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, *_ in drive.frames]
         times_ns = np.array(sorted(staged_ns + [t for t, _ in drive.bad]), dtype=np.int64)
         notes = about.notes
         if drive.dropped:
             notes += (f"{drive.dropped} frames were dropped while it was driven.",)
-        if isinstance(rig.sensor, Lidar) and drive.frames:
-            names = [self.stage.entries[number].frame_id for number, _ in drive.frames]
-            as_seen = sum(name in drive.as_seen for name in names)
-            notes += (
-                "Points with times were carried to the stamps of their clouds by the motion that "
-                f"was known while driving, but for {as_seen} of {len(names)} clouds.",
-            )
         recording = Recording(
             path=self.folder,
             name=about.name,

@@ -45,7 +45,7 @@ from fieldgrid.recording.stream_log import nmea_notes
 from fieldgrid.ros import Bag
 from fieldgrid.ros.gnss import DETAILS
 
-_OPTICAL_AXES = "rdf"
+OPTICAL_AXES = "rdf"
 _TAKEN = f"axes taken as {AXES}"
 _GRAVITY_SHARE = 0.95
 """Of what an accelerometer feels, an axis that is upright feels this much."""
@@ -223,16 +223,15 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
         R_flu_imu, told = _axes_of(content, imu_axes)
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
         upward, is_whole = R_flu_imu[2], True
-        if told == _TAKEN and (felt := _felt_upward(sensed[:, 3:])) is not None:
+        if told == _TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             upward, is_whole = felt, False
             told = f"axes taken so that gravity is felt upward, along {upward.astype(int).tolist()}"
-        rates = -_rate(sensed[:, :3], upward)
+        rates = -rate_about(sensed[:, :3], upward)
         series, lost = in_order(times_ns, rates)
         gyro = Gyro(*series) if len(series.time_ns) else None
         notes += [*_lost(topic, lost), f"{topic}: {told}."]
-        across = sensed[:, [k for k in range(3) if abs(upward[k]) < _UPRIGHT]]
         # With one axis, an IMU says 0 or NaN of the others.
-        if gyro is not None and is_whole and np.nan_to_num(across).any():
+        if gyro is not None and is_whole and turns_across(sensed, upward):
             R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
             with np.errstate(over="ignore", invalid="ignore"):
                 turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
@@ -262,12 +261,12 @@ def _axes_of(content: Content, axes: str) -> tuple[Float64, str]:
         if R_flu_imu is not None:
             return R_flu_imu, "axes by the static transforms"
         if is_optical(frame):
-            axes = _OPTICAL_AXES
+            axes = OPTICAL_AXES
     told = _TAKEN if axes == AXES else f"axes taken as {axes}"
     return np.array(directions(axes), dtype=np.float64).T, told
 
 
-def _felt_upward(forces_mps2: Float64) -> Float64 | None:
+def felt_upward(forces_mps2: Float64) -> Float64 | None:
     """The axis of an IMU along which gravity is felt, [3], where that is another than the third.
     None where what is felt has not the size of gravity: then no axis is told by it."""
     known = np.isfinite(forces_mps2).all(axis=1)
@@ -283,7 +282,13 @@ def _felt_upward(forces_mps2: Float64) -> Float64 | None:
     return None if upward[2] == 1.0 else upward
 
 
-def _rate(rates: Float64, row: Float64) -> Float64:
+def turns_across(sensed: Float64, upward: Float64) -> bool:
+    """Whether the rates [n, 3 or more] of an IMU say anything of its axes across the vertical."""
+    across = sensed[:, [k for k in range(3) if abs(upward[k]) < _UPRIGHT]]
+    return bool(np.nan_to_num(across).any())
+
+
+def rate_about(rates: Float64, row: Float64) -> Float64:
     """The rate about an axis; an axis that is one of the IMU's own gives its very numbers."""
     own = int(np.abs(row).argmax())
     if np.count_nonzero(row) == 1 and abs(row[own]) == 1.0:

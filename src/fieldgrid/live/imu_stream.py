@@ -1,0 +1,139 @@
+"""An IMU of a stream: rates and forces as rows, in the axes that its first messages show."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.live.sensor_rows import Rows, rows_of
+from fieldgrid.recording.bag.content import (
+    OPTICAL_AXES,
+    felt_upward,
+    rate_about,
+    turns_across,
+)
+from fieldgrid.recording.bag.mounts import is_optical
+from fieldgrid.recording.motion_files import (
+    AXES,
+    R_VEHICLE_FLU,
+    Series,
+    directions,
+    gravity_unit_mps2,
+    inertial_of,
+)
+
+HELD, HELD_NS = 50, 1_000_000_000
+"""So many messages, or those of so long, are held until it is decided which way is up."""
+
+MOST_UNTURNED = 100_000
+"""So many messages are kept of an IMU that has not turned about a level axis yet: it may have one
+axis only, and then it has none that tells how a vehicle leans."""
+
+_PARTS = slice(0, 3), slice(3, 6)
+
+
+class _Axes(NamedTuple):
+    """The vertical in the IMU's axes [3], the vehicle's axes seen from them [3, 3], None where they
+    are not known, and what a force is in m/s², NaN where it is no force."""
+
+    upward: Float64
+    R_vehicle_imu: Float64 | None
+    unit_mps2: float
+
+
+class ImuStream:
+    """Takes messages of an IMU, and gives rows of gyro and, with all axes, of an inertial sensor.
+
+    `axes` say how it sits; where those are the usual ones, the name of its frame and gravity may
+    say others, as in a bag.
+    """
+
+    def __init__(self, axes: str) -> None:
+        self._said = axes
+        self._held: list[tuple[int, Float64]] = []
+        self._axes: _Axes | None = None
+        self._unturned: deque[tuple[int, Float64]] | None = deque(maxlen=MOST_UNTURNED)
+        self.notes: list[str] = []
+        """What the user must know of it."""
+
+    def take(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:
+        """Rows, by their parts, that are known with the next message, of `sensor_msgs/Imu`."""
+        if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition: no gyro
+            return []
+        rates, forces = message.angular_velocity, message.linear_acceleration
+        felt = (forces.x, forces.y, forces.z)
+        if message.linear_acceleration_covariance[:1].tolist() == [-1.0]:
+            felt = (np.nan, np.nan, np.nan)
+        self._held.append((time_ns, np.array([rates.x, rates.y, rates.z, *felt])))
+        if self._axes is None:
+            if len(self._held) < HELD and time_ns - self._held[0][0] < HELD_NS:
+                return []
+            if self._said == AXES and is_optical(str(message.header.frame_id)):
+                self._said = OPTICAL_AXES
+        return self.finish()
+
+    def finish(self) -> list[tuple[str, Rows]]:
+        """The rows of all messages that are held."""
+        held, self._held = self._held, []
+        if not held:
+            return []
+        if self._axes is None:
+            self._axes = self._decided(*_stacked(held))
+        times_ns, sensed = _stacked(held)
+        rate_rad_s = -rate_about(sensed[:, :3], self._axes.upward)
+        known = np.isfinite(rate_rad_s)
+        made = (
+            [("gyro", rows_of("gyro", times_ns[known], rate_rad_s[known]))] if known.any() else []
+        )
+        return made + self._inertial(self._axes, held)
+
+    def _decided(self, times_ns: Int64, sensed: Float64) -> _Axes:
+        R_flu_imu = np.array(directions(self._said), dtype=np.float64).T
+        if self._said == AXES and (felt := felt_upward(sensed[:, 3:])) is not None:
+            self.notes.append(
+                "has an IMU that does not lie flat: it is taken as turned so that gravity is felt "
+                f"upward, along {felt.astype(int).tolist()}, and roll and pitch are not used; say "
+                "imu_axes in mounting.json."
+            )
+            return _Axes(felt, None, np.nan)
+        R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
+        turned = np.hstack([sensed[:, part] @ R_vehicle_imu.T for part in _PARTS])
+        remarks: list[str] = []
+        found = inertial_of(Series(times_ns, turned), remarks)
+        self.notes += [f"has an IMU: {remark}" for remark in remarks]
+        unit_mps2 = None
+        if found is not None and np.isfinite(found.force_mps2).any():
+            known = np.isfinite(turned).all(axis=1)
+            unit_mps2 = gravity_unit_mps2(np.median(turned[known, 3:], axis=0))
+        return _Axes(R_flu_imu[2], R_vehicle_imu, unit_mps2 or np.nan)
+
+    def _inertial(self, axes: _Axes, messages: list[tuple[int, Float64]]) -> list[tuple[str, Rows]]:
+        """Rows of all axes, if it has them."""
+        if axes.R_vehicle_imu is None:
+            return []
+        if self._unturned is not None:
+            # With one axis, an IMU says 0 or NaN of the others.
+            self._unturned.extend(messages)
+            if not turns_across(_stacked(messages)[1], axes.upward):
+                return []
+            messages, self._unturned = list(self._unturned), None
+        times_ns, sensed = _stacked(messages)
+        rates, forces = (sensed[:, part] @ axes.R_vehicle_imu.T for part in _PARTS)
+        forces = forces.astype(np.float32)
+        if axes.unit_mps2 != 1.0:  # NaN, too
+            forces = forces * np.float32(axes.unit_mps2)
+        known = np.isfinite(rates).all(axis=1)
+        if not np.isnan(axes.unit_mps2):  # a sample without its force is as if there were none
+            known &= np.isfinite(forces).all(axis=1)
+        if not known.any():
+            return []
+        return [("inertial", rows_of("inertial", times_ns[known], rates[known], forces[known]))]
+
+
+def _stacked(messages: list[tuple[int, Float64]]) -> tuple[Int64, Float64]:
+    """Times [n], and rates and forces [n, 6]."""
+    times_ns, sensed = zip(*messages, strict=True)
+    return np.array(times_ns, dtype=np.int64), np.stack(sensed)

@@ -1,0 +1,185 @@
+"""What a live session was begun with and what was pushed, as its journal has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fieldgrid.build import BadFrame
+from fieldgrid.build.parts import found_from_json
+from fieldgrid.build.report import StageTimes
+from fieldgrid.build.rig_config import rig_from_config, rig_to_config
+from fieldgrid.build.staging import Found
+from fieldgrid.errors import MapError
+from fieldgrid.fixes import Fix
+from fieldgrid.geodesy import Datum
+from fieldgrid.live.journal import read_journal
+from fieldgrid.live.points_file import Place
+from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
+from fieldgrid.mapfile import StageEntry
+from fieldgrid.recording.pose_source import PoseBody
+from fieldgrid.rig import Rig
+from fieldgrid.settings import BuildSettings
+
+JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
+"""The files in a session's folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a session was begun with."""
+
+    name: str
+    rig: Rig
+    settings: BuildSettings
+    datum: Datum | None = None
+    datum_hint: Datum | None = None
+    append: bool = False
+    source: str = "live"
+    source_sha256: str = ""
+    notes: tuple[str, ...] = ()
+    """Remarks on where the data come from, for the report."""
+    poses: PoseBody | None = None
+    """Whose poses are pushed, None where they are estimated."""
+
+    def to_json(self) -> dict[str, Any]:
+        """As a value that JSON has."""
+        return {
+            "name": self.name,
+            "rig": rig_to_config(self.rig),
+            "settings": self.settings.model_dump(mode="json"),
+            "datum": _datum_to_json(self.datum),
+            "datum_hint": _datum_to_json(self.datum_hint),
+            "append": self.append,
+            "source": self.source,
+            "source_sha256": self.source_sha256,
+            "notes": list(self.notes),
+            "poses": None if self.poses is None else list(astuple(self.poses)),
+        }
+
+    def goes_on(self, earlier: About) -> bool:
+        """Whether this is the same session again; what is checked at its end may differ."""
+        ours, theirs = self.to_json(), earlier.to_json()
+        for one in (ours, theirs):
+            del one["settings"]["checks"]
+        return ours == theirs
+
+    @classmethod
+    def from_json(cls, value: dict[str, Any]) -> About:
+        """The same again."""
+        return cls(
+            value["name"],
+            rig_from_config(value["rig"], value["name"]),
+            BuildSettings.model_validate(value["settings"]),
+            Datum(*value["datum"]) if value["datum"] else None,
+            Datum(*value["datum_hint"]) if value["datum_hint"] else None,
+            value["append"],
+            value["source"],
+            value["source_sha256"],
+            tuple(value["notes"]),
+            _body_from_json(value.get("poses")),
+        )
+
+
+def _body_from_json(value: list[Any] | None) -> PoseBody | None:
+    """None, too, of a session that was begun before there were any."""
+    if value is None:
+        return None
+    name, axes, point = value
+    return PoseBody(name, axes, None if point is None else tuple(point))
+
+
+def _datum_to_json(datum: Datum | None) -> list[float] | None:
+    return None if datum is None else [datum.lat_deg, datum.lon_deg, datum.height_m]
+
+
+class KeptFrame(NamedTuple):
+    """A frame that was staged: its number in the stage file, the step to it, where its points are
+    in theirs, None where they were not kept, and whether its grid is level."""
+
+    number: int
+    found: Found
+    points: Place | None = None
+    is_level: bool = False
+
+    def is_within(self, end: int) -> bool:
+        """Whether a file of points that is so long has those of the frame."""
+        return self.points is None or self.points.start + self.points.size <= end
+
+
+@dataclass(slots=True)
+class Drive:
+    """What was pushed, as it is read back."""
+
+    about: About
+    fixes: list[Fix] = field(default_factory=list)
+    parts: dict[str, list[Rows]] = field(default_factory=dict)
+    frames: list[KeptFrame] = field(default_factory=list)
+    bad: list[tuple[int, BadFrame]] = field(default_factory=list)
+    dropped: int = 0
+    cut_at: int | None = None
+    """The number of the first frame whose points were lost with the power: it does not count."""
+    times: StageTimes = field(default_factory=StageTimes)
+
+
+def live_folder(out: Path) -> Path:
+    """Where a live session for the map `out` keeps what it has."""
+    place = out.resolve()
+    return place.with_name(f"{place.name}.live")
+
+
+def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
+    """What a journal holds, with the frames that the stage file has as well, and the file of points
+    if their points were kept; None without a beginning: then nothing was pushed."""
+    drive: Drive | None = None
+    points = folder / POINTS
+    points_end = (points.stat().st_size or None) if points.is_file() else None
+    try:
+        for kind, value in read_journal(folder / JOURNAL):
+            if kind == "begin":
+                drive = drive or Drive(About.from_json(value))
+            elif drive is not None:
+                _take(drive, kind, value, entries)
+        if drive is not None and points_end is not None:
+            while drive.frames and not drive.frames[-1].is_within(points_end):
+                drive.cut_at = drive.frames.pop().number
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        if isinstance(error, MapError):
+            raise
+        raise MapError(
+            f"The journal in {folder} is of another version of this program or damaged ({error}); "
+            "finish it with the version that wrote it."
+        ) from error
+    return drive
+
+
+def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) -> None:
+    if kind == "fix":
+        drive.fixes.append(fix_from_json(value))
+    elif kind == "rows":
+        part, rows = rows_from_json(value)
+        drive.parts.setdefault(part, []).append(rows)
+    elif kind == "frame":
+        number, frame_id, found, times, *rest = value
+        # A frame that was lost with the power is written anew under the same number.
+        _cut(drive, number)
+        if number < len(entries) and entries[number].frame_id == frame_id:
+            points, is_level = rest or (None, False)
+            place = None if points is None else Place(*points)
+            drive.frames.append(KeptFrame(number, found_from_json(found), place, is_level))
+            drive.times.add(StageTimes(*times))
+    elif kind == "cut":
+        _cut(drive, value)
+    elif kind == "bad":
+        time_ns, *bad = value
+        drive.bad.append((time_ns, BadFrame(*bad)))
+    elif kind == "dropped":
+        drive.dropped += 1
+
+
+def _cut(drive: Drive, number: int) -> None:
+    """Frames from this number on do not count any more."""
+    while drive.frames and drive.frames[-1].number >= number:
+        drive.frames.pop()

@@ -1,0 +1,130 @@
+"""Which frames' points a session keeps: those of a drive that tells how its vehicle leans, and
+sweeps whose points have times, within a bound."""
+
+from __future__ import annotations
+
+import os
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from fieldgrid.closing import Closing
+from fieldgrid.errors import MapWriteError
+from fieldgrid.live.given import GIVEN_ROWS
+from fieldgrid.live.points_file import Place, PointsFile, Seen, packed
+from fieldgrid.live.sensor_rows import Rows
+from fieldgrid.localgrid import LocalGridder
+from fieldgrid.sweep import Sweep
+
+UNTOLD_NS = 60_000_000_000
+"""For so long from the first frame on points are kept of a drive that does not tell how its
+vehicle leans: what tells it may come later."""
+
+_TOO_LATE = (
+    "How the vehicle leans is known only now, and the points of earlier frames were not kept, so "
+    "all local grids stay perpendicular to the ground ahead; for level grids, build the drive from "
+    "a recording at its end (fieldgrid live --finish-from RECORDING)."
+)
+
+
+class KeptPoints(Closing):
+    """The points of a session's frames, as far as its end needs them; safe from any thread.
+
+    `is_levelling` says whether the session's grids are to be level where the drive tells how its
+    vehicle leans.
+    """
+
+    def __init__(self, path: Path, reach_m: float, most_bytes: int, first_ns: int | None) -> None:
+        """Open the file of a session, or make it for one that has no frame yet (`first_ns` is the
+        time of the first). Of grids that reach `reach_m`, at most `most_bytes` are kept; none where
+        that is 0. OSError where there can be no file."""
+        self._path, self._reach_m, self._most = path, reach_m, most_bytes
+        self._first_ns = first_ns
+        self._lock = threading.Lock()
+        self._is_needed, self._warning = False, ""
+        is_kept = path.is_file() and path.stat().st_size > 0
+        begins = first_ns is None and most_bytes > 0
+        self._file = PointsFile(path) if begins or is_kept else None
+        self._is_full = self._file is not None and self._file.size >= most_bytes
+
+    @property
+    def is_levelling(self) -> bool:
+        """Whether points of all frames were kept from the first one on, up to the bound."""
+        return self._file is not None
+
+    def note_rows(self, part: str, rows: Rows) -> None:
+        """Rows of a sensor that were pushed: of some, the drive tells how its vehicle leans."""
+        leans = part in ("tilt", GIVEN_ROWS) and len(rows.time_ns) > 0
+        leans = leans or (part == "inertial" and bool(np.isfinite(rows.columns[1]).any()))
+        if leans and not self._is_needed:
+            self._is_needed = True
+            self._warning = "" if self.is_levelling else _TOO_LATE
+
+    def record(self, seen: Seen) -> bytes | None:
+        """A frame's points as `add` takes them; None where they are not kept."""
+        if isinstance(seen, Sweep) and seen.after_s is not None:
+            self._is_needed = True
+        return packed(seen, self._reach_m) if self._takes() else None
+
+    def _takes(self) -> bool:
+        return self._file is not None and not self._is_full
+
+    def add(self, record: bytes | None, time_ns: int) -> Place | None:
+        """Keep the points of the next frame; where they are, None where they are not kept.
+        MapWriteError on a full disk."""
+        with self._lock:
+            if self._first_ns is None:
+                self._first_ns = time_ns
+            if not self._is_needed and time_ns - self._first_ns > UNTOLD_NS:
+                self._give_up()
+            if record is None or self._file is None or self._is_full:
+                return None
+            if self._file.size + len(record) > self._most:
+                self._is_full = True
+                self._warning = (
+                    f"The points of the frames take {self._most / 1e9:g} GB, so those of later "
+                    "frames are not kept: their grids stay as level as they are while driving."
+                )
+                return None
+            try:
+                return self._file.append(record)
+            except OSError as error:
+                raise MapWriteError(
+                    f"{self._path} could not be written ({error.strerror}); free some space there."
+                ) from error
+
+    def _give_up(self) -> None:
+        """Remove what was kept for nothing."""
+        if self._file is not None:
+            with suppress(OSError):
+                os.truncate(self._path, 0)  # a name may come back after a power cut
+                self._path.unlink()
+            self._file.close()
+            self._file = None
+
+    def take_warning(self) -> str:
+        """What the user must know, once; empty where there is nothing."""
+        warning, self._warning = self._warning, ""
+        return warning
+
+    def read(self, at: Place | None, gridder: LocalGridder) -> Seen | None:
+        """The points of a frame that are there; None where they were not kept or are damaged."""
+        return None if at is None or self._file is None else self._file.read(at, gridder)
+
+    def sync(self) -> None:
+        """Return when what was added is on the disk. OSError where the disk refuses."""
+        with self._lock:
+            file = None if self._file is None else self._file.duplicate()
+        if file is not None:
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
