@@ -34,9 +34,14 @@ _LARGEST_ID = 1 << 53
 
 def check_file(subject: Subject) -> Iterator[str]:
     """The pages of the file, its header, and references between its tables."""
+    yield from check_pages(subject)
+    yield from orphans(subject.connection)
+
+
+def check_pages(subject: Subject) -> Iterator[str]:
+    """The pages of the file, and its header."""
     connection = subject.connection
     yield from damaged_pages(connection)
-    yield from orphans(connection)
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version != schema.GEOPACKAGE_VERSION:
         yield (
