@@ -16,6 +16,7 @@ from pathlib import Path
 
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.file_locks import lock
+from fieldgrid.limits import file_bytes
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
@@ -125,7 +126,7 @@ class Draft:
                 f"{target} is not {what} that fieldgrid has written, so it is not replaced; give "
                 "another name, or remove it first."
             )
-        self.place = place = target.resolve()
+        self.place = place = Path(os.path.realpath(target))
         is_held = False
         while not is_held:
             # With the target's ending, by which other programs tell what to write.
@@ -224,7 +225,7 @@ class DraftFolder:
                 f"{target} holds other things than {what}, so it is not overwritten; give another "
                 "name."
             )
-        place = target.resolve()
+        place = Path(os.path.realpath(target))
         is_held = False
         while not is_held:
             self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
@@ -247,7 +248,7 @@ class DraftFolder:
 
     def publish(self) -> None:
         """Bring the folder to its final name; what it replaces is removed only then."""
-        place = self.target.resolve()
+        place = Path(os.path.realpath(self.target))
         old = self.folder.with_name(self.folder.name + ".old")
         try:
             for file in sorted(self.folder.rglob("*")):
@@ -293,8 +294,7 @@ def hold(descriptor: int, draft: Path) -> bool:
 
 @contextmanager
 def holding(file: Path) -> Iterator[bool]:
-    """Holds a file for this program in the block; False where another one does. The system lets go
-    of it when the program ends, however it does."""
+    """Holds a file for this program, as :func:`hold` does; False where another one does."""
     descriptor = os.open(file, os.O_RDWR)
     try:
         try:
@@ -323,11 +323,11 @@ def _discard(draft: Path, held: list[int], owner: int) -> None:
 
 def mentions(path: Path, mark: bytes) -> bool:
     """Whether a file holds these bytes somewhere; what cannot be read does not."""
-    try:
+    with suppress(OSError, ValueError):  # ValueError: the file is empty
+        file_bytes(path)
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return data.find(mark) >= 0
-    except (OSError, ValueError):  # ValueError: the file is empty
-        return False
+    return False
 
 
 def refuse_input(target: Path, inputs: Iterable[Path]) -> None:

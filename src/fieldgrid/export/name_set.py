@@ -27,7 +27,7 @@ def held_set(main: Path) -> Iterator[Path | None]:
     None where there can be no such folder. Raises MapWriteError where the disk does not take what
     a killed program left to do.
     """
-    folder = main.parent.resolve() / f".{main.name}.set"
+    folder = Path(os.path.realpath(main.parent)) / f".{main.name}.set"
     descriptor = _held(folder)
     if descriptor is None:
         yield None

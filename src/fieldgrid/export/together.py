@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -64,7 +65,7 @@ def _name(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) ->
             draft.publish()
         return
     places = [draft.place for draft in drafts] + [
-        path.parent.resolve() / path.name for path in gone
+        Path(os.path.realpath(path.parent)) / path.name for path in gone
     ]
     if folder and main.exists() and all(place.parent == folder.parent for place in places):
         with writing(main):
