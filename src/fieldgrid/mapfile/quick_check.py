@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 
 from fieldgrid.errors import FieldgridError
+from fieldgrid.mapfile.database import alone
 from fieldgrid.mapfile.feature_check import check_announced
 from fieldgrid.mapfile.file_check import check_layout, check_pages, orphans
 from fieldgrid.mapfile.marks import check_marks
@@ -34,7 +35,8 @@ def is_as_written(subject: Subject) -> bool:
         kept = kept_sums(connection)
         if not kept:
             return False
-        with sharing_sums(connection, tables, runner.here) as sums:
+        # While texts are read as bytes, no other thread may read them.
+        with alone(connection), sharing_sums(connection, tables, runner.here) as sums:
             return all(next(check(subject), None) is None for check in _CHECKS) and all(
                 fits(kept.get(table), total) for table, total in sums.finish().items()
             )
