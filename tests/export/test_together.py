@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from fieldgrid import publish
-from fieldgrid.errors import MapWriteError
+from fieldgrid.errors import MapExistsError, MapWriteError
 from fieldgrid.export import name_set
 from fieldgrid.export.name_set import held_set
 from fieldgrid.export.together import write_together
@@ -210,6 +210,21 @@ def test_a_kill_at_any_change_leaves_all_old_or_all_new(
     assert min(found.count("old"), found.count("new")) > 5, found
 
 
+def test_what_another_program_makes_meanwhile_is_not_replaced_unasked(tmp_path: Path) -> None:
+    def late(file: Path) -> None:
+        (tmp_path / "a.main").write_text("theirs")
+        file.write_text("ours")
+
+    with pytest.raises(MapExistsError, match="exists already"):
+        write_together(
+            {tmp_path / "a.side": text("ours"), tmp_path / "a.main": late},
+            overwrite=False,
+            ours=lambda _: True,
+            what="a test",
+        )
+    assert seen(tmp_path) == {"a.main": "theirs"}
+
+
 @pytest.mark.parametrize("name", ["link", "symlink", "replace"])
 def test_a_disk_that_fails_leaves_the_old_ones_and_nothing_else(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -292,6 +307,7 @@ def test_links_of_the_user_stay(tmp_path: Path) -> None:
     (tmp_path / "a.mask").symlink_to(tmp_path / "deep" / "mask")
     (tmp_path / "deep" / "mask").write_text("mine")
     (tmp_path / "a.main").symlink_to("real.main")
+    (tmp_path / "here").symlink_to(".")
     write_set(tmp_path, "old", ("a.side",))
     write_set(tmp_path, "new", ("a.side",))
     assert (tmp_path / "a.mask").read_text() == "mine"
@@ -302,5 +318,6 @@ def test_links_of_the_user_stay(tmp_path: Path) -> None:
         "a.mask",
         "a.side",
         "deep",
+        "here",
         "real.main",
     ]

@@ -101,7 +101,7 @@ def _settle(folder: Path) -> None:
 
 
 def _leads_into(folder: Path, path: Path) -> bool:
-    return path.is_symlink() and Path(os.readlink(path)).parts[0] == folder.name
+    return path.is_symlink() and Path(os.readlink(path)).parts[:1] == (folder.name,)
 
 
 def _held(folder: Path) -> int | None:

@@ -50,13 +50,16 @@ def write_together(
         # Before anything has changed, so that names are links for as short as can be.
         for draft in drafts:
             draft.sync()
-        # A link of the user's own making stays.
-        there = [path for path in gone if path.is_file() and not path.is_symlink()]
-        _name(drafts, there, folder)
+        if not overwrite:
+            _publish(drafts)
+        else:
+            # A link of the user's own making stays.
+            there = [path for path in gone if path.is_file() and not path.is_symlink()]
+            _replace(drafts, there, folder)
     return targets
 
 
-def _name(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) -> None:
+def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) -> None:
     main = drafts[-1].target
     changed = [draft for draft in drafts if not _is_there(draft)]
     if not gone and len(changed) <= 1:
@@ -72,14 +75,14 @@ def _name(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) ->
             files = {draft.place.name: draft.file for draft in drafts}
             if show(folder, files, [path.name for path in gone]):
                 return
-    _name_in_order(drafts, gone)
-
-
-def _name_in_order(drafts: Sequence[Draft], gone: Sequence[Path]) -> None:
-    """The file that programs open is missing while the others change."""
-    identities = [_identity(draft.file) for draft in drafts]
+    # The file that programs open is missing while the others change.
     for old in (drafts[-1].place, *gone):
         old.unlink(missing_ok=True)
+    _publish(drafts)
+
+
+def _publish(drafts: Sequence[Draft]) -> None:
+    identities = [_identity(draft.file) for draft in drafts]
     try:
         for draft in drafts[:-2]:
             draft.publish(for_good=False)
