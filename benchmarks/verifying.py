@@ -1,52 +1,103 @@
-"""What `verify` costs beside reading the file once: `python -m benchmarks.verifying`."""
+"""What `verify` costs beside reading the file once: `python -m benchmarks.verifying [MAP...]`.
+
+In processor time, which other programs on the machine change little: of this process, and of the
+others that share its work. What takes longest of them is the time on idle cores.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import resource
+import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import MapFile, open_map
 from tests.mapfile.maps import drive, write_map
 
-FRAMES = 200
-RUNS = 3
+FRAMES, MANY = 200, 1000
+RUNS = 5
+
+
+class _Cost(NamedTuple):
+    """Processor time of this process and of the others that it started, seconds."""
+
+    here_s: float
+    others_s: float
 
 
 def main() -> None:
-    """Print the seconds of both, and their ratio."""
+    """Print the seconds of both, and their ratio, for made maps or those that are named."""
+    if sys.argv[1:]:
+        for name in sys.argv[1:]:
+            _verify(Path(name))
+        return
     with tempfile.TemporaryDirectory() as folder:
-        path = write_map(Path(folder) / "map.gpkg", [drive(FRAMES), drive(FRAMES, start=7)])
-        with open_map(path) as universal:
-            universal.verify(deep=True)  # what is compiled is not its doing
-        hashing_s = min(_seconds(lambda: hashlib.sha256(path.read_bytes())) for _ in range(RUNS))
-        print(f"map of {2 * FRAMES} frames, {path.stat().st_size / 1e6:.1f} MB")
-        print(f"read once, SHA-256                {hashing_s:8.3f} s")
-        with open_map(path) as universal:
-            decoding_s = min(_seconds(lambda: _decode(universal)) for _ in range(RUNS))
-            print(f"read once, every frame decoded    {decoding_s:8.3f} s")
-            for deep, jobs in ((False, 1), (False, 2), (True, 1), (True, 2)):
-                taken_s = min(
-                    _seconds(lambda jobs=jobs, deep=deep: universal.verify(jobs, deep=deep))
-                    for _ in range(RUNS)
-                )
-                command = f"verify {'--deep ' if deep else ''}--jobs {jobs}"
-                print(
-                    f"{command:<34}{taken_s:8.3f} s, "
-                    f"{taken_s / hashing_s:.1f} x the file, {taken_s / decoding_s:.1f} x its frames"
-                )
+        for frames in (FRAMES, MANY):
+            path = Path(folder) / f"{frames}.gpkg"
+            write_map(path, [drive(frames), drive(frames, start=7)])
+            _verify(path)
+        _verify_deep(Path(folder) / f"{FRAMES}.gpkg")
 
 
-def _decode(universal):  # type: ignore[no-untyped-def]
+def _verify(path: Path) -> None:
+    """By the map's sums, interleaved with reading the file."""
+    with open_map(path) as universal:
+        works: dict[str, Callable[[], object]] = {
+            "read once, SHA-256": lambda: hashlib.sha256(path.read_bytes()),
+            "verify --jobs 1": lambda: universal.verify(1),
+            "verify --jobs 2": lambda: universal.verify(2),
+        }
+        print(f"{path.name}, {path.stat().st_size / 1e6:.1f} MB")
+        _print(_costs(works))
+
+
+def _verify_deep(path: Path) -> None:
+    """From the frames, beside decoding each once."""
+    with open_map(path) as universal:
+        universal.verify(deep=True)  # what is compiled is not its doing
+        print(f"{path.name}, everything made again")
+        _print(
+            _costs(
+                {
+                    "read once, every frame decoded": lambda: _decode(universal),
+                    "verify --deep --jobs 1": lambda: universal.verify(1, deep=True),
+                }
+            )
+        )
+
+
+def _costs(works: dict[str, Callable[[], object]]) -> dict[str, _Cost]:
+    """The least of some runs of each, which take turns."""
+    runs = [{name: _cost(work) for name, work in works.items()} for _ in range(RUNS)]
+    return {name: min((run[name] for run in runs), key=sum) for name in works}
+
+
+def _print(costs: dict[str, _Cost]) -> None:
+    first = sum(next(iter(costs.values())))
+    for name, (here_s, others_s) in costs.items():
+        others = f" and {others_s:.3f} s in others" if others_s > 0.001 else ""
+        times = max(here_s, others_s) / first
+        print(f"  {name:<32}{here_s:8.3f} s{others}, {times:.1f} x")
+
+
+def _decode(universal: MapFile) -> None:
     for record in universal.frames(with_grid=True):
         record.cells()
 
 
-def _seconds(work) -> float:  # type: ignore[no-untyped-def]
-    start = time.perf_counter()
+def _cost(work: Callable[[], object]) -> _Cost:
+    here_s, others_s = time.process_time(), _others_s()
     work()
-    return time.perf_counter() - start
+    return _Cost(time.process_time() - here_s, _others_s() - others_s)
+
+
+def _others_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

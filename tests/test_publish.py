@@ -118,7 +118,7 @@ def test_a_signal_in_the_first_moment_leaves_nothing(
         assert len(list(tmp_path.iterdir())) == 1
         raise SystemExit(143)
 
-    monkeypatch.setattr(publish, "_hold", interrupted)
+    monkeypatch.setattr(publish, "hold", interrupted)
     target = tmp_path / "out.gpkg"
     with pytest.raises(SystemExit):
         draft_of(target) if kind == "folder" else Draft(target, overwrite=False)

@@ -141,7 +141,7 @@ def test_a_file_that_is_no_toml(text: str | bytes, tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     fails(r"nowhere\.toml cannot be read \(No such file", tmp_path / "nowhere.toml", {})
-    fails(r"cannot be read \(Is a directory\)", tmp_path, {})
+    fails(r"cannot be read \(it is a folder\)", tmp_path, {})
 
 
 def test_universal_cells_are_those_of_the_local_grid_unless_given() -> None:

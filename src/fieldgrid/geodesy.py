@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import zip_longest
 from typing import Any
 
@@ -111,9 +112,7 @@ class Datum:
 
     def crs_wkt(self, version: str = "WKT1_GDAL") -> str:
         """The same reference system as well-known text, full, for files that carry it."""
-        from pyproj import CRS
-
-        return str(CRS.from_json_dict(self.crs_json()).to_wkt(version))
+        return _crs_wkt(self, version)
 
     def grid_mapping(self) -> dict[str, Any]:
         """The same as attributes of a grid mapping by the CF conventions."""
@@ -145,6 +144,14 @@ class Datum:
     def _axes(self) -> tuple[float, float, float, float]:
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
         return math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+
+
+@lru_cache(maxsize=16)
+def _crs_wkt(datum: Datum, version: str) -> str:
+    """Kept: PROJ takes half a millisecond for it, and a map asks for it again and again."""
+    from pyproj import CRS
+
+    return str(CRS.from_json_dict(datum.crs_json()).to_wkt(version))
 
 
 def check_area_of_use(epsg: int, datum: Datum) -> None:

@@ -7,10 +7,13 @@ rows. The limits are far beyond what recordings need. Each can be set by an envi
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TextIO, TypeVar
 
 from fieldgrid.errors import ConfigError, FieldgridError, LimitError
@@ -74,6 +77,17 @@ def limited(**changes: int) -> Iterator[Limits]:
         yield _current[-1]
     finally:
         _current.pop()
+
+
+def file_bytes(path: Path) -> int:
+    """The size of a file. OSError for what is missing, a folder, and a pipe or a device: one that
+    nobody writes to would be waited for, and another one may never end."""
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, and not a file", str(path))
+    return found.st_size
 
 
 class Budget:

@@ -16,9 +16,10 @@ from pathlib import Path
 
 from fieldgrid.errors import FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.file_locks import lock
+from fieldgrid.limits import file_bytes
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
-_NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
+NO_HARD_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 
 
 @contextmanager
@@ -125,7 +126,7 @@ class Draft:
                 f"{target} is not {what} that fieldgrid has written, so it is not replaced; give "
                 "another name, or remove it first."
             )
-        place = target.resolve()
+        self.place = place = Path(os.path.realpath(target))
         is_held = False
         while not is_held:
             # With the target's ending, by which other programs tell what to write.
@@ -143,13 +144,13 @@ class Draft:
             except OSError as error:
                 self.discard.detach()
                 raise _unwritable(target, error) from error
-            is_held = _hold(held[0], self.file)
+            is_held = hold(held[0], self.file)
         _remove_orphans(place)
 
     def sync(self) -> None:
         """Have the disk keep what is written so far, so that `publish` need not wait for it."""
         try:
-            _sync(self.file)
+            sync(self.file)
         except OSError as error:
             raise _unwritable(self.target, error) from error
         self._is_synced = True
@@ -157,17 +158,16 @@ class Draft:
     def publish(self, *, for_good: bool = True) -> None:
         """Bring the file to its final name, at once and `for_good`, or until the next one that is
         published there is: the folder is synced once then. No file is replaced unasked."""
-        place = self.target.resolve()
         try:
-            self._refuse_strays(place)
+            self._refuse_strays(self.place)
             if not self._is_synced:
-                _sync(self.file)
+                sync(self.file)
             if self._overwrite:
-                self.file.replace(place)
+                self.file.replace(self.place)
             else:
-                self._publish_new(place)
+                self._publish_new(self.place)
             if for_good:
-                _sync(place.parent)
+                sync(self.place.parent)
         except FileExistsError as error:
             raise MapExistsError(self._exists) from error
         except OSError as error:
@@ -181,7 +181,7 @@ class Draft:
         try:
             os.link(self.file, place)  # fails when the name is taken, unlike a rename
         except OSError as error:
-            if error.errno not in _NO_HARD_LINKS:
+            if error.errno not in NO_HARD_LINKS:
                 raise
             # Without hard links: whoever makes the empty file owns the name.
             os.close(os.open(place, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -225,7 +225,7 @@ class DraftFolder:
                 f"{target} holds other things than {what}, so it is not overwritten; give another "
                 "name."
             )
-        place = target.resolve()
+        place = Path(os.path.realpath(target))
         is_held = False
         while not is_held:
             self.folder = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
@@ -243,17 +243,17 @@ class DraftFolder:
             except OSError as error:
                 self.discard.detach()
                 raise _unwritable(target, error) from error
-            is_held = _hold(held[0], self.folder)
+            is_held = hold(held[0], self.folder)
         _remove_orphans(place)
 
     def publish(self) -> None:
         """Bring the folder to its final name; what it replaces is removed only then."""
-        place = self.target.resolve()
+        place = Path(os.path.realpath(self.target))
         old = self.folder.with_name(self.folder.name + ".old")
         try:
             for file in sorted(self.folder.rglob("*")):
-                _sync(file)
-            _sync(self.folder)
+                sync(file)
+            sync(self.folder)
             if not (place.exists() and _exchanged(self.folder, place)):
                 if place.exists():
                     place.rename(old)
@@ -263,7 +263,7 @@ class DraftFolder:
                     if old.exists():
                         old.rename(place)
                     raise
-            _sync(place.parent)
+            sync(place.parent)
         except OSError as error:
             raise _unwritable(self.target, error) from error
         finally:
@@ -281,9 +281,9 @@ def _exchanged(one: Path, other: Path) -> bool:
     return bool(change(here, paths[0], here, paths[1], ctypes.c_uint(_RENAME_EXCHANGE)) == 0)
 
 
-def _hold(descriptor: int, draft: Path) -> bool:
-    """Mark a draft as in use; the system lets go of it when this program ends, however it does.
-    False where another program has taken it for an orphan in the moment before."""
+def hold(descriptor: int, draft: Path) -> bool:
+    """Mark a draft as in use, or wait until nobody else does; the system lets go of it when this
+    program ends, however it does. False where another program has removed it in the meantime."""
     with suppress(OSError):  # a file system without locks
         lock(descriptor, wait=True)
     try:
@@ -294,8 +294,7 @@ def _hold(descriptor: int, draft: Path) -> bool:
 
 @contextmanager
 def holding(file: Path) -> Iterator[bool]:
-    """Holds a file for this program in the block; False where another one does. The system lets go
-    of it when the program ends, however it does."""
+    """Holds a file for this program, as :func:`hold` does; False where another one does."""
     descriptor = os.open(file, os.O_RDWR)
     try:
         try:
@@ -324,11 +323,11 @@ def _discard(draft: Path, held: list[int], owner: int) -> None:
 
 def mentions(path: Path, mark: bytes) -> bool:
     """Whether a file holds these bytes somewhere; what cannot be read does not."""
-    try:
+    with suppress(OSError, ValueError):  # ValueError: the file is empty
+        file_bytes(path)
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return data.find(mark) >= 0
-    except (OSError, ValueError):  # ValueError: the file is empty
-        return False
+    return False
 
 
 def refuse_input(target: Path, inputs: Iterable[Path]) -> None:
@@ -369,7 +368,8 @@ def _companions(file: Path) -> tuple[Path, ...]:
     return tuple(file.with_name(file.name + end) for end in ("-journal", "-wal", "-shm"))
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Have the disk keep a file, or the names in a folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -242,8 +242,11 @@ def _footprint(universal: MapFile) -> Any:
 
 
 def _is_ours(folder: Path) -> bool:
+    collection = folder / _COLLECTION / "collection.json"
+    if not collection.is_file():
+        return False
     try:
-        found = json.loads((folder / _COLLECTION / "collection.json").read_text(encoding="utf-8"))
+        found = json.loads(collection.read_text(encoding="utf-8"))
         items = [str(link["href"]) for link in found["links"] if link["rel"] == "item"]
     except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -24,7 +24,7 @@ from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError, printable
 from fieldgrid.geodesy import Datum
-from fieldgrid.limits import check_document
+from fieldgrid.limits import check_document, file_bytes
 from fieldgrid.publish import made_elsewhere, mentions, replacing, working_beside
 
 _DECIMALS = 9
@@ -108,7 +108,7 @@ def read_shapes(path: Path, datum: Datum) -> list[Any]:
         return np.column_stack([east_m, north_m])
 
     try:
-        check_document(path.stat().st_size, path, ConfigError)
+        check_document(file_bytes(path), path, ConfigError)
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix.lower() == ".csv":
             rows = [(row["east_m"], row["north_m"]) for row in csv.DictReader(text.splitlines())]

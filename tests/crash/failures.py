@@ -100,7 +100,9 @@ def run_in_child(module: str, *arguments: str) -> subprocess.CompletedProcess[st
     with tempfile.TemporaryDirectory() as folder:
         library = compiled(Path(folder))
         assert library is not None, "there is no C compiler"
-        environment = {**os.environ, "LD_PRELOAD": str(library), "PYTHONPATH": str(ROOT)}
+        # The program of this very tree, also where another one is installed.
+        places = os.pathsep.join((str(ROOT), str(ROOT / "src")))
+        environment = {**os.environ, "LD_PRELOAD": str(library), "PYTHONPATH": places}
         return subprocess.run(
             [sys.executable, "-m", module, "--inside", *arguments],
             env=environment,

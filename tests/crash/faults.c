@@ -186,3 +186,32 @@ int link(const char *from, const char *to) {
     if (done == 0) record(LINK, 0, 0, from, to, "", 0);
     return done;
 }
+/* Kill points only: no command on a map makes links or folders, so the model of a power cut has none. */
+int symlink(const char *to, const char *path) {
+    REAL(paths_t, "symlink");
+    int v = verdict();
+    return v == PASS ? real(to, path) : die_or_fail(v);
+}
+int mkdir(const char *path, mode_t how) {
+    typedef int (*mkdir_t)(const char *, mode_t);
+    REAL(mkdir_t, "mkdir");
+    int v = verdict();
+    return v == PASS ? real(path, how) : die_or_fail(v);
+}
+int rmdir(const char *path) {
+    REAL(path_t, "rmdir");
+    int v = verdict();
+    return v == PASS ? real(path) : die_or_fail(v);
+}
+int unlinkat(int folder, const char *path, int flags) {
+    typedef int (*unlinkat_t)(int, const char *, int);
+    REAL(unlinkat_t, "unlinkat");
+    int v = verdict();
+    return v == PASS ? real(folder, path, flags) : die_or_fail(v);
+}
+int renameat2(int from, const char *old, int to, const char *new, unsigned int flags) {
+    typedef int (*renameat2_t)(int, const char *, int, const char *, unsigned int);
+    REAL(renameat2_t, "renameat2");
+    int v = verdict();
+    return v == PASS ? real(from, old, to, new, flags) : die_or_fail(v);
+}

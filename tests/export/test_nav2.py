@@ -15,7 +15,7 @@ from PIL import Image
 
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
-from fieldgrid.export import Exported, Selection, export_map
+from fieldgrid.export import Exported, Selection, export_map, together
 from fieldgrid.export.nav2 import MODES, greys
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, open_map
@@ -296,8 +296,9 @@ def test_a_picture_that_cannot_be_written_leaves_the_old_map(
 def test_a_map_that_cannot_be_named_whole_is_gone(
     universal: MapFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rather none than the old YAML file with the new picture."""
+    """Rather none than the old YAML file with the new picture, where there are no links."""
     export_nav2(universal, tmp_path / "f.yaml")
+    monkeypatch.setattr(together, "show", lambda *_: False)
     original = publish.Draft.publish
 
     def fail_at_the_second(draft: publish.Draft, **how: bool) -> None:

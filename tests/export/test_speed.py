@@ -135,6 +135,19 @@ def test_without_a_speed_there_is_no_mask(universal: MapFile, tmp_path: Path) ->
     assert not list(tmp_path.glob("*.speed.*"))
 
 
+def test_without_a_speed_the_mask_of_the_map_that_is_replaced_goes(
+    universal: MapFile, tmp_path: Path
+) -> None:
+    """It would be loaded beside the new map."""
+    how = Selection(cell_m=COARSE_M)
+    export_map(universal, tmp_path / "a.yaml", how, options={"slow_percent": 40})
+    assert len(list(tmp_path.glob("*.speed.*"))) == 3
+    done = export_map(universal, tmp_path / "a.yaml", how, overwrite=True)
+    assert not list(tmp_path.glob("*.speed.*"))
+    removed = "a.speed.pgm, a.speed.yaml, a.speed.params.yaml"
+    assert ("removed with the old map", removed) in done.rows
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

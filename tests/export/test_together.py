@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fieldgrid import publish
+from fieldgrid.errors import MapExistsError, MapWriteError
+from fieldgrid.export import name_set
+from fieldgrid.export.name_set import held_set
 from fieldgrid.export.together import write_together
+from fieldgrid.file_locks import lock
 
 
 def text(words: str) -> Callable[[Path], None]:
@@ -49,7 +56,19 @@ def named(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     return states
 
 
-def test_with_other_files_beside_it_the_main_one_goes_first(
+@pytest.fixture
+def no_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system such as FAT."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(os, "symlink", refuse)
+
+
+@pytest.mark.usefixtures("no_links")
+def test_without_links_the_main_one_goes_first(
     tmp_path: Path, named: list[tuple[str, str]]
 ) -> None:
     write(tmp_path, "side 1", "main 1")
@@ -86,13 +105,14 @@ def test_with_one_other_file_beside_it_neither_is_ever_missing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.main", "a.side"]
 
 
-def test_the_folder_is_synced_once_for_all_files_before_the_main_one_gets_its_name(
+@pytest.mark.usefixtures("no_links")
+def test_without_links_the_folder_is_synced_once_before_the_main_one_gets_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is waited for, but that, while the main file is missing."""
     files = [tmp_path / name for name in ("a.one", "a.two", "a.main")]
     missing: list[str] = []
-    original = publish._sync
+    original = publish.sync
 
     def watched(path: Path) -> None:
         if files[-1].with_suffix(".old").exists() and not files[-1].exists():
@@ -100,9 +120,204 @@ def test_the_folder_is_synced_once_for_all_files_before_the_main_one_gets_its_na
         original(path)
 
     for words in ("old", "new"):
-        monkeypatch.setattr(publish, "_sync", watched)
+        monkeypatch.setattr(publish, "sync", watched)
         write_together(
             {file: text(words) for file in files}, overwrite=True, ours=lambda _: True, what="it"
         )
         files[-1].with_suffix(".old").touch()
     assert missing == [tmp_path.name]
+
+
+CHANGES = ("link", "symlink", "replace", "unlink", "mkdir", "rmdir", "fsync")
+"""What a program that is killed may have been about to do."""
+
+
+def killed_at(number: int, folder: Path, words: str, names: tuple[str, ...]) -> bool:
+    """Write a set in a copy of this process, which ends at a change of a file; False where all is
+    done before."""
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    left = number
+
+    def counted(change: Callable[..., None]) -> Callable[..., None]:
+        def instead(*arguments: Any, **options: Any) -> None:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                os._exit(9)
+            change(*arguments, **options)
+
+        return instead
+
+    for name in CHANGES:
+        setattr(os, name, counted(getattr(os, name)))
+    try:
+        write_set(folder, words, names)
+    finally:
+        os._exit(0)
+
+
+def write_set(folder: Path, words: str, names: tuple[str, ...]) -> None:
+    write_together(
+        {folder / name: text(f"{words} {name}") for name in (*names, "a.main")},
+        overwrite=True,
+        ours=lambda _: True,
+        what="a test",
+        gone=[] if "a.mask" in names else [folder / "a.mask"],
+    )
+
+
+def seen(folder: Path) -> dict[str, str]:
+    """What programs can open in a folder."""
+    return {
+        path.name: path.read_text()
+        for path in folder.iterdir()
+        if path.is_file() and not path.name.startswith(".")
+    }
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (("a.side", "a.world"), ("a.side", "a.world")),
+        (("a.side", "a.mask"), ("a.side",)),
+        (("a.side",), ("a.side", "a.mask")),
+    ],
+)
+def test_a_kill_at_any_change_leaves_all_old_or_all_new(
+    before: tuple[str, ...], after: tuple[str, ...], tmp_path: Path
+) -> None:
+    found: list[str] = []
+    while True:
+        folder = tmp_path / str(len(found))
+        folder.mkdir()
+        write_set(folder, "old", before)
+        old = seen(folder)
+        if not killed_at(len(found), folder, "new", after):
+            break
+        new = {name: f"new {name}" for name in (*after, "a.main")}
+        assert seen(folder) in (old, new)
+        found.append("old" if seen(folder) == old else "new")
+        # A second program is killed while it tidies up after the first.
+        if killed_at(len(found) % 7, folder, "third", after):
+            assert seen(folder) in (old, new)
+        write_set(folder, "third", after)
+        assert seen(folder) == {name: f"third {name}" for name in (*after, "a.main")}
+        assert not any(path.is_symlink() for path in folder.iterdir())
+        assert len(list(folder.iterdir())) == len(after) + 1, list(folder.iterdir())
+    assert found == sorted(found, reverse=True)
+    assert min(found.count("old"), found.count("new")) > 5, found
+
+
+def test_what_another_program_makes_meanwhile_is_not_replaced_unasked(tmp_path: Path) -> None:
+    def late(file: Path) -> None:
+        (tmp_path / "a.main").write_text("theirs")
+        file.write_text("ours")
+
+    with pytest.raises(MapExistsError, match="exists already"):
+        write_together(
+            {tmp_path / "a.side": text("ours"), tmp_path / "a.main": late},
+            overwrite=False,
+            ours=lambda _: True,
+            what="a test",
+        )
+    assert seen(tmp_path) == {"a.main": "theirs"}
+
+
+@pytest.mark.parametrize("name", ["link", "symlink", "replace"])
+def test_a_disk_that_fails_leaves_the_old_ones_and_nothing_else(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_set(tmp_path, "old", ("a.side",))
+    old, change, left = seen(tmp_path), getattr(os, name), 2
+
+    def fail(*arguments: Any, **options: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        change(*arguments, **options)
+
+    monkeypatch.setattr(os, name, fail)
+    with pytest.raises(MapWriteError, match="No space left on device"):
+        write_set(tmp_path, "new", ("a.side",))
+    assert seen(tmp_path) == old
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.main", "a.side"]
+    assert not any(path.is_symlink() for path in tmp_path.iterdir())
+
+
+def test_the_disk_has_each_step_before_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power cut could leave one name of the old files beside the new ones."""
+    write_set(tmp_path, "old", ("a.side",))
+    steps: list[str] = []
+
+    def noted(what: str, change: Callable[..., None]) -> Callable[..., None]:
+        def instead(*arguments: Any, **options: Any) -> None:
+            change(*arguments, **options)
+            if not (place := Path(arguments[-1]).name).endswith(".partial"):
+                steps.append(f"{what} {place}")
+
+        return instead
+
+    monkeypatch.setattr(os, "replace", noted("name", os.replace))
+    monkeypatch.setattr(name_set, "sync", noted("sync", name_set.sync))
+    write_set(tmp_path, "new", ("a.side",))
+    here = f"sync {tmp_path.name}"
+    made, changed, settled = steps[:3], steps[3:8], steps[8:]
+    assert made == ["sync old", "sync new", "sync .a.main.set"]
+    assert changed == ["name a.side", "name a.main", here, "name now", "sync .a.main.set"]
+    assert sorted(settled) == ["name a.main", "name a.side", here]
+    assert settled[-1] == here
+
+
+def test_a_second_writer_of_the_same_set_waits(tmp_path: Path) -> None:
+    with held_set(tmp_path / "a.main") as folder:
+        assert folder
+        descriptor = os.open(folder, os.O_RDONLY)
+        with pytest.raises(BlockingIOError):
+            lock(descriptor, wait=False)
+        os.close(descriptor)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_set_whose_folder_is_gone_when_its_turn_comes_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The writer that it waited for has removed the folder."""
+    real, waited = name_set.hold, list[Path]()
+
+    def late(descriptor: int, folder: Path) -> bool:
+        if not waited:
+            folder.rmdir()
+        waited.append(folder)
+        return real(descriptor, folder)
+
+    monkeypatch.setattr(name_set, "hold", late)
+    with held_set(tmp_path / "a.main") as folder:
+        assert folder
+        assert folder.is_dir()
+    assert len(waited) == 2
+
+
+def test_links_of_the_user_stay(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "a.mask").symlink_to(tmp_path / "deep" / "mask")
+    (tmp_path / "deep" / "mask").write_text("mine")
+    (tmp_path / "a.main").symlink_to("real.main")
+    (tmp_path / "here").symlink_to(".")
+    write_set(tmp_path, "old", ("a.side",))
+    write_set(tmp_path, "new", ("a.side",))
+    assert (tmp_path / "a.mask").read_text() == "mine"
+    assert (tmp_path / "a.main").readlink() == Path("real.main")
+    assert (tmp_path / "real.main").read_text() == "new a.main"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "a.main",
+        "a.mask",
+        "a.side",
+        "deep",
+        "here",
+        "real.main",
+    ]

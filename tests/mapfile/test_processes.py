@@ -9,11 +9,13 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from fieldgrid.errors import MapError
-from fieldgrid.mapfile import MapFile, create_map, open_map
+from fieldgrid.errors import MapError, MapWriteError
+from fieldgrid.mapfile import MapFile, create_map, open_map, row_digest
+from fieldgrid.mapfile.database import reading
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 
 OURS, LEFT = 0, 7
@@ -131,3 +133,46 @@ def test_another_thread_may_take_a_map_over(tmp_path: Path) -> None:
         thread.start()
         thread.join()
         assert names == ["0"]
+
+
+def test_no_other_thread_reads_a_map_that_is_being_verified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would get the texts as bytes."""
+    path = write_map(tmp_path / "field.gpkg", [drive(2)])
+    said: list[str] = []
+    original = row_digest.of_rows
+
+    def other(universal: MapFile) -> None:
+        for use in (universal.sessions, lambda: universal.rename_session("0", "1")):
+            try:
+                use()
+            except MapError as error:
+                said.append(str(error))
+
+    with open_map(path, writable=True) as universal:
+
+        def slow(*arguments: Any) -> int:
+            if not said:
+                thread = threading.Thread(target=other, args=(universal,))
+                thread.start()
+                thread.join()
+            return original(*arguments)
+
+        monkeypatch.setattr(row_digest, "of_rows", slow)
+        assert universal.verify(1).sound
+        assert [s for s in said if "is being verified by another thread" in s] == said
+        assert len(said) == 2
+        universal.rename_session("0", "1")
+
+
+def test_a_change_while_the_map_is_being_read_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "field.gpkg", [drive(2)])
+    with open_map(path, writable=True) as universal:
+        connection = universal._connection
+        with (
+            reading(connection, path),
+            pytest.raises(MapWriteError, match="open the map once for each thread"),
+        ):
+            universal.rename_session("0", "1")
+        universal.rename_session("0", "1")

@@ -167,6 +167,7 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
             "fieldgrid_frame; END",
             "trigger gone changes fieldgrid_session",
         ),
+        ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
     ],

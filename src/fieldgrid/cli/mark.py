@@ -157,10 +157,10 @@ def _corners(flag: str, text: str) -> tuple[tuple[float, float], ...]:
 def _read(path: Path) -> Any:
     """A GeoJSON as Python has it."""
     from fieldgrid.errors import ConfigError
-    from fieldgrid.limits import check_document
+    from fieldgrid.limits import check_document, file_bytes
 
     try:
-        check_document(path.stat().st_size, path, ConfigError)
+        check_document(file_bytes(path), path, ConfigError)
         return json.loads(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error

@@ -24,7 +24,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import TruthError
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
-from fieldgrid.limits import bounded_lines, check_document
+from fieldgrid.limits import bounded_lines, check_document, file_bytes
 
 ROW, AREA = "row", "area"
 
@@ -65,9 +65,10 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     """Read a survey into the plane of a datum; a problem is a TruthError that names the file."""
     path = Path(path)
     try:
+        size = file_bytes(path)
         with path.open(encoding="utf-8-sig", newline="") as file:
             if _is_json(path):
-                check_document(path.stat().st_size, path, TruthError)
+                check_document(size, path, TruthError)
                 things_of_file: Iterable[Surveyed] = _geojson(file.read(), datum)
             else:
                 things_of_file = _csv(bounded_lines(file, path), datum)

@@ -18,7 +18,7 @@ from fieldgrid.errors import LimitError, TruthError
 from fieldgrid.evaluation.terrain import TrueGround
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.limits import bounded_lines, counted_rows
+from fieldgrid.limits import bounded_lines, counted_rows, file_bytes
 
 _OBSTACLES = "obstacle_raster_5cm.npz"
 _GROUND = "ground_dtm_25cm.npz"
@@ -103,6 +103,7 @@ def _read_ground(path: Path) -> TrueGround:
 
 def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
     try:
+        file_bytes(path)
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             claimed = sum(archive.getinfo(f"{name}.npy").file_size for name in names)
         if claimed > _MAX_TRUTH_BYTES:
@@ -126,6 +127,7 @@ def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
 
 def _read_poses(path: Path) -> tuple[TruthPose, ...]:
     try:
+        file_bytes(path)
         with path.open(newline="", encoding="utf-8") as lines:
             rows = csv.DictReader(bounded_lines(lines, path))
             return tuple(_truth_pose(row) for row in counted_rows(rows, path))

@@ -35,6 +35,7 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 _FREE_GREY, _UNKNOWN_GREY, _OCCUPIED_GREY = 254, 205, 0
 _RAW_UNKNOWN = 255
 _ENDINGS = (".yaml", ".yml")
+_SPEED_ENDINGS = (".speed.pgm", ".speed.yaml", ".speed.params.yaml")
 _INDEX = "index.yaml"
 _GEOREFERENCE = b"fieldgrid_georeference"
 
@@ -84,7 +85,7 @@ def export_nav2(
     """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`, and
     the keep-outs as a mask for Nav2's keepout filter: `OUT.keepout.yaml` with its picture; where a
     speed of slow zones is given, those for the speed filter, too: `OUT.speed.yaml` with its picture
-    and `OUT.speed.params.yaml`.
+    and `OUT.speed.params.yaml`; where none is given, those of the map that is replaced go.
 
     The curve of the options makes an occupancy of the density. `trinary` keeps free and obstacle;
     doubt is read back as unknown. `scale` and `raw` keep each of 0..100 and unknown exactly. The
@@ -95,8 +96,8 @@ def export_nav2(
     A part of more than 25 million cells is too large for one map: it is cut into maps of up to
     4096 x 4096 cells in the folder `OUT.tiles`, of which `index.yaml` is the list.
 
-    The files appear when all are complete, the YAML file last. Raises ConfigError for what cannot
-    be asked, MapExistsError, MapWriteError.
+    The files appear when all are complete, and take the places of others at once. Raises
+    ConfigError for what cannot be asked, MapExistsError, MapWriteError.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
@@ -110,14 +111,19 @@ def export_nav2(
     if whole.is_large:
         return _export_tiles(universal, path, selection, options, whole, overwrite=overwrite)
     part = _Part(universal, path, selection, options)
+    speed = [path.with_suffix(ending) for ending in _SPEED_ENDINGS]
+    old = [file for file in speed if file.exists()]
     paths = write_together(
         part.writers(),
         overwrite=overwrite,
         ours=lambda file: mentions(file.with_suffix(".georef.json"), _GEOREFERENCE),
         what="a Nav2 map",
+        gone=speed if options.slow_percent is None else (),
     )
     cells = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
     rows = (("mode", options.mode), ("cells", cells), *_rows(part.counts))
+    if gone := [file.name for file in old if not file.exists()]:
+        rows += (("removed with the old map", ", ".join(gone)),)
     about = {"mode": options.mode, **_counted(part.counts)}
     about |= extent(whole.lattice, whole.window, universal.datum)
     return Exported((paths[-1], *paths[:-1]), rows, about)
@@ -232,13 +238,11 @@ class _Part:
     def _speed_writers(
         self, path: Path, slow: npt.NDArray[np.int8]
     ) -> dict[Path, Callable[[Path], None]]:
-        mask, picture = path.with_suffix(".speed.yaml"), path.with_suffix(".speed.pgm")
+        picture, mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
         return {
             picture: _picture_writer(slow, "raw", "pgm"),
             mask: _text_writer(self._yaml(picture.name, "raw")),
-            path.with_suffix(".speed.params.yaml"): _text_writer(
-                _dumped(filter_parameters(mask.name))
-            ),
+            parameters: _text_writer(_dumped(filter_parameters(mask.name))),
         }
 
     def _yaml(self, picture: str, mode: str) -> str:

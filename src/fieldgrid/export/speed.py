@@ -17,7 +17,7 @@ from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, LimitError
 from fieldgrid.export.options import CurveOptions
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.limits import bounded_lines
+from fieldgrid.limits import bounded_lines, file_bytes
 from fieldgrid.settings import Flag, setting
 
 BASE, MULTIPLIER = 100.0, -1.0
@@ -126,7 +126,7 @@ def _turns(path: Path, radius_m: float, cells: Cells) -> Bool:
 def _turning_poses(path: Path, radius_m: float) -> Float64:
     """East and north of the poses of a route whose curvature is that of a turn."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if file_bytes(path) > _MOST_BYTES:
             raise ConfigError(f"{path} is over {_MOST_BYTES // 10**6} MB; no route is.")
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = [

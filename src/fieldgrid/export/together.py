@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import filecmp
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapWriteError
-from fieldgrid.publish import Draft
+from fieldgrid.export.name_set import held_set, show
+from fieldgrid.publish import Draft, writing
 
 
 def write_together(
@@ -17,20 +19,21 @@ def write_together(
     overwrite: bool,
     ours: Callable[[Path], bool],
     what: str,
+    gone: Sequence[Path] = (),
 ) -> tuple[Path, ...]:
     """Write files by their writers, which are given the file to write, then name all of them.
 
-    The last one is what a program opens, and which refers to the others. Where no more than one
-    file differs from what is there already, each takes the place of the old one at once. Else the
-    last one is the last to get its name, and what it replaces goes first, so that nobody opens it
-    with the files of another.
-    When one fails before the first is named, none is changed; later none is left. `ours` and `what`
-    tell of the last file whether it may be replaced, as a :class:`Draft` has them. Raises
+    The last one is what a program opens, and which refers to the others. Where it replaces another
+    one, all names change at once: a program that is killed leaves the old files or the new ones.
+    Files of an earlier set that are in `gone` go with it. Where the file system has no links, the
+    old one that programs open goes first, and the new one comes last, so that nobody opens it with
+    files of the other set. When one fails before the first is named, none is changed. `ours` and
+    `what` tell of the last file whether it may be replaced, as a :class:`Draft` has them. Raises
     MapExistsError when one exists and may not be overwritten, MapWriteError when one cannot be
     written.
     """
     targets = tuple(writers)
-    with ExitStack() as stack:
+    with held_set(targets[-1]) as folder, ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
             check = ours if target == targets[-1] else None
@@ -44,24 +47,42 @@ def write_together(
                     f"{targets[-1]} could not be written: its {draft.target.name} failed "
                     f"({error.strerror or error}); check the space on the disk."
                 ) from error
-        _name(drafts, targets)
+        # Before anything has changed, so that names are links for as short as can be.
+        for draft in drafts:
+            draft.sync()
+        if not overwrite:
+            _publish(drafts)
+        else:
+            # A link of the user's own making stays.
+            there = [path for path in gone if path.is_file() and not path.is_symlink()]
+            _replace(drafts, there, folder)
     return targets
 
 
-def _name(drafts: Sequence[Draft], targets: Sequence[Path]) -> None:
-    # Before anything has gone, so that what programs open is missing for as short as can be.
-    for draft in drafts:
-        draft.sync()
+def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) -> None:
+    main = drafts[-1].target
     changed = [draft for draft in drafts if not _is_there(draft)]
-    if len(changed) <= 1:
+    if not gone and len(changed) <= 1:
         # The last one also where it is the same: its time tells when the export was made.
-        drafts = [draft for draft in drafts[:-1] if draft in changed] + [drafts[-1]]
-        for draft in drafts:
+        for draft in [draft for draft in drafts[:-1] if draft in changed] + [drafts[-1]]:
             draft.publish()
         return
-    ours = [_identity(draft.file) for draft in drafts]
-    if targets[-1].exists():
-        targets[-1].unlink()
+    places = [draft.place for draft in drafts] + [
+        Path(os.path.realpath(path.parent)) / path.name for path in gone
+    ]
+    if folder and main.exists() and all(place.parent == folder.parent for place in places):
+        with writing(main):
+            files = {draft.place.name: draft.file for draft in drafts}
+            if show(folder, files, [path.name for path in gone]):
+                return
+    # The file that programs open is missing while the others change.
+    for old in (drafts[-1].place, *gone):
+        old.unlink(missing_ok=True)
+    _publish(drafts)
+
+
+def _publish(drafts: Sequence[Draft]) -> None:
+    identities = [_identity(draft.file) for draft in drafts]
     try:
         for draft in drafts[:-2]:
             draft.publish(for_good=False)
@@ -69,10 +90,10 @@ def _name(drafts: Sequence[Draft], targets: Sequence[Path]) -> None:
             draft.publish()
     except BaseException:
         # Also of the one that failed, which may have its name already; never of somebody else's.
-        for target, identity in zip(targets, ours, strict=True):
+        for draft, identity in zip(drafts, identities, strict=True):
             with suppress(OSError):
-                if _identity(target) == identity:
-                    target.unlink()
+                if _identity(draft.place) == identity:
+                    draft.place.unlink()
         raise
 
 

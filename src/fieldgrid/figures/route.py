@@ -13,7 +13,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, LimitError
 from fieldgrid.geodesy import Datum
-from fieldgrid.limits import bounded_lines, check_document, counted_rows
+from fieldgrid.limits import bounded_lines, check_document, counted_rows, file_bytes
 
 
 def read_route(path: str | Path, datum: Datum) -> Float64:
@@ -25,9 +25,10 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     """
     path = Path(path)
     try:
+        size = file_bytes(path)
         if path.suffix.lower() == ".csv":
             return _poses(path)
-        check_document(path.stat().st_size, path, ConfigError)
+        check_document(size, path, ConfigError)
         places = _all_places(path)
     except (ConfigError, LimitError):
         raise

@@ -40,6 +40,8 @@ class _Connection(sqlite3.Connection):
 
     owner = 0
     file = (0, 0)
+    thread = 0
+    """The only thread that may use it, while it has other settings than usual; 0 for any."""
 
 
 _OPEN: weakref.WeakSet[_Connection] = weakref.WeakSet()
@@ -78,6 +80,23 @@ def _check_owner(connection: sqlite3.Connection, name: Path) -> None:
             f"{name} was opened by another process, of which this one is a copy (fork); open it "
             "again in this process."
         )
+    if getattr(connection, "thread", 0) not in (0, threading.get_ident()):
+        raise MapError(
+            f"{name} is being verified by another thread; open the map once for each thread."
+        )
+
+
+@contextmanager
+def alone(connection: sqlite3.Connection) -> Iterator[None]:
+    """In the block, no other thread begins to read or change the map by this connection."""
+    if not isinstance(connection, _Connection):
+        yield
+        return
+    before, connection.thread = connection.thread, threading.get_ident()
+    try:
+        yield
+    finally:
+        connection.thread = before
 
 
 def connect(
@@ -178,6 +197,11 @@ def writing(
 ) -> Iterator[None]:
     """One transaction: all of it is in the file afterwards, or, on any error, nothing."""
     _check_owner(connection, name)
+    if connection.in_transaction:
+        raise MapWriteError(
+            f"{name} is being read or changed already, and was not changed; end that first, and "
+            "open the map once for each thread."
+        )
     with explained(name, writing=True):
         _when_free(connection, "BEGIN IMMEDIATE", patience)
         try:

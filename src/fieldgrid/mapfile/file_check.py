@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -28,15 +29,21 @@ _STORED = {
 }
 """What SQLite holds in a column of a type, and how that is called; a blob in all others."""
 
+_UNIQUE = re.compile(r"\s*CREATE\s+UNIQUE\b", re.IGNORECASE)
 _LARGEST_ID = 1 << 53
 """SQLite takes no row behind the largest number that it has; some programs count no further."""
 
 
 def check_file(subject: Subject) -> Iterator[str]:
     """The pages of the file, its header, and references between its tables."""
+    yield from check_pages(subject)
+    yield from orphans(subject.connection)
+
+
+def check_pages(subject: Subject) -> Iterator[str]:
+    """The pages of the file, and its header."""
     connection = subject.connection
     yield from damaged_pages(connection)
-    yield from orphans(connection)
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version != schema.GEOPACKAGE_VERSION:
         yield (
@@ -56,9 +63,11 @@ def check_layout(subject: Subject) -> Iterator[str]:
     tables = {row[2] for row in known}
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
-    for kind, name, table, _ in sorted(ours - known):
+    for kind, name, table, sql in sorted(ours - known):
         if kind == "trigger" and table in tables:
             yield f"A trigger {name} changes {table} behind the map's back; drop it."
+        if kind == "index" and table in tables and _UNIQUE.match(str(sql)):
+            yield f"The index {name} of {table} may refuse new rows; drop it."
     for (table,) in connection.execute(
         "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
     ):

@@ -8,15 +8,14 @@ that the map is what its writers made of it, and are begun only where that was v
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from fieldgrid.mapfile.root import root_in_meta
+from fieldgrid.mapfile.row_digest import of_row, of_rows
 from fieldgrid.mapfile.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES
 
 SUMMED_TABLES = (*EVIDENCE_TABLES, *DERIVED_TABLES, "density", *GEOMETRIES)
@@ -54,13 +53,9 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
     return kept if kept.pop(_ROOT, None) == root_in_meta(connection) else {}
 
 
-def sum_of(connection: sqlite3.Connection, table: str) -> str:
-    """The sum of a table as its rows give it now."""
-    as_usual, connection.text_factory = connection.text_factory, bytearray
-    try:
-        return _written(sum(map(_of_row, connection.execute(f"SELECT * FROM {table}"))))
-    finally:
-        connection.text_factory = as_usual
+def fits(kept: str | None, total: int) -> bool:
+    """Whether a sum that is kept is that of the rows."""
+    return kept == _written(total)
 
 
 def create_sums(connection: sqlite3.Connection) -> None:
@@ -75,7 +70,7 @@ def begin_sums(connection: sqlite3.Connection) -> None:
     """
     drop_sums(connection)
     create_sums(connection)
-    sums = {table: sum_of(connection, table) for table in SUMMED_TABLES}
+    sums = {table: _written(of_rows(connection, table)) for table in SUMMED_TABLES}
     connection.executemany("INSERT INTO fieldgrid_sum VALUES (?, ?)", sums.items())
     _note_root(connection)
 
@@ -136,7 +131,7 @@ class RowCounter:
                 )
 
     def _count(self, table: str, sign: int, *row: Any) -> None:
-        self._changes[table] += sign * _of_row(row)
+        self._changes[table] += sign * of_row(row)
 
     def _add(self, table: str, change: int) -> None:
         row = self._connection.execute(
@@ -172,46 +167,6 @@ def _columns(connection: sqlite3.Connection, tables: Sequence[str]) -> Mapping[s
 def _hashable(column: str) -> str:
     """A value as it is hashed: text as x and the digits of its bytes."""
     return f"CASE typeof({column}) WHEN 'text' THEN 'x' || hex({column}) ELSE {column} END"
-
-
-class _Form(NamedTuple):
-    """How a row of values of some types is hashed: a line of values, then the blobs."""
-
-    line: str
-    blobs: tuple[int, ...]
-    texts: tuple[int, ...]
-
-
-_AS_WRITTEN: Mapping[type, str] = {
-    bytes: "[%d]",  # a blob by its length
-    bytearray: '"x%s"',  # a text by the digits of its bytes, which need be no UTF-8
-    str: '"%s"',  # such digits already
-    int: "%r",
-    float: "%r",
-    type(None): "null%.0s",  # which writes nothing of the value
-}
-
-
-@lru_cache
-def _form_of(types: tuple[type, ...]) -> _Form:
-    """Rows of one table have few forms, and a map has many rows."""
-    line = ",".join(_AS_WRITTEN[kind] for kind in types)
-    blobs = tuple(k for k, kind in enumerate(types) if kind is bytes)
-    texts = tuple(k for k, kind in enumerate(types) if kind is bytearray)
-    return _Form(f"[{line}]\n", blobs, texts)
-
-
-def _of_row(row: Sequence[Any]) -> int:
-    """The SHA-256 of a row: a line of values, a blob as a list of its length, then the blobs."""
-    form, values = _form_of(tuple(map(type, row))), list(row)
-    for k in form.texts:
-        values[k] = row[k].hex().upper()
-    for k in form.blobs:
-        values[k] = len(row[k])
-    hashed = hashlib.sha256((form.line % tuple(values)).encode())
-    for k in form.blobs:
-        hashed.update(row[k])
-    return int.from_bytes(hashed.digest(), "big")
 
 
 def _written(total: int) -> str:

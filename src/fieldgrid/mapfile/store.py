@@ -57,6 +57,8 @@ def open_map(
     if datum is not None and not path.exists():
         return create_map(path, datum, cell_m=cell_m, transfer=transfer)
     if not path.is_file():
+        if path.exists():
+            raise MapError(f"{path} is a folder, a pipe or a device; give the file of a map.")
         if path.is_symlink():
             raise MapError(
                 f"{path} leads to {os.readlink(path)}, which is not there; connect the drive or "

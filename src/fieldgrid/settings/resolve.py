@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from fieldgrid.documents import MAX_BYTES, parse_toml
 from fieldgrid.errors import ConfigError
+from fieldgrid.limits import file_bytes
 from fieldgrid.settings.declare import Problem, declared, first_problem
 from fieldgrid.settings.models import BuildSettings
 
@@ -41,6 +42,7 @@ def resolve(path: str | Path | None, overrides: Overrides) -> BuildSettings:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
+        file_bytes(path)
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except OSError as error:

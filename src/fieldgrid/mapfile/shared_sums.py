@@ -1,0 +1,134 @@
+"""The sums of a map's rows, made by several processes.
+
+Rows are short, so most of the time goes into the interpreter, whose lock lets threads gain nothing.
+While this process reads the map nobody commits, so all processes see the same state.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid.mapfile import row_digest
+
+BYTES_A_PROCESS = 32 << 20
+"""What one process reads while another one starts, many times over."""
+
+_PIECES = 64
+
+
+class _Piece(NamedTuple):
+    """Rows of a table: those from a first to a last row id, or all."""
+
+    table: str
+    rows: tuple[int, int] | None = None
+
+
+@contextmanager
+def sharing_sums(
+    connection: sqlite3.Connection, tables: Sequence[str], jobs: int
+) -> Iterator[SharedSums]:
+    """Begins to sum the rows of tables by up to `jobs` processes, this one included.
+
+    The others end with the block.
+    """
+    (*_, file) = connection.execute("PRAGMA database_list").fetchone()
+    (mode,) = connection.execute("PRAGMA journal_mode").fetchone()
+    # With a write-ahead log, others would see another state.
+    size = Path(file).stat().st_size if file and mode == "delete" else 0
+    sums = SharedSums(connection, Path(file), min(jobs - 1, size // BYTES_A_PROCESS))
+    try:
+        sums.begin(tables)
+        yield sums
+    finally:
+        sums.stop()
+
+
+class SharedSums:
+    """Sums that are being made, piece by piece, by this process and so many others."""
+
+    def __init__(self, connection: sqlite3.Connection, file: Path, others: int) -> None:
+        self._connection, self._file, self._others = connection, file, others
+        self._pieces = deque[_Piece]()
+        self._done = list[tuple[str, int]]()
+        self._threads = list[threading.Thread]()
+
+    def begin(self, tables: Sequence[str]) -> None:
+        """Start the processes; the largest tables should come first."""
+        for table in tables:
+            if self._others > 0:
+                self._pieces += _pieces(self._connection, table)
+            else:
+                self._pieces.append(_Piece(table))
+        for _ in range(self._others):
+            thread = threading.Thread(target=self._share, name="fieldgrid-sums", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def finish(self) -> dict[str, int]:
+        """The sum of each table. This process does what no other one has begun yet."""
+        self._work()
+        self._join()
+        self._work()  # what others have left
+        sums = dict.fromkeys((table for table, _ in self._done), 0)
+        for table, part in self._done:
+            sums[table] += part
+        return sums
+
+    def stop(self) -> None:
+        """Begin no other piece, and wait for the processes to end."""
+        self._pieces.clear()
+        self._join()
+
+    def _join(self) -> None:
+        for thread in self._threads:
+            thread.join()
+
+    def _work(self) -> None:
+        while piece := self._next():
+            part = row_digest.of_rows(self._connection, piece.table, piece.rows)
+            self._done.append((piece.table, part))
+
+    def _next(self) -> _Piece | None:
+        with suppress(IndexError):
+            return self._pieces.popleft()
+        return None
+
+    def _share(self) -> None:
+        """Have another process do pieces while there are any."""
+        command = [sys.executable, "-I", "-S", row_digest.__file__, str(self._file)]
+        pipe = subprocess.PIPE
+        with (
+            suppress(OSError),
+            subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, bufsize=1
+            ) as process,
+        ):
+            assert process.stdin is not None
+            assert process.stdout is not None
+            while (piece := self._next()) and piece.rows is not None:
+                try:
+                    process.stdin.write(f"{piece.table} {piece.rows[0]} {piece.rows[1]}\n")
+                    part = int(process.stdout.readline())
+                except (OSError, ValueError):
+                    # It could not read the map, which a writer may be waiting for.
+                    self._pieces.append(piece)
+                    return
+                self._done.append((piece.table, part))
+
+
+def _pieces(connection: sqlite3.Connection, table: str) -> Iterator[_Piece]:
+    first, last = connection.execute(f"SELECT min(rowid), max(rowid) FROM {table}").fetchone()
+    if first is None:
+        yield _Piece(table, (0, 0))
+        return
+    step = max((last - first) // _PIECES, 100)
+    for start in range(first, last + 1, step):
+        yield _Piece(table, (start, min(start + step - 1, last)))
