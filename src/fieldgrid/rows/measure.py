@@ -12,7 +12,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.evidence import Evidence
 from fieldgrid.polyline import extended, lengths, part, project, resampled
 from fieldgrid.rows.chains import without_doubles
-from fieldgrid.rows.contrast import chance_of_noise, stand_out
+from fieldgrid.rows.contrast import chances_of_noise, contrast, stand_out
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, connected_run, find_extent
 from fieldgrid.rows.fit import fit_curve
@@ -105,14 +105,14 @@ def _candidates(
     evidence: Evidence, settled: list[Settled], width: HalfWidth, crop: Crop
 ) -> list[tuple[Measured, float]]:
     """The rows of profiles, each with its chance to be noise."""
-    found = []
+    found, contrasts = [], []
     for near in settled:
         row = _measured(evidence, near, width, crop)
         if row is not None:
             half_way_m = 0.5 / _GATE * near.gate_m
-            chance = chance_of_noise(evidence, row.line, row.half_width_m, half_way_m, crop)
-            found.append((row, chance))
-    return found
+            found.append(row)
+            contrasts.append(contrast(evidence, row.line, row.half_width_m, half_way_m, crop))
+    return list(zip(found, chances_of_noise(contrasts).tolist(), strict=True))
 
 
 def _single(candidates: list[tuple[Measured, float]], crop: Crop) -> list[tuple[Measured, float]]:
