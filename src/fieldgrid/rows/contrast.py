@@ -26,9 +26,6 @@ _CORE = 0.7
 _FLANK = 0.8
 """Ground from this share of the way to the middle between two rows is beside the row."""
 
-_APART = 4.0
-"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
-
 _CLEAR = 2.5
 """Parts beside a row begin so many half widths of its core from its middle."""
 
@@ -65,15 +62,14 @@ def contrast(
     # What was not seen of the ground beside a row may be as noisy as what was.
     seen = max(float((flank != UNSEEN).mean()), _LEAST_SEEN)
     parts_m = [max(0.5 * crop.plant_spacing_m, 0.5)]
-    are_single = crop.plant_spacing_m > _APART * crop.half_width_m
-    if are_single:
+    if crop.are_single:
         # Between trunks every other such part is bare, as it is not in longer ones.
         parts_m.append(crop.plant_spacing_m)
     chances = [_chance(core == OBSTACLE, flank == OBSTACLE, seen, part_m) for part_m in parts_m]
     # The best of some tests is that often a chance.
     chance = min(1.0, len(chances) * min(chances))
     none = np.zeros(0, dtype=np.int64)
-    is_tested = are_single and chance < 1.0
+    is_tested = crop.are_single and chance < 1.0
     counts = _counts(strip, core_m, crop.plant_spacing_m) if is_tested else (none, none)
     return Contrast(chance, *counts)
 

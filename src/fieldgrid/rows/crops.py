@@ -12,6 +12,10 @@ from dataclasses import dataclass, fields, replace
 from fieldgrid.errors import ConfigError
 
 
+_APART = 4.0
+"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
+
+
 @dataclass(frozen=True, slots=True)
 class Crop:
     """Distances of a planting, metres.
@@ -50,6 +54,11 @@ class Crop:
     def patch_m(self) -> float:
         """Side of the patches in which rows are straight lines: some rows and some plants."""
         return max(4.0 * self.min_spacing_m + 2.0 * self.max_spacing_m, 8.0 * self.plant_spacing_m)
+
+    @property
+    def are_single(self) -> bool:
+        """Whether there is room between plants, as between trees of an orchard."""
+        return self.plant_spacing_m > _APART * self.half_width_m
 
     def changed(self, **given: float | None) -> Crop:
         """The same crop with some distances given by hand; None leaves a distance as it is."""

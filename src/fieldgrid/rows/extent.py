@@ -38,6 +38,12 @@ _REACH = 1.5
 _REACH_M = 2.0
 """How far beyond a hole plants are counted, in its lengths and at least."""
 
+_FEW = 2.2
+"""Where so many places of single plants are bare, the next one is still of the row."""
+
+_PLANT = 0.3
+"""A piece with less than this share of the usual cells at its densest place is a speck."""
+
 _STEP_M = 0.1
 _CELLS = 8
 """Cells that a mean along the row is to have, where the evidence is thin."""
@@ -86,13 +92,17 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
 
     What lies beyond a hole belongs to the row if it is long for that hole, in one piece or, where
     plants are missing one by one, in several: a trailer that stands in line with a row does not
-    lengthen it, and a speck in a hole does not end it. None when there is no run.
+    lengthen it, and a speck in a hole does not end it. A single plant is as long as its place in
+    the row, where few are missing. None when there is no run.
     """
     some = weight > 0.0
     if not some.any():
         return None
     occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
-    parts = _closed(runs(occupied), crop.plant_spacing_m / step_m)
+    pieces = runs(occupied)
+    if crop.are_single:
+        pieces = _plants(weight, pieces)
+    parts = _closed(pieces, crop.plant_spacing_m / step_m)
     first = last = int(np.argmax([b - a for a, b in parts]))
 
     def is_more(k: int, hole: int, beyond: slice) -> bool:
@@ -101,6 +111,9 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
         least = max(1.0 / step_m, 0.5 * hole)
         if hole * step_m > crop.max_bridge_m:
             return False
+        place = crop.plant_spacing_m / step_m
+        if crop.are_single and hole <= _FEW * place:
+            return True
         if parts[k][1] - parts[k][0] >= least:
             return True
         reach = max(_REACH * hole, _REACH_M / step_m)
@@ -115,6 +128,16 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
         is_row = is_more(k, parts[k][0] - parts[last][1], slice(k, len(parts)))
         last = k if is_row else last
     return parts[first][0], parts[last][1]
+
+
+def _plants(weight: Float64, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The pieces that are as dense as plants: specks between and beyond single ones are not."""
+    peaks = np.array([weight[a:b].max() for a, b in pieces])
+    order = peaks.argsort()
+    cells = np.array([weight[a:b].sum() for a, b in pieces])[order].cumsum()
+    # Half of all cells are in pieces at least so dense.
+    usual = peaks[order][np.searchsorted(cells, 0.5 * cells[-1])]
+    return [piece for piece, peak in zip(pieces, peaks, strict=True) if peak >= _PLANT * usual]
 
 
 def _closed(parts: list[tuple[int, int]], hole: float) -> list[tuple[int, int]]:
