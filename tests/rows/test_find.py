@@ -178,7 +178,7 @@ def test_one_obstacle_cell_narrows_its_metre_of_a_lane(heading_deg: float) -> No
     assert before.free_width_m > 1.5
     assert before.free_width_m == np.nanmin(before.widths_m)
     assert 0.7 < after.free_width_m < 1.1
-    narrowed = np.flatnonzero(~np.isclose(after.widths_m, before.widths_m, atol=0.05))
+    narrowed = np.flatnonzero(~np.isclose(after.widths_m, before.widths_m, atol=0.08))
     assert narrowed.tolist() == [12]
 
 

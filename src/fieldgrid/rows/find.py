@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,11 @@ MAX_CELLS = 100_000_000
 DEFAULT_HOLE_M = 0.25
 DEFAULT_HEADLAND_M = 15.0
 _DRIVEN_SHARE = 0.5
+
+_BENDS = ("bend", "pieces")
+"""Doubts by which rows may bend more than the patches allow in which they are straight lines."""
+
+_SAME_CELLS = 0.97
 
 
 def find_rows(
@@ -104,6 +110,30 @@ def _planting(
     headland_m: float,
 ) -> Planting:
     crop = crop if isinstance(crop, Crop) else crop_named(crop)
+    found = _with_crop(evidence, datum, drives, crop, hole_m, headland_m)
+    if crop.bend or not any(doubt.kind in _BENDS for doubt in found.doubts):
+        return found
+    bent = _with_crop(evidence, datum, drives, replace(crop, bend=True), hole_m, headland_m)
+    return bent if _is_better(bent.rows, found.rows) else found
+
+
+def _is_better(rows: Sequence[Row], others: Sequence[Row]) -> bool:
+    """Whether rows have about all of the cells of others, and are longer: they are less broken."""
+    if not rows or not others:
+        return bool(rows)
+    cells, before = (sum(row.cells for row in some) for some in (rows, others))
+    length_m, before_m = (float(np.mean([r.length_m for r in some])) for some in (rows, others))
+    return cells >= _SAME_CELLS * before and length_m > before_m
+
+
+def _with_crop(
+    evidence: Evidence,
+    datum: Datum,
+    drives: Drives | None,
+    crop: Crop,
+    hole_m: float,
+    headland_m: float,
+) -> Planting:
     split = _measured(evidence, crop)
     ordered = order_rows(split.rows, crop)
     reach = Reach(drives)
