@@ -42,7 +42,7 @@ def test_a_wide_canopy_of_sown_plants_is_one_row(seed: int) -> None:
     assert kinds(found) == []
 
 
-@pytest.mark.parametrize("radius_m", [70.0, 90.0])
+@pytest.mark.parametrize("radius_m", [35.0, 50.0, 70.0, 90.0])
 def test_rows_that_bend_are_whole(radius_m: float) -> None:
     rows = arcs(radius_m, 60.0)
     found = rows_of_view(view_of(rows, replace(QUIET, fill=0.6)))
@@ -50,9 +50,10 @@ def test_rows_that_bend_are_whole(radius_m: float) -> None:
     assert kinds(found) == []
 
 
-@pytest.mark.parametrize("radius_m", [20.0, 40.0])
-def test_tight_bends_are_told(radius_m: float) -> None:
-    found = rows_of_view(view_of(arcs(radius_m, 40.0), replace(QUIET, fill=0.6)))
+def test_tight_bends_are_told() -> None:
+    rows = arcs(20.0, 36.0)
+    found = rows_of_view(view_of(rows, replace(QUIET, fill=0.6)))
+    assert faults(found, rows) == (0, 0)
     assert "bend" in kinds(found)
 
 
@@ -120,8 +121,8 @@ def test_a_road_with_straight_edges_is_no_doubt_in_four_rows() -> None:
 
 def test_holes_side_by_side_by_chance_are_no_road() -> None:
     """Where 40 % of the plants are missing, some are in all of a few rows."""
-    found = outcome(0.4, 14)
-    assert found.rows == (4, 0, 0)
+    found = outcome(0.4, 46)
+    assert found.rows == (8, 0, 0)
     assert found.told == ("road",)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from fieldgrid.errors import ConfigError
-
 
 _APART = 4.0
 """Plants are single ones whose canopies, of so many half widths, would leave room between them."""
@@ -69,7 +69,7 @@ class Crop:
 
     def changed(self, **given: float | None) -> Crop:
         """The same crop with some distances given by hand; None leaves a distance as it is."""
-        known = {name: value for name, value in given.items() if value is not None}
+        known: dict[str, Any] = {k: value for k, value in given.items() if value is not None}
         return replace(self, **known)
 
 

@@ -19,7 +19,9 @@ from fieldgrid.rows.result import Doubt, Planting
 from fieldgrid.rows.roads import DoubtfulRoad
 
 _IN_LINE = np.cos(np.radians(25.0))
-_RADIUS_M = 65.0
+_RADIUS_M, _BENT_RADIUS_M = 65.0, 30.0
+"""Rows that bend less are found whole; the second, where they were looked for as bent ones."""
+
 _SAGITTA_M = 0.4
 _ROAD_M = 2.0
 """Across less than this there is no road between blocks."""
@@ -47,7 +49,7 @@ def find_doubts(
     if not planting.rows:
         return ()
     return (
-        *_bent(planting),
+        *_bent(planting, _BENT_RADIUS_M if crop.bend else _RADIUS_M),
         *_in_pieces(planting, crop),
         *_at_roads(planting, roads),
         *_uneven(planting),
@@ -55,15 +57,16 @@ def find_doubts(
     )
 
 
-def _bent(planting: Planting) -> list[Doubt]:
+def _bent(planting: Planting, least_m: float) -> list[Doubt]:
     """Rows that bend more than those which are found whole."""
     found = {}
     for row in planting.rows:
         line = np.asarray(row.line.coords)
         sagitta_m = float(np.abs(project(line, line[[0, -1]])[1]).max())
         if sagitta_m > _SAGITTA_M:
-            found[row.id] = float(np.hypot(*(line[-1] - line[0]))) ** 2 / (8.0 * sagitta_m)
-    tight = {name: radius_m for name, radius_m in found.items() if radius_m < _RADIUS_M}
+            chord_m = float(np.hypot(*(line[-1] - line[0])))
+            found[row.id] = chord_m**2 / (8.0 * sagitta_m) + 0.5 * sagitta_m
+    tight = {name: radius_m for name, radius_m in found.items() if radius_m < least_m}
     if not tight:
         return []
     return [
@@ -71,7 +74,7 @@ def _bent(planting: Planting) -> list[Doubt]:
             "bend",
             tuple(tight),
             f"{len(tight)} of {len(planting.rows)} rows bend to a radius of "
-            f"{min(tight.values()):.0f} m or so; below {_RADIUS_M:.0f} m rows may be in pieces, or "
+            f"{min(tight.values()):.0f} m or so; below {least_m:.0f} m rows may be in pieces, or "
             "missed",
         )
     ]

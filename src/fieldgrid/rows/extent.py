@@ -38,7 +38,7 @@ _REACH = 1.5
 _REACH_M = 2.0
 """How far beyond a hole plants are counted, in its lengths and at least."""
 
-_FEW = 2.2
+_FEW = 2.5
 """Where so many places of single plants are bare, the next one is still of the row."""
 
 _PLANT = 0.3
@@ -198,10 +198,10 @@ def _overhang_m(cells: UInt8, across_m: Float64, width_m: float) -> float:
     """How far the cells [n, m] of a row from one end on reach beyond the end of its line: half of
     a canopy of that width, or an end post."""
     usual_m = min(_OVERHANG_M, 0.5 * width_m)
-    some = (cells == OBSTACLE)[: round((_POST_M + _POST_HOLE_M) / _STEP_M)]
+    some = (cells == OBSTACLE)[: round((_POST_M + 2.0 * _POST_HOLE_M) / _STEP_M)]
     hole = round(_POST_HOLE_M / _STEP_M)
     bare = [a for a, b in runs(~some.any(axis=1)) if b - a >= hole and a > 0]
-    if not bare:
+    if not bare or bare[0] * _STEP_M > _POST_M + _STEP_M:
         return usual_m
     columns = np.flatnonzero(some[: bare[0]].any(axis=0))
     if np.ptp(across_m[columns]) > _POST_WIDTH * width_m:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,7 +48,7 @@ _DRIVEN_SHARE = 0.5
 _BENDS = ("bend", "pieces")
 """Doubts by which rows may bend more than the patches allow in which they are straight lines."""
 
-_SAME_CELLS = 0.97
+_SAME = 0.97
 
 
 def find_rows(
@@ -114,16 +113,20 @@ def _planting(
     if crop.bend or not any(doubt.kind in _BENDS for doubt in found.doubts):
         return found
     bent = _with_crop(evidence, datum, drives, replace(crop, bend=True), hole_m, headland_m)
-    return bent if _is_better(bent.rows, found.rows) else found
+    return bent if _is_better(bent, found) else found
 
 
-def _is_better(rows: Sequence[Row], others: Sequence[Row]) -> bool:
-    """Whether rows have about all of the cells of others, and are longer: they are less broken."""
-    if not rows or not others:
-        return bool(rows)
-    cells, before = (sum(row.cells for row in some) for some in (rows, others))
-    length_m, before_m = (float(np.mean([r.length_m for r in some])) for some in (rows, others))
-    return cells >= _SAME_CELLS * before and length_m > before_m
+def _is_better(bent: Planting, found: Planting) -> bool:
+    """Whether rows have about all of the cells of others and are longer, as they are less broken,
+    or about as long with fewer doubts."""
+    if not bent.rows:
+        return False
+    cells, before = (sum(row.cells for row in some.rows) for some in (bent, found))
+    length_m, before_m = (
+        float(np.mean([row.length_m for row in some.rows])) for some in (bent, found)
+    )
+    fewer = len(bent.doubts) < len(found.doubts)
+    return cells >= _SAME * before and length_m > (_SAME if fewer else 1.0) * before_m
 
 
 def _with_crop(
@@ -207,6 +210,7 @@ def _rows(ordered: Ordered, reach: Reach) -> tuple[Row, ...]:
                 row.cells,
                 reached.sessions,
                 row.scatter_m,
+                row.extent.ends_seen,
             )
         )
     return tuple(found)

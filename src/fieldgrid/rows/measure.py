@@ -236,6 +236,7 @@ def _measured(
         length,
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.gaps_m),
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.unseen_m),
+        extent.ends_seen,
     )
     sides = float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean())
     return Measured(

@@ -31,7 +31,8 @@ class Row(NamedTuple):
     neighbours, NaN without one. `sides` tells from how many sides it was seen, 1 to 2. `known` is
     the share of its length of which something was seen. It rests on `cells` obstacle cells;
     `sessions` are those of which a frame reaches it. `scatter_m` is how far half-metres of it lie
-    off its line.
+    off its line. `ends_seen` tells of its first and last point whether the ground beyond was seen:
+    else the row may go on.
     """
 
     id: str
@@ -46,6 +47,7 @@ class Row(NamedTuple):
     cells: int
     sessions: tuple[str, ...]
     scatter_m: float
+    ends_seen: tuple[bool, bool] = (True, True)
 
 
 class Lane(NamedTuple):
