@@ -101,7 +101,7 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
     pieces = runs(occupied)
     if crop.are_single:
-        pieces = _plants(weight, pieces)
+        pieces = plants_among(weight, pieces)
     parts = _closed(pieces, crop.plant_spacing_m / step_m)
     first = last = int(np.argmax([b - a for a, b in parts]))
 
@@ -130,7 +130,7 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     return parts[first][0], parts[last][1]
 
 
-def _plants(weight: Float64, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def plants_among(weight: Float64, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """The pieces that are as dense as plants: specks between and beyond single ones are not."""
     peaks = np.array([weight[a:b].max() for a, b in pieces])
     order = peaks.argsort()

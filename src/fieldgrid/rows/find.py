@@ -19,7 +19,7 @@ from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
-from fieldgrid.rows.doubts import find_doubts
+from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
 from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
 from fieldgrid.rows.ground import (
     Stray,
@@ -34,6 +34,7 @@ from fieldgrid.rows.ground import (
 )
 from fieldgrid.rows.measure import measure_rows
 from fieldgrid.rows.neighbours import oriented
+from fieldgrid.rows.pitch import plant_pitch_m
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
 from fieldgrid.rows.roads import Split, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
@@ -44,11 +45,6 @@ MAX_CELLS = 100_000_000
 DEFAULT_HOLE_M = 0.25
 DEFAULT_HEADLAND_M = 15.0
 _DRIVEN_SHARE = 0.5
-
-_BENDS = ("bend", "pieces")
-"""Doubts by which rows may bend more than the patches allow in which they are straight lines."""
-
-_SAME = 0.97
 
 
 def find_rows(
@@ -110,23 +106,10 @@ def _planting(
 ) -> Planting:
     crop = crop if isinstance(crop, Crop) else crop_named(crop)
     found = _with_crop(evidence, datum, drives, crop, hole_m, headland_m)
-    if crop.bend or not any(doubt.kind in _BENDS for doubt in found.doubts):
+    if crop.bend or not may_bend(found):
         return found
     bent = _with_crop(evidence, datum, drives, replace(crop, bend=True), hole_m, headland_m)
-    return bent if _is_better(bent, found) else found
-
-
-def _is_better(bent: Planting, found: Planting) -> bool:
-    """Whether rows have about all of the cells of others and are longer, as they are less broken,
-    or about as long with fewer doubts."""
-    if not bent.rows:
-        return False
-    cells, before = (sum(row.cells for row in some.rows) for some in (bent, found))
-    length_m, before_m = (
-        float(np.mean([row.length_m for row in some.rows])) for some in (bent, found)
-    )
-    fewer = len(bent.doubts) < len(found.doubts)
-    return cells >= _SAME * before and length_m > (_SAME if fewer else 1.0) * before_m
+    return bent if is_better(bent, found) else found
 
 
 def _with_crop(
@@ -161,7 +144,9 @@ def _with_crop(
         _blocks(ordered, areas, rows, found_lanes),
         _obstacles(evidence, things, ordered, found_lanes, reach),
     )
-    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop))
+    singles = ordered.rows if crop.are_single else []
+    pitch_m = [plant_pitch_m(evidence, row.line, row.half_width_m) for row in singles]
+    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop, pitch_m))
 
 
 def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:

@@ -136,8 +136,9 @@ class Obstacle(NamedTuple):
 
 class Doubt(NamedTuple):
     """What speaks against rows that were found: a tight `bend`, `pieces` that end where others go
-    on in line, holes side by side that may be a `road` or lack plants, `uneven` distances, `stray`
-    obstacle cells on no row; the rows it is about, and what to do."""
+    on in line, holes side by side that may be a `road` or lack plants, `uneven` distances, single
+    plants that may stand in rows `across` these, `stray` obstacle cells on no row; the rows it is
+    about, and what to do."""
 
     kind: str
     rows: tuple[str, ...]
