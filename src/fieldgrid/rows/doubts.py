@@ -50,8 +50,8 @@ def find_doubts(
     pitch_m: Sequence[float],
 ) -> tuple[Doubt, ...]:
     """The doubts of a planting, of which so many obstacle cells are on no row, and which such roads
-    cross or do not. `pitch_m` is how far single plants of each row are from each other, and empty for
-    other plants."""
+    cross or do not. `pitch_m` is how far single plants of each row are from each other, and empty
+    for other plants."""
     if not planting.rows:
         return ()
     return (
