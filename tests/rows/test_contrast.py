@@ -12,7 +12,7 @@ from benchmarks.planting import DATUM
 from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import MapView
 from fieldgrid.rows import measure, rows_of_view
-from fieldgrid.rows.contrast import stand_out
+from fieldgrid.rows.contrast import Contrast, chances_of_noise, stand_out
 from tests.rows.fields import QUIET, line_of, rms_m, straight, view_of
 
 
@@ -75,3 +75,16 @@ def test_lines_without_order_have_an_area(monkeypatch: pytest.MonkeyPatch) -> No
     found = rows_of_view(noise(5.0, 0.0, seed=0, side_m=40.0), crop="bushes")
     assert len(found.rows) > 10
     assert all(block.area.area > 0.0 for block in found.blocks)
+
+
+def trees(on: list[int]) -> Contrast:
+    """A line with so many cells in its parts, and specks in one of ten parts beside it."""
+    return Contrast(1e-3, np.array(on), np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 1] * 4))
+
+
+def test_plants_in_every_part_are_no_chance_and_one_heap_is() -> None:
+    row, heap, specks = chances_of_noise([trees([9] * 8), trees([90] + [0] * 7), trees([1] * 8)])
+    assert row < 1e-6 < 1e-3 < heap
+    assert specks > 100.0 * row
+    hedge = Contrast(0.2, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    assert chances_of_noise([hedge]).tolist() == [0.2]

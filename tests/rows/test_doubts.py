@@ -11,7 +11,7 @@ from benchmarks.missing_plants import outcome
 from benchmarks.planting import Planting as Stand
 from benchmarks.planting import Sight, seen_view
 from benchmarks.rows import match
-from fieldgrid.rows import Planting, rows_of_view
+from fieldgrid.rows import Planting, crop_named, rows_of_view
 from tests.rows.fields import QUIET, Array, straight, view_of
 
 
@@ -42,7 +42,7 @@ def test_a_wide_canopy_of_sown_plants_is_one_row(seed: int) -> None:
     assert kinds(found) == []
 
 
-@pytest.mark.parametrize("radius_m", [70.0, 90.0])
+@pytest.mark.parametrize("radius_m", [35.0, 50.0, 70.0, 90.0])
 def test_rows_that_bend_are_whole(radius_m: float) -> None:
     rows = arcs(radius_m, 60.0)
     found = rows_of_view(view_of(rows, replace(QUIET, fill=0.6)))
@@ -50,9 +50,24 @@ def test_rows_that_bend_are_whole(radius_m: float) -> None:
     assert kinds(found) == []
 
 
-@pytest.mark.parametrize("radius_m", [20.0, 40.0])
-def test_tight_bends_are_told(radius_m: float) -> None:
-    found = rows_of_view(view_of(arcs(radius_m, 40.0), replace(QUIET, fill=0.6)))
+def test_trees_nearer_to_each_other_across_the_rows_are_told_with_what_to_do() -> None:
+    rows = straight(8, 46.0, 3.5)
+    edges = [0.0, *(4.6 * n + side for n in range(10) for side in (0.9, 1.9)), 46.0]
+    holes = list(zip(edges[::2], edges[1::2], strict=True))
+    view = view_of(rows, half_width_m=0.5, missing=[(k, a, b) for k in range(8) for a, b in holes])
+    crop = crop_named("orchard")
+    found = rows_of_view(view, crop=crop)
+    assert faults(found, rows) == (0, 0)
+    assert kinds(found) == ["across"]
+    assert "--spacing 3.9:5.3 --plant-spacing 4.0" in found.doubts[0].text
+    hedges = rows_of_view(view_of(rows), crop=crop)
+    assert "across" not in kinds(hedges)
+
+
+def test_tight_bends_are_told() -> None:
+    rows = arcs(20.0, 36.0)
+    found = rows_of_view(view_of(rows, replace(QUIET, fill=0.6)))
+    assert faults(found, rows) == (0, 0)
     assert "bend" in kinds(found)
 
 
@@ -120,8 +135,8 @@ def test_a_road_with_straight_edges_is_no_doubt_in_four_rows() -> None:
 
 def test_holes_side_by_side_by_chance_are_no_road() -> None:
     """Where 40 % of the plants are missing, some are in all of a few rows."""
-    found = outcome(0.4, 14)
-    assert found.rows == (4, 0, 0)
+    found = outcome(0.4, 46)
+    assert found.rows == (8, 0, 0)
     assert found.told == ("road",)
 
 

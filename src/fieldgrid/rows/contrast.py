@@ -9,11 +9,14 @@ Hochberg, the fewer of them pass, the less chance is left to each.
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.special import stdtr  # Student's t; scipy.stats takes ten times as long to import
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from fieldgrid.array_types import Bool, Float64
-from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
+import numpy as np
+from scipy.special import gammaincc, stdtr  # scipy.stats takes ten times as long to import
+
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence, Strip
 from fieldgrid.rows.crops import Crop
 
 _STEP_M = 0.1
@@ -23,32 +26,89 @@ _CORE = 0.7
 _FLANK = 0.8
 """Ground from this share of the way to the middle between two rows is beside the row."""
 
-_APART = 4.0
-"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
+_CLEAR = 2.5
+"""Parts beside a row begin so many half widths of its core from its middle."""
 
+_SEEN = 0.5
+_LEAST_BESIDE = 30
 _LEAST_RATIO = 3.0
 _LEAST_SEEN = 0.2
 _CHANCE = 1e-4
 
 
-def chance_of_noise(
+class Contrast(NamedTuple):
+    """How a line stands out: how likely noise has so many more obstacle cells on it than half-way
+    to the next row, 1 where there are not several times as many.
+
+    Of single plants also the numbers of obstacle cells in parts of the line, each long enough for
+    a plant, and in parts of the same size beside it.
+    """
+
+    chance: float
+    on: Int64
+    beside: Int64
+
+
+def contrast(
     evidence: Evidence, line: Float64, half_width_m: float, reach_m: float, crop: Crop
-) -> float:
-    """How likely noise has so many more obstacle cells on a line [n, 2] than half-way to the next
-    row, `reach_m` beside it; 1 where there are not several times as many."""
+) -> Contrast:
+    """The contrast of a line [n, 2] with canopies of so much to either side; it is `reach_m` to
+    half-way to the next row."""
     strip = evidence.strip(line, reach_m, reach_m, _STEP_M)
     beside_m = np.abs(strip.across_m)
-    core = strip.cells[:, beside_m < max(_CORE * half_width_m, evidence.cell_m)]
+    core_m = max(_CORE * half_width_m, evidence.cell_m)
+    core = strip.cells[:, beside_m < core_m]
     flank = strip.cells[:, beside_m > _FLANK * reach_m]
     # What was not seen of the ground beside a row may be as noisy as what was.
     seen = max(float((flank != UNSEEN).mean()), _LEAST_SEEN)
     parts_m = [max(0.5 * crop.plant_spacing_m, 0.5)]
-    if crop.plant_spacing_m > _APART * crop.half_width_m:
+    if crop.are_single:
         # Between trunks every other such part is bare, as it is not in longer ones.
         parts_m.append(crop.plant_spacing_m)
     chances = [_chance(core == OBSTACLE, flank == OBSTACLE, seen, part_m) for part_m in parts_m]
     # The best of some tests is that often a chance.
-    return min(1.0, len(chances) * min(chances))
+    chance = min(1.0, len(chances) * min(chances))
+    none = np.zeros(0, dtype=np.int64)
+    is_tested = crop.are_single and chance < 1.0
+    counts = _counts(strip, core_m, crop.plant_spacing_m) if is_tested else (none, none)
+    return Contrast(chance, *counts)
+
+
+def _counts(strip: Strip, core_m: float, part_m: float) -> tuple[Int64, Int64]:
+    """Obstacle cells in parts of a row, and in seen parts as wide and long to both sides of it."""
+    per = round(part_m / _STEP_M)
+    count = len(strip.cells) // per
+    inside = np.flatnonzero(np.abs(strip.across_m) < core_m)
+    wide, clear_m = len(inside), _CLEAR * core_m
+    columns = np.flatnonzero(np.abs(strip.across_m) > clear_m)
+    left, right = (columns[np.sign(strip.across_m[columns]) == side] for side in (1, -1))
+    windows = [side[k : k + wide] for side in (left, right) for k in range(0, len(side), wide)]
+    parts = strip.cells[: count * per].reshape(count, per, -1)
+    on = (parts[:, :, inside] == OBSTACLE).sum(axis=(1, 2))
+    beside = [
+        (part == OBSTACLE).sum(axis=(1, 2))[(part != UNSEEN).mean(axis=(1, 2)) > _SEEN]
+        for part in (parts[:, :, window] for window in windows if len(window) == wide)
+    ]
+    return on, np.concatenate(beside) if beside else on[:0]
+
+
+def chances_of_noise(contrasts: Sequence[Contrast]) -> Float64:
+    """How likely each of the lines of a map [n] is noise.
+
+    Of single plants each part of a line has a rank among all parts beside lines: a tree has more
+    cells than nearly all of these, and a heap is only one part. Fisher's method joins the ranks.
+    """
+    beside = np.sort(np.concatenate([np.zeros(0, np.int64), *(one.beside for one in contrasts)]))
+    chances = np.array([one.chance for one in contrasts])
+    if len(beside) < _LEAST_BESIDE:
+        return chances
+    for k, one in enumerate(contrasts):
+        if len(one.on):
+            as_many = len(beside) - np.searchsorted(beside, one.on)
+            ranks = (1.0 + as_many) / (1.0 + len(beside))
+            chance = float(gammaincc(len(ranks), -np.log(ranks).sum()))
+            chances[k] = min(1.0, 1.5 * min(chances[k], 2.0 * chance))
+    return chances
 
 
 def _chance(core: Bool, flank: Bool, seen: float, part_m: float) -> float:

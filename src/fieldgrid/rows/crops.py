@@ -8,8 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from fieldgrid.errors import ConfigError
+
+_APART = 4.0
+"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
+
+
+_BENT_PATCH = 0.45
+"""Patches are so much smaller where rows bend: an arc of 15 m radius leaves its chord by 0.3 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +28,8 @@ class Crop:
     `plant_spacing_m` is the largest usual distance between plants of a row: a hole that is longer
     than `min_gap_m` is a gap. Holes of up to `max_bridge_m` do not end a row. `half_width_m` with
     `half_width_sigma_m` is the half width of the canopy, where no row was seen from both sides.
-    `min_row_m` is the shortest row.
+    `min_row_m` is the shortest row. Rows that `bend` are straight over shorter stretches only;
+    rows that look bent, or come in pieces, are looked for in such stretches without it, too.
     """
 
     min_spacing_m: float = 1.2
@@ -31,11 +40,12 @@ class Crop:
     half_width_m: float = 0.3
     half_width_sigma_m: float = 0.1
     min_row_m: float = 5.0
+    bend: bool = False
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not (math.isfinite(value) and 0.0 < value <= 1000.0):
+            if item.name != "bend" and not (math.isfinite(value) and 0.0 < value <= 1000.0):
                 raise ConfigError(
                     f"A crop's {item.name} of {value} is outside 0..1000 m; the presets are "
                     f"{', '.join(CROPS)}."
@@ -49,11 +59,17 @@ class Crop:
     @property
     def patch_m(self) -> float:
         """Side of the patches in which rows are straight lines: some rows and some plants."""
-        return max(4.0 * self.min_spacing_m + 2.0 * self.max_spacing_m, 8.0 * self.plant_spacing_m)
+        side = max(4.0 * self.min_spacing_m + 2.0 * self.max_spacing_m, 8.0 * self.plant_spacing_m)
+        return _BENT_PATCH * side if self.bend else side
+
+    @property
+    def are_single(self) -> bool:
+        """Whether there is room between plants, as between trees of an orchard."""
+        return self.plant_spacing_m > _APART * self.half_width_m
 
     def changed(self, **given: float | None) -> Crop:
         """The same crop with some distances given by hand; None leaves a distance as it is."""
-        known = {name: value for name, value in given.items() if value is not None}
+        known: dict[str, Any] = {k: value for k, value in given.items() if value is not None}
         return replace(self, **known)
 
 

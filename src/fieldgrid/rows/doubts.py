@@ -19,7 +19,9 @@ from fieldgrid.rows.result import Doubt, Planting
 from fieldgrid.rows.roads import DoubtfulRoad
 
 _IN_LINE = np.cos(np.radians(25.0))
-_RADIUS_M = 65.0
+_RADIUS_M, _BENT_RADIUS_M = 65.0, 30.0
+"""Rows that bend less are found whole; the second, where they were looked for as bent ones."""
+
 _SAGITTA_M = 0.4
 _ROAD_M = 2.0
 """Across less than this there is no road between blocks."""
@@ -35,35 +37,61 @@ _STRAY_SHARE = 0.05
 
 _LEAST_STRAY = 30
 
+_SAME = 0.97
 _ON_ROW_M = 0.05
 """Rows on either side of a hole end at it, and one that goes on leads over it."""
 
 
 def find_doubts(
-    planting: Planting, stray: Stray, roads: Sequence[DoubtfulRoad], crop: Crop
+    planting: Planting,
+    stray: Stray,
+    roads: Sequence[DoubtfulRoad],
+    crop: Crop,
+    pitch_m: Sequence[float],
 ) -> tuple[Doubt, ...]:
     """The doubts of a planting, of which so many obstacle cells are on no row, and which such roads
-    cross or do not."""
+    cross or do not. `pitch_m` is how far single plants of each row are from each other, and empty
+    for other plants."""
     if not planting.rows:
         return ()
     return (
-        *_bent(planting),
+        *_bent(planting, _BENT_RADIUS_M if crop.bend else _RADIUS_M),
         *_in_pieces(planting, crop),
         *_at_roads(planting, roads),
         *_uneven(planting),
+        *_across(planting, pitch_m),
         *_stray(planting, stray),
     )
 
 
-def _bent(planting: Planting) -> list[Doubt]:
+def may_bend(planting: Planting) -> bool:
+    """Whether rows may bend more than the patches allow in which they were straight lines."""
+    return any(doubt.kind in ("bend", "pieces") for doubt in planting.doubts)
+
+
+def is_better(bent: Planting, found: Planting) -> bool:
+    """Whether rows have about all of the cells of others and are longer, as they are less broken,
+    or about as long with fewer doubts."""
+    if not bent.rows:
+        return False
+    cells, before = (sum(row.cells for row in some.rows) for some in (bent, found))
+    length_m, before_m = (
+        float(np.mean([row.length_m for row in some.rows])) for some in (bent, found)
+    )
+    fewer = len(bent.doubts) < len(found.doubts)
+    return cells >= _SAME * before and length_m > (_SAME if fewer else 1.0) * before_m
+
+
+def _bent(planting: Planting, least_m: float) -> list[Doubt]:
     """Rows that bend more than those which are found whole."""
     found = {}
     for row in planting.rows:
         line = np.asarray(row.line.coords)
         sagitta_m = float(np.abs(project(line, line[[0, -1]])[1]).max())
         if sagitta_m > _SAGITTA_M:
-            found[row.id] = float(np.hypot(*(line[-1] - line[0]))) ** 2 / (8.0 * sagitta_m)
-    tight = {name: radius_m for name, radius_m in found.items() if radius_m < _RADIUS_M}
+            chord_m = float(np.hypot(*(line[-1] - line[0])))
+            found[row.id] = chord_m**2 / (8.0 * sagitta_m) + 0.5 * sagitta_m
+    tight = {name: radius_m for name, radius_m in found.items() if radius_m < least_m}
     if not tight:
         return []
     return [
@@ -71,7 +99,7 @@ def _bent(planting: Planting) -> list[Doubt]:
             "bend",
             tuple(tight),
             f"{len(tight)} of {len(planting.rows)} rows bend to a radius of "
-            f"{min(tight.values()):.0f} m or so; below {_RADIUS_M:.0f} m rows may be in pieces, or "
+            f"{min(tight.values()):.0f} m or so; below {least_m:.0f} m rows may be in pieces, or "
             "missed",
         )
     ]
@@ -174,6 +202,26 @@ def _uneven(planting: Planting) -> list[Doubt]:
                 )
             )
     return found
+
+
+def _across(planting: Planting, pitch_m: Sequence[float]) -> list[Doubt]:
+    """Single plants that are farther from each other than the rows: trees on a grid stand in line
+    both ways, and rows are usually the way in which they are nearer."""
+    apart_m = [row.spacing_m for row in planting.rows]
+    if not np.isfinite(apart_m).any() or not np.isfinite(pitch_m).any():
+        return []
+    along_m, rows_m = float(np.nanmedian(pitch_m)), float(np.nanmedian(apart_m))
+    if along_m <= rows_m:
+        return []
+    return [
+        Doubt(
+            "across",
+            tuple(row.id for row in planting.rows),
+            f"plants are {along_m:.2f} m apart along the rows, and rows {rows_m:.2f} m: they may "
+            f"run the other way. If so, try --spacing {0.85 * along_m:.1f}:{1.15 * along_m:.1f} "
+            f"--plant-spacing {1.15 * rows_m:.1f}",
+        )
+    ]
 
 
 def _stray(planting: Planting, stray: Stray) -> list[Doubt]:

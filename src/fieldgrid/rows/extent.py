@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Bool, Float64, UInt8
 from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
 from fieldgrid.rows.crops import Crop
 
@@ -24,9 +24,25 @@ _END = 0.3
 _OVERHANG_M = 0.3
 """The line of a row ends a canopy's half width, or this, before its last cells do."""
 
+_POST_M = 0.8
+_POST_WIDTH = 0.6
+_POST_HOLE_M = 0.2
+"""An end post with its brace stands apart from the plants, is no longer, and is narrower than so
+much of the canopy. The row ends on its inner side."""
+
+_BEYOND_M = 0.5
+_BEYOND_SEEN = 0.5
+"""The end of a row was seen when so much of the ground beyond its last cells was."""
+
 _REACH = 1.5
 _REACH_M = 2.0
 """How far beyond a hole plants are counted, in its lengths and at least."""
+
+_FEW = 2.5
+"""Where so many places of single plants are bare, the next one is still of the row."""
+
+_PLANT = 0.3
+"""A piece with less than this share of the usual cells at its densest place is a speck."""
 
 _STEP_M = 0.1
 _CELLS = 8
@@ -55,12 +71,14 @@ Span = tuple[float, float]
 
 class Extent(NamedTuple):
     """Distances along a line, metres: where the row begins and ends, its gaps, and the stretches
-    of which too little was seen to say."""
+    of which too little was seen to say. `ends_seen` tells of its beginning and its end whether the
+    ground beyond was seen: else the row may go on."""
 
     start_m: float
     stop_m: float
     gaps_m: tuple[Span, ...]
     unseen_m: tuple[Span, ...]
+    ends_seen: tuple[bool, bool] = (True, True)
 
 
 def runs(flags: Bool) -> list[tuple[int, int]]:
@@ -74,13 +92,17 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
 
     What lies beyond a hole belongs to the row if it is long for that hole, in one piece or, where
     plants are missing one by one, in several: a trailer that stands in line with a row does not
-    lengthen it, and a speck in a hole does not end it. None when there is no run.
+    lengthen it, and a speck in a hole does not end it. A single plant is as long as its place in
+    the row, where few are missing. None when there is no run.
     """
     some = weight > 0.0
     if not some.any():
         return None
     occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
-    parts = _closed(runs(occupied), crop.plant_spacing_m / step_m)
+    pieces = runs(occupied)
+    if crop.are_single:
+        pieces = plants_among(weight, pieces)
+    parts = _closed(pieces, crop.plant_spacing_m / step_m)
     first = last = int(np.argmax([b - a for a, b in parts]))
 
     def is_more(k: int, hole: int, beyond: slice) -> bool:
@@ -89,6 +111,9 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
         least = max(1.0 / step_m, 0.5 * hole)
         if hole * step_m > crop.max_bridge_m:
             return False
+        place = crop.plant_spacing_m / step_m
+        if crop.are_single and hole <= _FEW * place:
+            return True
         if parts[k][1] - parts[k][0] >= least:
             return True
         reach = max(_REACH * hole, _REACH_M / step_m)
@@ -103,6 +128,16 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
         is_row = is_more(k, parts[k][0] - parts[last][1], slice(k, len(parts)))
         last = k if is_row else last
     return parts[first][0], parts[last][1]
+
+
+def plants_among(weight: Float64, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The pieces that are as dense as plants: specks between and beyond single ones are not."""
+    peaks = np.array([weight[a:b].max() for a, b in pieces])
+    order = peaks.argsort()
+    cells = np.array([weight[a:b].sum() for a, b in pieces])[order].cumsum()
+    # Half of all cells are in pieces at least so dense.
+    usual = peaks[order][np.searchsorted(cells, 0.5 * cells[-1])]
+    return [piece for piece, peak in zip(pieces, peaks, strict=True) if peak >= _PLANT * usual]
 
 
 def _closed(parts: list[tuple[int, int]], hole: float) -> list[tuple[int, int]]:
@@ -141,13 +176,37 @@ def find_extent(
     def metres(part: tuple[int, int]) -> Span:
         return part[0] * _STEP_M, part[1] * _STEP_M
 
-    overhang_m = min(_OVERHANG_M, 0.5 * (faces_m[0] - faces_m[1]))
+    width_m = faces_m[0] - faces_m[1]
+    strips = strip.cells[start:], strip.cells[:stop][::-1]
+    before_m, after_m = (_overhang_m(cells, strip.across_m, width_m) for cells in strips)
+    reach = round(_BEYOND_M / _STEP_M)
+    beyond = seen[max(start - reach, 0) : start], seen[stop : stop + reach]
     return Extent(
-        start * _STEP_M + overhang_m,
-        stop * _STEP_M - overhang_m,
+        start * _STEP_M + before_m,
+        stop * _STEP_M - after_m,
         tuple(map(metres, gaps)),
         tuple(map(metres, unseen)),
+        (_is_seen(beyond[0]), _is_seen(beyond[1])),
     )
+
+
+def _is_seen(seen: Float64) -> bool:
+    return bool(len(seen) and seen.mean() >= _BEYOND_SEEN)
+
+
+def _overhang_m(cells: UInt8, across_m: Float64, width_m: float) -> float:
+    """How far the cells [n, m] of a row from one end on reach beyond the end of its line: half of
+    a canopy of that width, or an end post."""
+    usual_m = min(_OVERHANG_M, 0.5 * width_m)
+    some = (cells == OBSTACLE)[: round((_POST_M + 2.0 * _POST_HOLE_M) / _STEP_M)]
+    hole = round(_POST_HOLE_M / _STEP_M)
+    bare = [a for a, b in runs(~some.any(axis=1)) if b - a >= hole and a > 0]
+    if not bare or bare[0] * _STEP_M > _POST_M + _STEP_M:
+        return usual_m
+    columns = np.flatnonzero(some[: bare[0]].any(axis=0))
+    if np.ptp(across_m[columns]) > _POST_WIDTH * width_m:
+        return usual_m
+    return max(usual_m, bare[0] * _STEP_M)
 
 
 def _end(dense: Float64, span: tuple[int, int], *, mirrored: bool = False) -> int:

@@ -19,7 +19,7 @@ from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
-from fieldgrid.rows.doubts import find_doubts
+from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
 from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
 from fieldgrid.rows.ground import (
     Stray,
@@ -34,6 +34,7 @@ from fieldgrid.rows.ground import (
 )
 from fieldgrid.rows.measure import measure_rows
 from fieldgrid.rows.neighbours import oriented
+from fieldgrid.rows.pitch import plant_pitch_m
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
 from fieldgrid.rows.roads import Split, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
@@ -104,6 +105,21 @@ def _planting(
     headland_m: float,
 ) -> Planting:
     crop = crop if isinstance(crop, Crop) else crop_named(crop)
+    found = _with_crop(evidence, datum, drives, crop, hole_m, headland_m)
+    if crop.bend or not may_bend(found):
+        return found
+    bent = _with_crop(evidence, datum, drives, replace(crop, bend=True), hole_m, headland_m)
+    return bent if is_better(bent, found) else found
+
+
+def _with_crop(
+    evidence: Evidence,
+    datum: Datum,
+    drives: Drives | None,
+    crop: Crop,
+    hole_m: float,
+    headland_m: float,
+) -> Planting:
     split = _measured(evidence, crop)
     ordered = order_rows(split.rows, crop)
     reach = Reach(drives)
@@ -128,7 +144,9 @@ def _planting(
         _blocks(ordered, areas, rows, found_lanes),
         _obstacles(evidence, things, ordered, found_lanes, reach),
     )
-    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop))
+    singles = ordered.rows if crop.are_single else []
+    pitch_m = [plant_pitch_m(evidence, row.line, row.half_width_m) for row in singles]
+    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop, pitch_m))
 
 
 def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
@@ -177,6 +195,7 @@ def _rows(ordered: Ordered, reach: Reach) -> tuple[Row, ...]:
                 row.cells,
                 reached.sessions,
                 row.scatter_m,
+                row.extent.ends_seen,
             )
         )
     return tuple(found)

@@ -12,12 +12,12 @@ from fieldgrid.array_types import Float64
 from fieldgrid.evidence import Evidence
 from fieldgrid.polyline import extended, lengths, part, project, resampled
 from fieldgrid.rows.chains import without_doubles
-from fieldgrid.rows.contrast import chance_of_noise, stand_out
+from fieldgrid.rows.contrast import chances_of_noise, contrast, stand_out
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, connected_run, find_extent
 from fieldgrid.rows.fit import fit_curve
 from fieldgrid.rows.neighbours import is_apart, outer_lines
-from fieldgrid.rows.profile import STATION_M, Profile, moved, take_profile
+from fieldgrid.rows.profile import STATION_M, Faces, Profile, find_faces, moved, take_profile
 
 _BEYOND_M = 4.0
 """How far a row may go on beyond its reference line."""
@@ -43,6 +43,15 @@ class Measured(NamedTuple):
     scatter_m: float
 
 
+class Settled(NamedTuple):
+    """What is known of a row before it is fitted: its profile about its own middle, its faces, and
+    how far from its line its cells may lie."""
+
+    profile: Profile
+    faces: Faces
+    gate_m: float
+
+
 class HalfWidth(NamedTuple):
     """Half width of a field's canopies, metres, with its standard deviation."""
 
@@ -54,7 +63,7 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
     """The rows near reference lines; a line that turns out to be none, or that does not stand out
     from the ground beside it, is left out."""
     settled = _all_settled(evidence, lines, _gates(lines, crop), crop)
-    width = _half_width([profile for profile, _ in settled], crop)
+    width = _half_width(settled, crop)
     candidates = _candidates(evidence, settled, width, crop)
     rows = _standing_out(candidates, crop)
     # Too little of a row beyond the last may have been seen to find it without its neighbour.
@@ -81,29 +90,29 @@ def _uncrossed(candidates: list[tuple[Measured, float]]) -> list[tuple[Measured,
 
 def _all_settled(
     evidence: Evidence, lines: list[Float64], gates: list[float], crop: Crop
-) -> list[tuple[Profile, float]]:
-    """The profiles near lines that have one, each with its gate."""
+) -> list[Settled]:
+    """The rows near lines that are near one, each with its gate."""
     found = []
     for line, gate in zip(lines, gates, strict=True):
         gate_m = max(gate, 3.0 * evidence.cell_m)
         profile = _settled(evidence, line, gate_m, crop)
         if profile is not None:
-            found.append((profile, gate_m))
+            found.append(Settled(profile, find_faces(profile), gate_m))
     return found
 
 
 def _candidates(
-    evidence: Evidence, settled: list[tuple[Profile, float]], width: HalfWidth, crop: Crop
+    evidence: Evidence, settled: list[Settled], width: HalfWidth, crop: Crop
 ) -> list[tuple[Measured, float]]:
     """The rows of profiles, each with its chance to be noise."""
-    found = []
-    for profile, gate_m in settled:
-        row = _measured(evidence, profile, width, crop)
+    found, contrasts = [], []
+    for near in settled:
+        row = _measured(evidence, near, width, crop)
         if row is not None:
-            half_way_m = 0.5 / _GATE * gate_m
-            chance = chance_of_noise(evidence, row.line, row.half_width_m, half_way_m, crop)
-            found.append((row, chance))
-    return found
+            half_way_m = 0.5 / _GATE * near.gate_m
+            found.append(row)
+            contrasts.append(contrast(evidence, row.line, row.half_width_m, half_way_m, crop))
+    return list(zip(found, chances_of_noise(contrasts).tolist(), strict=True))
 
 
 def _single(candidates: list[tuple[Measured, float]], crop: Crop) -> list[tuple[Measured, float]]:
@@ -169,13 +178,12 @@ def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Pr
     return profile
 
 
-def _half_width(profiles: list[Profile], crop: Crop) -> HalfWidth:
+def _half_width(settled: list[Settled], crop: Crop) -> HalfWidth:
     """Half the width of the canopies: what the rows that were seen from both sides say, beside
     what is usual for the crop."""
-    widths = np.array([p.full_width_m for p in profiles if np.isfinite(p.full_width_m)])
-    weight = np.array(
-        [p.both_share * p.along_m[-1] for p in profiles if np.isfinite(p.full_width_m)]
-    )
+    told = [near for near in settled if np.isfinite(near.faces.full_width_m)]
+    widths = np.array([near.faces.full_width_m for near in told])
+    weight = np.array([near.faces.both_share * near.profile.along_m[-1] for near in told])
     if not len(widths) or weight.sum() < 10.0:
         return HalfWidth(crop.half_width_m, crop.half_width_sigma_m)
     order = widths.argsort()
@@ -187,28 +195,27 @@ def _half_width(profiles: list[Profile], crop: Crop) -> HalfWidth:
 
 
 def _measured(
-    evidence: Evidence, profile: Profile, width: HalfWidth, crop: Crop
+    evidence: Evidence, settled: Settled, width: HalfWidth, crop: Crop
 ) -> Measured | None:
     """The row of a profile: every station moved from the cells that were seen to the middle."""
-    left_face, right_face = profile.faces_m
-    both = profile.left_seen & profile.right_seen
-    shift = np.zeros(len(profile.offset_m))
-    side_sigma = np.zeros(len(shift))
-    if np.isfinite(left_face) and np.isfinite(right_face) and profile.both_share >= 0.5:
-        shift[:] = 0.5 * (left_face + right_face)
-        half = 0.5 * (left_face - right_face)
+    profile, faces, _ = settled
+    both = faces.left_seen & faces.right_seen
+    shift, side_sigma = np.zeros(len(both)), np.zeros(len(both))
+    half = width.half_m
+    if np.isfinite(faces.full_width_m) and faces.both_share >= 0.5:
+        shift[:] = 0.5 * sum(faces.full_m)
+        half = 0.5 * faces.full_width_m
         # A row that looks thinner than the others was hardly seen from both sides.
         side_sigma[:] = max(width.half_m - half - 2.0 * _WIDTH_SIGMA_M, 0.0)
     else:
-        half = width.half_m
-        for seen, face, sign in (
-            (profile.left_seen & ~both, left_face, -1.0),
-            (profile.right_seen & ~both, right_face, 1.0),
+        for seen, face_m, sign in (
+            (faces.left_seen & ~both, faces.left_m, -1.0),
+            (faces.right_seen & ~both, faces.right_m, 1.0),
         ):
-            if np.isfinite(face):
-                shift[seen] = face + sign * width.half_m
+            if np.isfinite(face_m):
+                shift[seen] = face_m + sign * width.half_m
                 side_sigma[seen] = width.sigma_m
-        side_sigma[~(profile.left_seen | profile.right_seen)] = width.half_m
+        side_sigma[~(faces.left_seen | faces.right_seen)] = width.half_m
     used = np.flatnonzero(profile.weight > 0.0)
     inside = slice(int(used[0]), int(used[-1]) + 1)
     curve = fit_curve(moved(profile, profile.offset_m + shift)[inside], profile.weight[inside])
@@ -229,8 +236,9 @@ def _measured(
         length,
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.gaps_m),
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.unseen_m),
+        extent.ends_seen,
     )
-    sides = float((profile.left_seen[inside].astype(int) + profile.right_seen[inside]).mean())
+    sides = float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean())
     return Measured(
         own,
         np.interp(at, lengths(curve.line), sigma),

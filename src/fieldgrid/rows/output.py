@@ -12,6 +12,10 @@ from fieldgrid.vectors import Feature, write_features
 
 OSM = ".osm"
 
+_ENDS = {
+    (True, True): "both", (True, False): "start", (False, True): "stop", (False, False): "none",
+}  # fmt: skip
+
 
 def planting_features(planting: Planting) -> list[Feature]:
     """Blocks, headlands, lanes, rows, gaps and obstacles, in this order: later ones lie on top."""
@@ -55,7 +59,8 @@ def planting_features(planting: Planting) -> list[Feature]:
                 {
                     "id": r.id, "block": r.block, "length_m": r.length_m, "sigma_m": r.sigma_m,
                     "spacing_m": r.spacing_m, "half_width_m": r.half_width_m, "sides": r.sides,
-                    "known": r.known, "cells": r.cells, "sessions": r.sessions,
+                    "known": r.known, "ends_seen": _ENDS[r.ends_seen], "cells": r.cells,
+                    "sessions": r.sessions,
                 },
             )
             for r in planting.rows

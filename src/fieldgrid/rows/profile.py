@@ -27,21 +27,41 @@ _CELLS = 3
 
 class Profile(NamedTuple):
     """Stations of a row: distances along its reference line, the mean offset of their obstacle
-    cells to the left of it with how many there are, and whether either side of the row was seen.
+    cells to the left of it, and how many these are.
 
-    `faces_m` are the left and the right face beside the offsets, NaN for one that was not seen;
-    for a row of which both sides were seen in parts, those of each part's side.
+    `share` [stations, columns] is the share of obstacle cells at distances `across_m` to the left,
+    `left_share` and `right_share` that of the ground beside a station that was seen.
     """
 
     line: Float64
     along_m: Float64
     offset_m: Float64
     weight: Float64
+    across_m: Float64
+    share: Float64
+    left_share: Float64
+    right_share: Float64
+
+
+class Faces(NamedTuple):
+    """From which sides a row was seen at its stations, and its faces there.
+
+    Each pair is the left and the right face beside the offsets, metres to the left, NaN without
+    enough stations: of those of which the left side alone, the right side alone, and both were
+    seen. `both_share` is the share of the last among all of which a side was.
+    """
+
     left_seen: Bool
     right_seen: Bool
-    faces_m: tuple[float, float]
-    full_width_m: float
+    left_m: float
+    right_m: float
+    full_m: tuple[float, float]
     both_share: float
+
+    @property
+    def full_width_m(self) -> float:
+        """The distance of the two faces where both sides were seen; NaN without such stations."""
+        return self.full_m[0] - self.full_m[1]
 
 
 def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
@@ -49,7 +69,10 @@ def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
     strip = evidence.strip(line, gate_m, gate_m, STATION_M / 5.0)
     stations, cells = _by_station(strip)
     band = np.abs(strip.across_m) > 0.65 * gate_m
-    left, right = (_seen(cells[:, :, band & (np.sign(strip.across_m) == side)]) for side in (1, -1))
+    left, right = (
+        (cells[:, :, band & (np.sign(strip.across_m) == side)] != UNSEEN).mean(axis=(1, 2))
+        for side in (1, -1)
+    )
     obstacle = (cells == OBSTACLE).sum(axis=1)
     offset = np.zeros(len(stations))
     # The gate follows the row: first all that is nearer to it than to the next, then the canopy.
@@ -61,10 +84,9 @@ def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
         pooled = uniform_filter1d(weight, 9), uniform_filter1d(total, 9)
         offset = np.divide(pooled[1], pooled[0], out=offset.copy(), where=pooled[0] > 0.0)
     mean = np.divide(total, weight, out=offset.copy(), where=weight > 0.0)
-    share = obstacle / cells.shape[1]
-    faces, width, both = _faces(share, strip.across_m, offset, left, right)
     weight[weight < _CELLS] = 0.0
-    return Profile(line, stations, mean, weight, left, right, faces, width, both)
+    share = obstacle / cells.shape[1]
+    return Profile(line, stations, mean, weight, strip.across_m, share, left, right)
 
 
 def _by_station(strip: Strip) -> tuple[Float64, np.ndarray]:
@@ -75,34 +97,32 @@ def _by_station(strip: Strip) -> tuple[Float64, np.ndarray]:
     return along, cells
 
 
-def _seen(cells: np.ndarray) -> Bool:
-    """Whether the ground beside each station was seen, on the whole of some metres."""
-    share = (cells != UNSEEN).mean(axis=(1, 2))
-    window = max(1, round(_SMOOTHED_M / STATION_M))
-    seen: Bool = uniform_filter1d(share, window, mode="nearest") > _SEEN_SHARE
-    return seen
-
-
-def _faces(
-    share: Float64, across_m: Float64, offset_m: Float64, left: Bool, right: Bool
-) -> tuple[tuple[float, float], float, float]:
-    """Faces beside the mean of the cells, and the width where both sides were seen.
+def find_faces(profile: Profile) -> Faces:
+    """The faces of a row, whose weights are zero beyond its ends.
 
     A face is where the share of obstacle cells, over all stations of which its side was seen, has
     fallen to half of its plateau: it does not depend on how deep one sees into the canopy.
     """
+    used = np.flatnonzero(profile.weight > 0.0)
+    # Of the row alone: the headland before and behind it is seen on both sides.
+    own = slice(int(used[0]), int(used[-1]) + 1)
+    left, right = (_seen(share, own) for share in (profile.left_share, profile.right_share))
+    across_m = profile.across_m
     step = float(across_m[1] - across_m[0])
-    edges = []
-    for select in (left & ~right, right & ~left, left & right):
-        edges.append(_half_height(share[select], across_m, offset_m[select], step))
-    left_only, right_only, both = edges
-    count = np.array([(left & ~right).sum(), (right & ~left).sum(), (left & right).sum()])
-    width = both[0] - both[1]
-    if count[2] >= 0.5 * count.sum() and np.isfinite(width):
-        faces = both
-    else:
-        faces = (left_only[0], right_only[1])
-    return faces, float(width), float(count[2] / max(count.sum(), 1))
+    left_only, right_only, both = (
+        _half_height(profile.share[select], across_m, profile.offset_m[select], step)
+        for select in (left & ~right, right & ~left, left & right)
+    )
+    both_share = float((left & right).sum() / max(int((left | right).sum()), 1))
+    return Faces(left, right, left_only[0], right_only[1], both, both_share)
+
+
+def _seen(share: Float64, own: slice) -> Bool:
+    """Whether the ground beside each station of a row was seen, on the whole of some metres."""
+    window = max(1, round(_SMOOTHED_M / STATION_M))
+    seen = np.zeros(len(share), dtype=np.bool_)
+    seen[own] = uniform_filter1d(share[own], window, mode="nearest") > _SEEN_SHARE
+    return seen
 
 
 def _half_height(

@@ -31,7 +31,8 @@ class Row(NamedTuple):
     neighbours, NaN without one. `sides` tells from how many sides it was seen, 1 to 2. `known` is
     the share of its length of which something was seen. It rests on `cells` obstacle cells;
     `sessions` are those of which a frame reaches it. `scatter_m` is how far half-metres of it lie
-    off its line.
+    off its line. `ends_seen` tells of its first and last point whether the ground beyond was seen:
+    else the row may go on.
     """
 
     id: str
@@ -46,6 +47,7 @@ class Row(NamedTuple):
     cells: int
     sessions: tuple[str, ...]
     scatter_m: float
+    ends_seen: tuple[bool, bool] = (True, True)
 
 
 class Lane(NamedTuple):
@@ -134,8 +136,9 @@ class Obstacle(NamedTuple):
 
 class Doubt(NamedTuple):
     """What speaks against rows that were found: a tight `bend`, `pieces` that end where others go
-    on in line, holes side by side that may be a `road` or lack plants, `uneven` distances, `stray`
-    obstacle cells on no row; the rows it is about, and what to do."""
+    on in line, holes side by side that may be a `road` or lack plants, `uneven` distances, single
+    plants that may stand in rows `across` these, `stray` obstacle cells on no row; the rows it is
+    about, and what to do."""
 
     kind: str
     rows: tuple[str, ...]

@@ -200,11 +200,13 @@ def _pieces(row: Measured, cuts: list[Span], crop: Crop) -> list[Measured]:
             tuple((a - start, b - start) for a, b in holes if start <= a and b <= stop)
             for holes in (row.extent.gaps_m, row.extent.unseen_m)
         )
+        first_seen, last_seen = row.extent.ends_seen
+        ends_seen = start > 0.0 or first_seen, stop < row.extent.stop_m or last_seen
         found.append(
             row._replace(
                 line=line,
                 sigma_m=np.interp(start + lengths(line), along, row.sigma_m),
-                extent=Extent(0.0, stop - start, gaps, unseen),
+                extent=Extent(0.0, stop - start, gaps, unseen, ends_seen),
                 cells=round(row.cells * (stop - start) / whole),
             )
         )
