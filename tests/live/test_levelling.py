@@ -14,7 +14,7 @@ import pytest
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude
-from fieldgrid.build import add_recording, build_map, estimate_drive, local_grid
+from fieldgrid.build import Progress, add_recording, build_map, estimate_drive, local_grid
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import (
@@ -54,9 +54,12 @@ def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
         replay(live, recording, rate=None)
         live.stop()
     assert (live_folder(out) / POINTS).stat().st_size > 6 * 50_000
-    report = finish_session(out)
+    shown: list[Progress] = []
+    report = finish_session(out, progress=shown.append)
     assert content(out) == content(built_level)
     assert not any("--finish-from" in note for note in report.notes)
+    told = [(one.frames_done, one.frames_total) for one in shown]
+    assert told == [(done, report.frames) for done in range(1, report.frames + 1)]
     assert not live_folder(out).exists()
 
 

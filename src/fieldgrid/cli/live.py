@@ -25,7 +25,7 @@ from fieldgrid.errors import printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
-    from fieldgrid.build import SessionReport
+    from fieldgrid.build import Progress, SessionReport
     from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
     from fieldgrid.live_servers import FoxgloveServer, LivePage
 
@@ -244,10 +244,10 @@ def _drive(
                 raise
             if not all_of_it:
                 output.message("ending the drive and making its map; interrupt again to cancel")
-        if line is not None:
-            line("making the map")
+        watch.making_the_map()
+        patience = Patience(wait_s, progress.waits_for(out, wait_s))
         try:
-            report = live.finish(patience=Patience(wait_s, progress.waits_for(out, wait_s)))
+            report = live.finish(progress=watch.making_the_map, patience=patience)
             return report, live.counts  # with the frames that still waited
         except KeyboardInterrupt:
             said = (
@@ -341,6 +341,12 @@ class _Watch:
             self._window = result if isinstance(result, LiveWindow) else self._window
             self._line(_status(self._window, self.live.counts))
 
+    def making_the_map(self, now: Progress | None = None) -> None:
+        """Let the status line say how far the end of the session is."""
+        if self._line is not None:
+            grids = f": {now.frames_done} of {now.frames_total} grids made again" if now else ""
+            self._line(f"making the map{grids}")
+
 
 def _status(window: LiveWindow | None, counts: Counts) -> str:
     if window is None:
@@ -370,7 +376,7 @@ def _finished(
     with progress.building(out, wait_s) as tell:
         patience = Patience(wait_s, tell.waiting)
         if recording is None:
-            return finish_session(out, settings, patience=patience)
+            return finish_session(out, settings, progress=tell.show, patience=patience)
         opening = replace(drive.options(), poses=poses.source())
         return finish_from(out, recording, opening, settings, progress=tell.show, patience=patience)
 

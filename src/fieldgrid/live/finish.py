@@ -63,16 +63,17 @@ def finish_session(
     out: str | Path,
     overrides: Overrides | None = None,
     *,
+    progress: Callable[[Progress], None] | None = None,
     patience: Patience | None = None,
 ) -> SessionReport:
     """Put what a live session has kept for the map `out` into it, and remove what was kept.
 
     `overrides` are settings of poses and checks that replace those of the session, `patience` is
-    how long another writer of the map is waited for. On an error the drive stays where it is kept,
-    and the error says how to finish it.
+    how long another writer of the map is waited for. `progress` is called after each grid that is
+    made again. On an error the drive stays where it is kept, and the error says how to finish it.
     """
     with SessionFolder(Path(out), None) as kept:
-        return finish(kept, overrides or {}, patience)
+        return finish(kept, overrides or {}, progress, patience)
 
 
 def finish_from(
@@ -129,7 +130,10 @@ def discard_session(out: str | Path) -> tuple[str, int]:
 
 
 def finish(
-    kept: SessionFolder, overrides: Overrides, patience: Patience | None = None
+    kept: SessionFolder,
+    overrides: Overrides,
+    progress: Callable[[Progress], None] | None = None,
+    patience: Patience | None = None,
 ) -> SessionReport:
     """The same of a folder that is open."""
     started = time.perf_counter()
@@ -138,7 +142,7 @@ def finish(
     try:
         if not kept.staged().entries:
             raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
-        report = _placed(kept, kept.recording(), settings, patience or Patience())
+        report = _placed(kept, kept.recording(), settings, progress, patience or Patience())
     except FieldgridError as error:
         sentence = str(error).removesuffix(".")
         raise type(error)(
@@ -151,7 +155,11 @@ def finish(
 
 
 def _placed(
-    kept: SessionFolder, recording: Recording, settings: BuildSettings, patience: Patience
+    kept: SessionFolder,
+    recording: Recording,
+    settings: BuildSettings,
+    progress: Callable[[Progress], None] | None,
+    patience: Patience,
 ) -> SessionReport:
     about, out = kept.drive.about, kept.out
     if out.exists() and _is_done(out, about.name, kept.staged()):
@@ -178,7 +186,7 @@ def _placed(
     datum = datum or trajectory.datum
     chosen = settings.map
     with StageFile.temporary(out) as file:
-        final = gridded_again(kept, file, attitude, Way.of(trajectory))
+        final = gridded_again(kept, file, attitude, Way.of(trajectory), progress)
         session.report.notes += final.notes
         if about.append:
             universal = open_map(

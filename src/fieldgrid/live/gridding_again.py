@@ -4,13 +4,13 @@ of the whole drive, and sweeps carried by its trajectory, as a build makes them.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
 
 from fieldgrid.attitude import Attitude
-from fieldgrid.build import BadFrame
+from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
 from fieldgrid.build.staging import Found, Staged
 from fieldgrid.depth import CodedDepth
@@ -43,11 +43,15 @@ class _Made(NamedTuple):
 
 
 def gridded_again(
-    kept: SessionFolder, file: StageFile, attitude: Attitude | None, way: Way
+    kept: SessionFolder,
+    file: StageFile,
+    attitude: Attitude | None,
+    way: Way,
+    progress: Callable[[Progress], None] | None = None,
 ) -> GriddedAgain:
     """The frames of a session with grids that are level by the `attitude`, perpendicular to the
     ground ahead where that is None, of sweeps carried by the vehicle's `way`; those that had to be
-    made again are in the `file`."""
+    made again are in the `file`. `progress` is called after each of them."""
     staged, drive = kept.staged(), kept.read()
     # Sweeps whose points have times keep their points, too.
     is_swept = isinstance(drive.about.rig.sensor, Lidar) and kept.points.is_levelling
@@ -68,7 +72,10 @@ def gridded_again(
     bad, as_driven = list(staged.bad), set[str]()
     with closing(side_by_side(make, drive.frames, os.cpu_count() or 1)) as all_made:
         lost = False
-        for made, entry, step in zip(all_made, staged.entries, staged.found, strict=True):
+        frames = zip(all_made, staged.entries, staged.found, strict=True)
+        for done, (made, entry, step) in enumerate(frames, start=1):
+            if progress is not None:
+                progress(Progress(drive.about.name, done, len(drive.frames)))
             if made.staged is None:
                 bad.append(BadFrame(entry.frame_id, NO_POINTS))
                 lost = True

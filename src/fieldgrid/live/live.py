@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.build import SessionReport
+from fieldgrid.build import Progress, SessionReport
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, RecordingError
@@ -46,20 +46,17 @@ CLIENT_S = 2.0
 class Live(Closing):
     """A live session for a map: push what sensors say, take grids, poses and the window around.
 
-    What is pushed is kept in a folder beside the map, `MAP.live`, within a second; the map is made
-    at the end of the block, by the code of a build, from the drive as a whole. A program that was
-    killed goes on with the same session when it opens it again. When an error that is none of
-    Ctrl-C and SIGTERM ends the block, the drive is kept and not placed: `finish_session` does it
-    later.
+    Pushed data are in `MAP.live` beside the map within a second; the map is made at the end of the
+    block, as by a build, from the whole drive. A killed program continues the session when it opens
+    it again. After an error other than Ctrl-C and SIGTERM, `finish_session` makes the map later.
 
     With `poses` the vehicle's poses are those of another program (`push_pose`), as those of
     `build --poses` are; they say what body they are of. The camera's steps are not worked out then.
 
-    Results are given to `on_result` in a thread of its own, or taken with `results`; the oldest
-    give way when nobody takes them, and what a callback raises or how long it takes changes nothing
-    else. Pushing is safe from any thread. It is ready to be pushed to once it is made, which takes
-    seconds on the first run of a machine. Raises MapExistsError, ConfigError and others that say
-    what the map would refuse, before anything is pushed.
+    Results are given to `on_result` in a thread of its own, or taken with `results`; the oldest are
+    dropped when nobody takes them. What a callback raises, or how long it takes, changes nothing
+    else. Pushing is safe from any thread. Making it takes seconds on the first run on a machine.
+    Raises MapExistsError, ConfigError and others for what the map would refuse.
     """
 
     def __init__(
@@ -294,13 +291,17 @@ class Live(Closing):
         return self._perceiver.drain(timeout_s)
 
     def finish(
-        self, overrides: Overrides | None = None, *, patience: Patience | None = None
+        self,
+        overrides: Overrides | None = None,
+        *,
+        progress: Callable[[Progress], None] | None = None,
+        patience: Patience | None = None,
     ) -> SessionReport:
         """End the session and put it into the map; options and errors as of `finish_session`."""
         self._check_open()
         self._end()
         try:
-            return finish(self._kept, overrides or {}, patience)
+            return finish(self._kept, overrides or {}, progress, patience)
         finally:
             self._kept.close()
 
