@@ -198,7 +198,7 @@ def test_a_full_disk_leaves_the_earlier_track(
     def full(_: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(publish, "_sync", full)
+    monkeypatch.setattr(publish, "sync", full)
     with pytest.raises(MapWriteError, match=r"disk is full"):
         write_track(estimate(), path)
     assert path.read_text() == GOLDEN

@@ -281,7 +281,9 @@ def test_a_bag_without_images_is_tracked_by_its_fixes_and_motion(
     # The IMU lies on its side, which nothing says but what it feels.
     assert any("gravity is felt upward, along [0, 1, 0]" in note for note in tracked.notes)
     accepted = tracked.estimate.trajectory.accepted[tracked.estimate.fix_row]
-    assert accepted.sum() > 700
+    # The others have headings that are too unsure: the gyro shows that the fixes drift smoothly by
+    # more than they state.
+    assert accepted.sum() > 600
     with pytest.raises(RecordingError, match=r"no pair of a left .*/fix \(sensor_msgs/NavSatFix"):
         open_recording(shared_data("husky_gps_rosbag") / "test1.bag")
 
