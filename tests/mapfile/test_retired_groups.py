@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, LocalGrid
 from fieldgrid.layers import RETIRED_GROUPS, stored_groups
 from fieldgrid.mapfile import create_map, open_map
@@ -112,3 +112,11 @@ def test_a_change_that_is_refused_leaves_the_map_as_it_is(tmp_path: Path) -> Non
     assert content(old) == before
     with open_map(old) as universal:
         assert [info.name for info in universal.sessions()] == ["s0", "s1", "bare"]
+
+
+def test_the_map_closes_after_a_change_that_was_refused(tmp_path: Path) -> None:
+    old = aged(write(tmp_path / "old.gpkg"))
+    before = old.read_bytes()
+    with open_map(old, writable=True) as universal, pytest.raises(ConfigError, match="no session"):
+        universal.remove_session("nope")
+    assert old.read_bytes() == before

@@ -302,7 +302,7 @@ class MapFile(MapReader):
 
         An older map is brought up to date in it: where the change is refused, it stays old.
         """
-        before = self._header
+        before, unsettled = self._header, self._unsettled
         try:
             with writing(self._connection, self.path, self._patience):
                 if keep is not None:
@@ -324,7 +324,7 @@ class MapFile(MapReader):
                     yield
                     seal(self._connection)
         except BaseException:
-            self._header = before
+            self._header, self._unsettled = before, unsettled
             raise
 
     def _settle(self) -> None:
