@@ -13,13 +13,14 @@ import pytest
 
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, LocalGrid
-from fieldgrid.layers import RETIRED_GROUPS, stored_groups
+from fieldgrid.layers import RETIRED_GROUPS, register_group, stored_groups, unregister
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.row_sums import begin_sums
 from fieldgrid.trajectory import Pose
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, grid_of, write_session
+from tests.mapfile.test_own_layer import GROUP
 
 LAYERS = ("ground", "ground_sigma", "slope", "roughness", "step", "height", "traversability")
 
@@ -120,3 +121,40 @@ def test_the_map_closes_after_a_change_that_was_refused(tmp_path: Path) -> None:
     with open_map(old, writable=True) as universal, pytest.raises(ConfigError, match="no session"):
         universal.remove_session("nope")
     assert old.read_bytes() == before
+
+
+def test_a_handle_of_before_changes_what_another_one_brought_up_to_date(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
+    with open_map(old, datum=DATUM) as first, open_map(old, writable=True) as second:
+        with first.add_session("more") as session:
+            assert second.upgrade()
+            for frame in drive(2):
+                session.add(*frame)
+        first.remove_session("s0")
+        assert not first.upgrade()
+        second.rename_session("s1", "other")
+    with open_map(new, datum=DATUM) as universal:
+        write_session(universal, "more", drive(2))
+        universal.remove_session("s0")
+        universal.rename_session("s1", "other")
+    assert content(old) == content(new)
+    with open_map(old) as universal:
+        assert universal.verify(deep=True).problems == ()
+
+
+def test_a_drive_gets_the_groups_that_another_handle_added(tmp_path: Path) -> None:
+    path = write(tmp_path / "map.gpkg")
+    register_group(GROUP)
+    try:
+        with (
+            open_map(path, datum=DATUM) as first,
+            open_map(path, writable=True) as second,
+            first.add_session("more") as session,
+        ):
+            second.repair()
+            for frame in drive(2):
+                session.add(*frame)
+        with open_map(path) as universal:
+            assert universal.verify(deep=True).problems == ()
+    finally:
+        unregister(GROUP.name)

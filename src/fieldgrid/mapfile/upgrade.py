@@ -23,7 +23,7 @@ from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.derived import add_groups, rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
-from fieldgrid.mapfile.header import Header, check_plane
+from fieldgrid.mapfile.header import Header, check_plane, reread
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.root import seal
 
@@ -57,6 +57,21 @@ def read_as_is(connection: sqlite3.Connection) -> None:
     for statement in _VIEWS:
         connection.execute(statement)
     connection.execute(f"PRAGMA query_only = {read_only}")
+
+
+def _drop_views(connection: sqlite3.Connection) -> None:
+    """Undo `read_as_is`, within the caller's transaction."""
+    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
+        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+
+
+def as_it_is_now(connection: sqlite3.Connection, path: Path, header: Header) -> Header:
+    """The settings of a map that is about to be changed, whatever other programs have made of it
+    since `header` was read; within the caller's transaction."""
+    now = reread(connection, path, header)
+    if header.version < now.version:
+        _drop_views(connection)
+    return now
 
 
 def upgraded(header: Header) -> Header:
@@ -108,8 +123,7 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
     nothing else that confirms it.
     """
     check_plane(connection, path, header.datum)
-    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
-        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+    _drop_views(connection)
     # Other tables keep referring to the sessions by the name that the new table takes.
     connection.execute("PRAGMA legacy_alter_table = ON")
     for name in ("session", "frame"):
