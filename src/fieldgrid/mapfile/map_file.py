@@ -36,7 +36,14 @@ from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.stored_features import keep_features
 from fieldgrid.mapfile.transform import Transform
-from fieldgrid.mapfile.upgrade import as_it_is_now, replace_retired, upgrade, upgraded
+from fieldgrid.mapfile.upgrade import (
+    as_it_is_now,
+    drop_retired,
+    in_change,
+    replace_retired,
+    upgrade,
+    upgraded,
+)
 from fieldgrid.mapfile.verification import repair
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
@@ -153,7 +160,7 @@ class MapFile(MapReader):
             self._connection,
             self.path,
             metadata,
-            upgraded(self._header),
+            in_change(self._header),
             committing=self._transaction,
             on_end=self._session_ended,
         )
@@ -278,29 +285,37 @@ class MapFile(MapReader):
 
     def upgrade(self) -> bool:
         """Bring a map of an older format, or with retired channel groups, up to date, at once or
-        not at all; returns whether there was anything to do."""
+        not at all; returns whether there was anything to do.
+
+        Raises MapError when the frames of a session cannot be read.
+        """
         self._require_writable()
         with reading(self._connection, self.path):
             is_old = reread(self._connection, self.path, self._header).is_old
         if is_old:
-            with self._changing():
+            with self._changing(strict=True):
                 pass
         return is_old
 
     @contextmanager
-    def _changing(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[None]:
+    def _changing(
+        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
+    ) -> Iterator[None]:
         """A change of what the map has already; see `_transaction`."""
         self._require_writable()
-        with self._transaction(trusting=trusting, keep=keep):
+        with self._transaction(trusting=trusting, strict=strict, keep=keep):
             yield
         self._unsettled = True
 
     @contextmanager
-    def _transaction(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[Header]:
+    def _transaction(
+        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
+    ) -> Iterator[Header]:
         """One transaction in which the map is changed, with its settings as they are in it;
         `trusting` what its root digest covers. `keep` is where it is copied to before.
 
         An older map is brought up to date in it: where the change is refused, it stays old.
+        Retired channel groups that cannot be replaced are left out, or, with `strict`, refuse it.
         """
         before = self._header
         try:
@@ -318,10 +333,14 @@ class MapFile(MapReader):
                     return
                 check_root(self._connection, self.path)
                 with self._counter.counting():
-                    if self._header.is_old:
-                        replace_retired(self._connection, self.path, self._header)
-                        self._header = upgraded(self._header)
+                    old = self._header
+                    if old.is_old:
+                        self._header = drop_retired(self._connection, old)
                     yield self._header
+                    if old.is_old:
+                        self._header = replace_retired(
+                            self._connection, self.path, old, strict=strict
+                        )
                     seal(self._connection)
         except BaseException:
             self._header = before
