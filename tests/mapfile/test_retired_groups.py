@@ -78,7 +78,8 @@ def test_they_are_read_from_the_frames(tmp_path: Path) -> None:
     assert old.read_bytes() == before
 
 
-def test_the_next_change_replaces_them(tmp_path: Path) -> None:
+def test_the_next_change_replaces_them(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "fieldgrid")
     new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
     other = aged(write(tmp_path / "other.gpkg"))
     for path in (new, old):
@@ -89,6 +90,7 @@ def test_the_next_change_replaces_them(tmp_path: Path) -> None:
         assert not universal.upgrade()
         universal.remove_session("s0")
     for path in (old, other):
+        assert f"{path} is brought up to date" in caplog.text
         assert content(path) == content(new)
         with open_map(path) as universal:
             for deep in (False, True):
