@@ -11,15 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, LocalGrid
-from fieldgrid.layers import RETIRED_GROUPS, stored_groups
+from fieldgrid.layers import RETIRED_GROUPS, register_group, stored_groups, unregister
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.mapfile.root import seal
-from fieldgrid.mapfile.row_sums import begin_sums
+from fieldgrid.mapfile.row_digest import of_rows
+from fieldgrid.mapfile.row_sums import begin_sums, fits, kept_sums
+from fieldgrid.mapfile.schema import DERIVED_TABLES
 from fieldgrid.trajectory import Pose
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, grid_of, write_session
+from tests.mapfile.test_own_layer import GROUP
 
 LAYERS = ("ground", "ground_sigma", "slope", "roughness", "step", "height", "traversability")
 
@@ -75,7 +78,8 @@ def test_they_are_read_from_the_frames(tmp_path: Path) -> None:
     assert old.read_bytes() == before
 
 
-def test_the_next_change_replaces_them(tmp_path: Path) -> None:
+def test_the_next_change_replaces_them(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "fieldgrid")
     new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
     other = aged(write(tmp_path / "other.gpkg"))
     for path in (new, old):
@@ -86,6 +90,7 @@ def test_the_next_change_replaces_them(tmp_path: Path) -> None:
         assert not universal.upgrade()
         universal.remove_session("s0")
     for path in (old, other):
+        assert f"{path} is brought up to date" in caplog.text
         assert content(path) == content(new)
         with open_map(path) as universal:
             for deep in (False, True):
@@ -101,14 +106,113 @@ def test_a_drive_that_is_added_replaces_them(tmp_path: Path) -> None:
     assert content(old) == content(new)
 
 
-def test_a_change_that_is_refused_leaves_the_map_as_it_is(tmp_path: Path) -> None:
-    old = aged(write(tmp_path / "old.gpkg"))
-    with closing(sqlite3.connect(old)) as database:
-        database.execute("UPDATE fieldgrid_grid SET data = x'00' WHERE channel = 'ground_cm'")
-        database.commit()
-    before = content(old)
-    with open_map(old, writable=True) as universal, pytest.raises(MapError, match="damaged"):
-        universal.remove_session("bare")
-    assert content(old) == before
+def damaged(path: Path, name: str = "s0") -> Path:
+    """The map after the frames of a drive have become unreadable."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(
+            "UPDATE fieldgrid_grid SET data = x'00' WHERE channel = 'ground_cm' AND frame IN ("
+            "SELECT id FROM fieldgrid_frame WHERE session_id = ("
+            "SELECT id FROM fieldgrid_session WHERE name = ?))",
+            (name,),
+        )
+    return path
+
+
+def groups(path: Path) -> set[str]:
+    with closing(sqlite3.connect(path)) as database:
+        query = "SELECT value FROM fieldgrid_meta WHERE key = 'channel_groups'"
+        return set(json.loads(database.execute(query).fetchone()[0]))
+
+
+def test_an_upgrade_that_is_refused_leaves_the_map_as_it_is(tmp_path: Path) -> None:
+    old = damaged(aged(write(tmp_path / "old.gpkg")))
+    before = old.read_bytes()
+    refused = pytest.raises(MapError, match=r"Session 's0': .* damaged.*Take that session out")
+    with open_map(old, writable=True) as universal, refused:
+        universal.upgrade()
+    assert old.read_bytes() == before
     with open_map(old) as universal:
         assert [info.name for info in universal.sessions()] == ["s0", "s1", "bare"]
+
+
+def test_a_drive_whose_frames_are_damaged_can_be_taken_out(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), damaged(aged(write(tmp_path / "old.gpkg")))
+    for path in (new, old):
+        with open_map(path, writable=True) as universal:
+            universal.remove_session("s0")
+    assert content(old) == content(new)
+    assert groups(old) == set(stored_groups())
+
+
+def test_no_change_is_refused_because_of_damaged_frames(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    new, old = write(tmp_path / "new.gpkg"), damaged(aged(write(tmp_path / "old.gpkg")), "s1")
+    for path in (new, old):
+        with open_map(path, datum=DATUM) as universal:
+            write_session(universal, "more", drive(4, heading_deg=80.0))
+    assert "Session 's1'" in caplog.text
+    assert "`fieldgrid repair`" in caplog.text
+    assert groups(old) == set(stored_groups()) - set(RETIRED_GROUPS.values())
+    with closing(sqlite3.connect(old)) as database:  # also what was begun and given up is counted
+        kept = kept_sums(database)
+        for table in DERIVED_TABLES:
+            assert fits(kept[table], of_rows(database, table)), table
+    for path in (new, old):
+        with open_map(path, writable=True) as universal:
+            universal.rename_session("s0", "other")
+            universal.remove_session("s1")
+    views = [open_map(path).read(layers=LAYERS) for path in (new, old)]
+    for name in LAYERS:
+        np.testing.assert_array_equal(views[0].layer(name), views[1].layer(name), name)
+    with open_map(old, writable=True) as universal:
+        left = universal.verify(deep=True).problems
+        assert left
+        assert all("'s1'" in problem for problem in left)
+        assert universal.repair() == left
+    assert content(old) == content(new)
+
+
+def test_the_map_closes_after_a_change_that_was_refused(tmp_path: Path) -> None:
+    old = aged(write(tmp_path / "old.gpkg"))
+    before = old.read_bytes()
+    with open_map(old, writable=True) as universal, pytest.raises(ConfigError, match="no session"):
+        universal.remove_session("nope")
+    assert old.read_bytes() == before
+
+
+def test_a_handle_of_before_changes_what_another_one_brought_up_to_date(tmp_path: Path) -> None:
+    new, old = write(tmp_path / "new.gpkg"), aged(write(tmp_path / "old.gpkg"))
+    with open_map(old, datum=DATUM) as first, open_map(old, writable=True) as second:
+        with first.add_session("more") as session:
+            assert second.upgrade()
+            for frame in drive(2):
+                session.add(*frame)
+        first.remove_session("s0")
+        assert not first.upgrade()
+        second.rename_session("s1", "other")
+    with open_map(new, datum=DATUM) as universal:
+        write_session(universal, "more", drive(2))
+        universal.remove_session("s0")
+        universal.rename_session("s1", "other")
+    assert content(old) == content(new)
+    with open_map(old) as universal:
+        assert universal.verify(deep=True).problems == ()
+
+
+def test_a_drive_gets_the_groups_that_another_handle_added(tmp_path: Path) -> None:
+    path = write(tmp_path / "map.gpkg")
+    register_group(GROUP)
+    try:
+        with (
+            open_map(path, datum=DATUM) as first,
+            open_map(path, writable=True) as second,
+            first.add_session("more") as session,
+        ):
+            second.repair()
+            for frame in drive(2):
+                session.add(*frame)
+        with open_map(path) as universal:
+            assert universal.verify(deep=True).problems == ()
+    finally:
+        unregister(GROUP.name)

@@ -15,7 +15,7 @@ import pytest
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.mapfile import LAYERS, MapFile, MapView, merge_maps, open_map
 from tests.mapfile.content import content
-from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_map
+from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_map, write_session
 
 FORMAT_2 = Path(__file__).with_name("format2.gpkg")
 
@@ -152,6 +152,17 @@ def test_a_map_whose_frames_cannot_be_read_stays_as_it_is(path: Path) -> None:
     with open_map(path, writable=True) as universal, pytest.raises(MapError, match="is damaged"):
         universal.upgrade()
     assert path.read_bytes() == before
+
+
+def test_a_handle_of_before_changes_what_another_one_upgraded(path: Path) -> None:
+    with open_map(path, datum=DATUM) as first, open_map(path, writable=True) as second:
+        assert second.upgrade()
+        write_session(first, "more", drive(1))
+        first.remove_session("0")
+        assert not first.upgrade()
+        assert first.verify(deep=True).problems == ()
+    with open_map(path) as universal:
+        assert [info.name for info in universal.sessions()] == ["0", "1", "2", "more"]
 
 
 @pytest.mark.parametrize(

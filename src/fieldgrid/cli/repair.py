@@ -15,7 +15,11 @@ def command(
     map_: options.MapArgument,
     upgrade: Annotated[
         bool,
-        typer.Option("--upgrade", help="Only upgrade a map of an older format."),
+        typer.Option(
+            "--upgrade",
+            help="Only upgrade a map of an older format, or with channel groups that were "
+            "replaced since.",
+        ),
     ] = False,
     in_place: Annotated[
         bool, typer.Option("--in-place", help="Keep no copy of the old map.")

@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Collection
 from pathlib import Path
 
+from fieldgrid.errors import MapError
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.features import hide_session, show_session
@@ -131,13 +132,20 @@ def add_groups(
     connection: sqlite3.Connection, path: Path, header: Header, names: Collection[str]
 ) -> None:
     """Add channel groups to the tiles of a map that are up to date but for them, within the
-    caller's transaction; those above the base are left for `settle`."""
+    caller's transaction; those above the base are left for `settle`.
+
+    Raises MapError, which names the session, when frames cannot be read.
+    """
     tables = tables_of(connection, header, path)
     added = [group for group in tables.groups if group.name in names]
     groups = (tables.groups[0], *added)
-    for session_id, _ in active(connection):
-        frames = placed_frames(frames_of(connection, session_id))
-        with SessionTiles.folded(frames, header.lattice, header.transfer, groups) as tiles:
+    for session_id, name in active(connection):
+        try:
+            frames = placed_frames(frames_of(connection, session_id))
+            tiles = SessionTiles.folded(frames, header.lattice, header.transfer, groups)
+        except MapError as error:
+            raise MapError(f"Session {name!r}: {error}") from error
+        with tiles:
             for tile in sorted(tiles.tiles):
                 blobs = tiles.blobs(tile)
                 kept = {group.name: blobs[group.name] for group in added if group.name in blobs}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -108,18 +110,8 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
         raise MapError(f"{path} is not a fieldgrid map but {kind}. Check the name.")
     _check_whole(connection, path)
     meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
-    try:
-        version = int(meta["format_version"])
-        if version > schema.FORMAT_VERSION:
-            raise MapError(
-                f"{path} has format version {version}, and this fieldgrid reads up to "
-                f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
-            )
-        if version < OLDEST_VERSION:
-            raise MapError(
-                f"{path} has format version {version}, of before the first release; build it again "
-                "from its recordings."
-            )
+    with _explained(path):
+        version, groups = _format_of(meta, path)
         expected = {*schema.OWN_TABLES, *schema.LAYERS}
         if version < schema.FORMAT_VERSION:
             expected -= {"fieldgrid_grid"}
@@ -129,7 +121,6 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
         for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
             if meta[key] != str(value):
                 raise ValueError(f"{key} is {meta[key]!r}, not {value}")
-        groups = tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]")))
         if version == schema.FORMAT_VERSION and "density" not in groups:
             raise ValueError(f"its tiles hold {', '.join(groups) or 'nothing'}, and no density")
         return Header(
@@ -139,6 +130,38 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
             groups,
             version,
         )
+
+
+def reread(connection: sqlite3.Connection, path: Path, header: Header) -> Header:
+    """The settings with what changes of them, format and channel groups, as it is now: another
+    program may have brought the map up to date since."""
+    meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
+    with _explained(path):
+        version, groups = _format_of(meta, path)
+        return header._replace(groups=groups, version=version)
+
+
+def _format_of(meta: Mapping[str, str], path: Path) -> tuple[int, tuple[str, ...]]:
+    """The version of the format, if it is one that is read, and the channel groups."""
+    version = int(meta["format_version"])
+    if version > schema.FORMAT_VERSION:
+        raise MapError(
+            f"{path} has format version {version}, and this fieldgrid reads up to "
+            f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
+        )
+    if version < OLDEST_VERSION:
+        raise MapError(
+            f"{path} has format version {version}, of before the first release; build it again "
+            "from its recordings."
+        )
+    return version, tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]")))
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Say of settings that cannot be read that the map is damaged."""
+    try:
+        yield
     except MapError:
         raise
     except (KeyError, TypeError, ValueError, FieldgridError) as error:

@@ -25,7 +25,7 @@ from fieldgrid.mapfile.database import (
     writing,
 )
 from fieldgrid.mapfile.derived import settle
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import Header, reread
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
@@ -36,7 +36,14 @@ from fieldgrid.mapfile.schema import FORMAT_VERSION
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.stored_features import keep_features
 from fieldgrid.mapfile.transform import Transform
-from fieldgrid.mapfile.upgrade import replace_retired, upgrade, upgraded
+from fieldgrid.mapfile.upgrade import (
+    as_it_is_now,
+    drop_retired,
+    in_change,
+    replace_retired,
+    upgrade,
+    upgraded,
+)
 from fieldgrid.mapfile.verification import repair
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
@@ -153,7 +160,7 @@ class MapFile(MapReader):
             self._connection,
             self.path,
             metadata,
-            upgraded(self._header),
+            in_change(self._header),
             committing=self._transaction,
             on_end=self._session_ended,
         )
@@ -278,50 +285,62 @@ class MapFile(MapReader):
 
     def upgrade(self) -> bool:
         """Bring a map of an older format, or with retired channel groups, up to date, at once or
-        not at all; returns whether there was anything to do."""
-        is_old = self._header.is_old
+        not at all; returns whether there was anything to do.
+
+        Raises MapError when the frames of a session cannot be read.
+        """
+        self._require_writable()
+        with reading(self._connection, self.path):
+            is_old = reread(self._connection, self.path, self._header).is_old
         if is_old:
-            with self._changing():
+            with self._changing(strict=True):
                 pass
-        else:
-            self._require_writable()
         return is_old
 
     @contextmanager
-    def _changing(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[None]:
+    def _changing(
+        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
+    ) -> Iterator[None]:
         """A change of what the map has already; see `_transaction`."""
         self._require_writable()
-        with self._transaction(trusting=trusting, keep=keep):
+        with self._transaction(trusting=trusting, strict=strict, keep=keep):
             yield
         self._unsettled = True
 
     @contextmanager
-    def _transaction(self, *, trusting: bool = True, keep: Path | None = None) -> Iterator[None]:
-        """One transaction in which the map is changed; `trusting` what its root digest covers.
-        `keep` is where it is copied to before.
+    def _transaction(
+        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
+    ) -> Iterator[Header]:
+        """One transaction in which the map is changed, with its settings as they are in it;
+        `trusting` what its root digest covers. `keep` is where it is copied to before.
 
         An older map is brought up to date in it: where the change is refused, it stays old.
+        Retired channel groups that cannot be replaced are left out, or, with `strict`, refuse it.
         """
         before = self._header
         try:
             with writing(self._connection, self.path, self._patience):
                 if keep is not None:
                     copy_to(self.path, keep)
-                if before.version < FORMAT_VERSION:
-                    upgrade(self._connection, self.path, before)
+                self._header = as_it_is_now(self._connection, self.path, before)
+                if self._header.version < FORMAT_VERSION:
+                    upgrade(self._connection, self.path, self._header)
                     seal(self._connection)
-                    self._header = upgraded(before)
+                    self._header = upgraded(self._header)
                 if not trusting:
-                    yield
+                    yield self._header
                     seal(self._connection)
                     return
                 check_root(self._connection, self.path)
                 with self._counter.counting():
-                    if self._header.is_old:
-                        replace_retired(self._connection, self.path, self._header)
-                        self._header = upgraded(self._header)
-                        self._unsettled = True
-                    yield
+                    old = self._header
+                    if old.is_old:
+                        self._header = drop_retired(self._connection, old)
+                    yield self._header
+                    if old.is_old:
+                        self._header = replace_retired(
+                            self._connection, self.path, old, strict=strict
+                        )
                     seal(self._connection)
         except BaseException:
             self._header = before
@@ -337,8 +356,9 @@ class MapFile(MapReader):
                 writing(self._connection, self.path, Patience(0.0)),
                 self._counter.counting(),
             ):
+                self._header = as_it_is_now(self._connection, self.path, self._header)
                 settle(self._connection, self._header, self.path)
-        except MapError as error:
+        except (MapError, ConfigError) as error:
             # The map is complete without: readers make it from the tiles below.
             _LOG.info("%s was not settled: %s", self.path, error)
 

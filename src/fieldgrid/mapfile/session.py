@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.layers import FrameCells
+from fieldgrid.layers import ChannelGroup, FrameCells
 from fieldgrid.mapfile import derived
 from fieldgrid.mapfile.database import explained
 from fieldgrid.mapfile.digest import frame_digest
@@ -55,7 +55,7 @@ class Session:
         metadata: SessionMetadata,
         header: Header,
         *,
-        committing: Callable[[], AbstractContextManager[None]],
+        committing: Callable[[], AbstractContextManager[Header]],
         on_end: Callable[[bool], None],
     ) -> None:
         self.name = metadata.name
@@ -175,18 +175,23 @@ class Session:
             for frame in self._frames.values()
             if is_accepted(frame.pose) and self._spec is not None
         ]
-        with explained(self._path, writing=True):
-            tiles = SessionTiles.folded(
-                frames, self._header.lattice, self._header.transfer, self._groups
-            )
-        with tiles, self._committing():
+        with ExitStack() as stack:
+            tiles = stack.enter_context(self._folded(frames, self._groups))
+            header = stack.enter_context(self._committing())
+            if header.groups != self._header.groups:  # by another program since this one began
+                groups = header.writable_groups(self._path)
+                tiles = stack.enter_context(self._folded(frames, groups))
             session_id = self._insert_session()
             self._insert_frames(session_id)
             put_arrays(self._connection, session_id, self._metadata.arrays)
             sum_up(self._connection, session_id, self._metadata)
-            derived.show(
-                self._connection, self._header, session_id, self._metadata, tiles, self._path
-            )
+            derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
+
+    def _folded(
+        self, frames: Sequence[PlacedFrame], groups: Sequence[ChannelGroup]
+    ) -> SessionTiles:
+        with explained(self._path, writing=True):
+            return SessionTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
 
     def _insert_frames(self, session_id: int) -> None:
         for waiting in self._frames.values():

@@ -5,13 +5,15 @@ other tiles. Its pictures are those of today, so a density is read from them; ev
 folded anew from the frames until the map is upgraded.
 
 Maps of the present format may hold retired channel groups. Those that replace them are read from
-the frames until they are made, with the next change.
+the frames until they are made, with the next change or, where frames are damaged, by a repair.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import sqlite3
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +25,11 @@ from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.derived import add_groups, rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
-from fieldgrid.mapfile.header import Header, check_plane
+from fieldgrid.mapfile.header import Header, check_plane, reread
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.root import seal
+
+_LOG = logging.getLogger(__name__)
 
 _GREY = "|u1"
 
@@ -59,6 +63,21 @@ def read_as_is(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA query_only = {read_only}")
 
 
+def _drop_views(connection: sqlite3.Connection) -> None:
+    """Undo `read_as_is`, within the caller's transaction."""
+    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
+        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+
+
+def as_it_is_now(connection: sqlite3.Connection, path: Path, header: Header) -> Header:
+    """The settings of a map that is about to be changed, whatever other programs have made of it
+    since `header` was read; within the caller's transaction."""
+    now = reread(connection, path, header)
+    if header.version < now.version:
+        _drop_views(connection)
+    return now
+
+
 def upgraded(header: Header) -> Header:
     """The settings of a map once it is up to date."""
     if header.version < schema.FORMAT_VERSION:
@@ -72,18 +91,63 @@ def upgraded(header: Header) -> Header:
     )
 
 
-def replace_retired(connection: sqlite3.Connection, path: Path, header: Header) -> None:
-    """Make the groups that replace retired ones, from the frames, within the caller's transaction.
+def in_change(header: Header) -> Header:
+    """The settings of a map while it is changed: of the present format, without retired groups."""
+    if header.version < schema.FORMAT_VERSION:
+        return upgraded(header)
+    kept = tuple(name for name in header.groups if name not in RETIRED_GROUPS)
+    return header._replace(groups=kept)
 
-    Raises MapError when the frames of an active session cannot be read.
+
+def drop_retired(connection: sqlite3.Connection, header: Header) -> Header:
+    """Delete the retired groups of a map, before it is changed, within the caller's transaction;
+    returns its settings without them."""
+    _delete_groups(connection, RETIRED_GROUPS)
+    without = in_change(header)
+    schema.set_groups(connection, without.groups)
+    return without
+
+
+def replace_retired(
+    connection: sqlite3.Connection, path: Path, header: Header, *, strict: bool
+) -> Header:
+    """Make the groups that replace retired ones, which `drop_retired` deleted, from the frames of
+    the map as it was changed; returns its settings then. `header` has those of before.
+
+    Where the frames of an active session cannot be read, the new groups are left out: then their
+    layers are read from the frames, and no change is refused for it. MapError when it is `strict`.
     """
     renewed = upgraded(header)
+    added = set(renewed.groups) - set(header.groups)
+    _LOG.info(
+        "%s is brought up to date: %s are made from its frames", path, ", ".join(sorted(added))
+    )
+    try:
+        add_groups(connection, path, renewed, added)
+    except MapError as error:
+        if strict:
+            raise MapError(
+                f"{path} cannot be brought up to date: {error} Take that session out with "
+                "`fieldgrid sessions --remove`, or restore a copy of the map."
+            ) from error
+        _LOG.warning(
+            "%s was changed, but not all of it was brought up to date: %s Take that session out "
+            "with `fieldgrid sessions --remove`, and make the rest with `fieldgrid repair`.",
+            path,
+            error,
+        )
+        _delete_groups(connection, added)
+        return in_change(header)
+    schema.set_groups(connection, renewed.groups)
+    return renewed
+
+
+def _delete_groups(connection: sqlite3.Connection, names: Iterable[str]) -> None:
+    """Delete groups from all tiles."""
     for table in ("fieldgrid_session_tile", "fieldgrid_tile"):
         connection.executemany(
-            f"DELETE FROM {table} WHERE channels = ?", [(name,) for name in RETIRED_GROUPS]
+            f"DELETE FROM {table} WHERE channels = ?", [(name,) for name in names]
         )
-    schema.set_groups(connection, renewed.groups)
-    add_groups(connection, path, renewed, set(renewed.groups) - set(header.groups))
 
 
 def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) -> sqlite3.Connection:
@@ -108,8 +172,7 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
     nothing else that confirms it.
     """
     check_plane(connection, path, header.datum)
-    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
-        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+    _drop_views(connection)
     # Other tables keep referring to the sessions by the name that the new table takes.
     connection.execute("PRAGMA legacy_alter_table = ON")
     for name in ("session", "frame"):
