@@ -5,7 +5,7 @@ from __future__ import annotations
 import filecmp
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapWriteError
@@ -33,7 +33,10 @@ def write_together(
     written.
     """
     targets = tuple(writers)
-    with held_set(targets[-1]) as folder, ExitStack() as stack:
+    # Without overwriting no name changes, but a killed program may have left links.
+    is_set = overwrite or any(target.is_symlink() for target in targets)
+    holding = held_set(targets[-1]) if is_set else nullcontext()
+    with holding as folder, ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
             check = ours if target == targets[-1] else None
