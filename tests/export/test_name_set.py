@@ -187,6 +187,19 @@ def test_links_by_another_case_of_the_name_are_settled(
     assert not any(path.is_symlink() for path in tmp_path.iterdir())
 
 
+def test_no_other_user_can_change_a_set(tmp_path: Path) -> None:
+    (tmp_path / "a.new").write_text("new")
+    usual = os.umask(0)
+    try:
+        with held_set(tmp_path / "a.main") as folder:
+            assert folder
+            assert show(folder, {"a.main": tmp_path / "a.new"}, [])
+            modes = {path.stat().st_mode & 0o777 for path in (folder, *folder.iterdir())}
+    finally:
+        os.umask(usual)
+    assert modes == {0o755}
+
+
 def test_a_link_of_the_user_into_the_folder_stays(tmp_path: Path) -> None:
     write_set(tmp_path, "old", ("a.side",))
     (tmp_path / "mine").symlink_to(".a.main.set/now/a.side")

@@ -22,6 +22,7 @@ from fieldgrid.publish import NO_HARD_LINKS, hold, sync, writing
 WAIT_S = 30.0
 """How long another program that writes the same set is waited for."""
 
+_MODE = 0o755  # of folders that no other user changes while this program works in them
 _OLD, _NEW, _NOW, _SPARE = "old", "new", "now", "spare"
 
 
@@ -67,7 +68,7 @@ def show(folder: Path, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
     beside, names = folder.parent, (*new, *gone)
     try:
         for part in (_OLD, _NEW):
-            (folder / part).mkdir()
+            (folder / part).mkdir(_MODE)
         for name, file in new.items():
             os.link(file, folder / _NEW / name)
         for name in names:
@@ -194,7 +195,7 @@ def _held(folder: Path) -> int | None:
         is_new = False
         try:
             with suppress(FileExistsError):
-                folder.mkdir()
+                folder.mkdir(_MODE)
                 is_new = True
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         except FileNotFoundError:
