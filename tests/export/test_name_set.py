@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.errors import MapExistsError, MapWriteError
-from fieldgrid.export import name_set
+from fieldgrid.export import name_set, together
 from fieldgrid.export.name_set import held_set, show
 from fieldgrid.export.together import write_together
 from tests.export.test_together import killed_at, seen, text, write, write_set
@@ -144,6 +144,25 @@ def test_an_empty_folder_of_another_user_is_done_without(
     write_set(tmp_path, "new", ("a.side",))
     assert seen(tmp_path) == {"a.side": "new a.side", "a.main": "new a.main"}
     assert (tmp_path / ".a.main.set").is_dir()
+
+
+def test_files_of_another_user_that_may_not_be_replaced_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder such as /tmp; the system lets nobody link such files, either."""
+    write_set(tmp_path, "old", ("a.side",))
+    old, remove = seen(tmp_path), os.unlink
+
+    def refuse(place: Path, *arguments: object) -> None:
+        if "partial" not in Path(place).name:
+            raise PermissionError(1, "Operation not permitted")
+        remove(place)
+
+    monkeypatch.setattr(os, "unlink", refuse)
+    monkeypatch.setattr(together, "show", lambda *_: False)
+    with pytest.raises(MapWriteError, match=r"a\.main could not be removed .*permissions"):
+        write_set(tmp_path, "new", ("a.side",))
+    assert seen(tmp_path) == old
 
 
 def test_a_file_system_that_gives_all_files_to_one_user_keeps_no_folder(

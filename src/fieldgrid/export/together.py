@@ -34,7 +34,7 @@ def write_together(
     """
     targets = tuple(writers)
     # Without overwriting no name changes, but a killed program may have left links.
-    is_set = overwrite or any(target.is_symlink() for target in targets)
+    is_set = overwrite or any(map(os.path.islink, targets))
     holding = held_set(targets[-1]) if is_set else nullcontext()
     with holding as folder, ExitStack() as stack:
         drafts: list[Draft] = []
@@ -80,7 +80,13 @@ def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None)
                 return
     # The file that programs open is missing while the others change.
     for old in (drafts[-1].place, *gone):
-        old.unlink(missing_ok=True)
+        try:
+            old.unlink(missing_ok=True)
+        except OSError as error:
+            raise MapWriteError(
+                f"{main} could not be written: {old.name} could not be removed "
+                f"({error.strerror}); check the folder and its permissions."
+            ) from error
     _publish(drafts)
 
 
