@@ -148,6 +148,50 @@ def test_without_a_speed_the_mask_of_the_map_that_is_replaced_goes(
     assert ("removed with the old map", removed) in done.rows
 
 
+PARAMETERS = "speed_filter_mask_server: {ros__parameters: {yaml_filename: a.speed.yaml}}"
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ("a.speed.params.yaml", PARAMETERS),
+        ("a.speed.params.yaml", "- {"),
+        ("a.speed.params.yaml", "[" * 5000),
+        ("a.speed.params.yaml", "# mine" * 5000),
+        ("a.speed.params.yaml", None),
+        ("a.speed.yaml", "image: other.pgm"),
+        ("a.speed.yaml", "just a note"),
+        ("a.speed.georef.json", "{}"),
+    ],
+)
+def test_files_with_names_of_a_mask_that_are_not_known_stay(
+    universal: MapFile, tmp_path: Path, changed: str, words: str | None
+) -> None:
+    """They may be the work of a user, or another map."""
+    how = Selection(cell_m=COARSE_M)
+    export_map(universal, tmp_path / "a.yaml", how, options={"slow_percent": 40})
+    if words is None:
+        (tmp_path / changed).unlink()
+    else:
+        (tmp_path / changed).write_text(words)
+    before = {path: path.read_bytes() for path in tmp_path.glob("*.speed.*")}
+    done = export_map(universal, tmp_path / "a.yaml", how, overwrite=True)
+    assert {path: path.read_bytes() for path in tmp_path.glob("*.speed.*")} == before
+    rows = dict(done.rows)
+    assert "a.speed.pgm" in rows["left: not of the old map, or changed"]
+    assert "removed with the old map" not in rows
+
+
+def test_a_map_that_is_named_as_a_mask_stays(universal: MapFile, tmp_path: Path) -> None:
+    how = Selection(cell_m=COARSE_M)
+    export_map(universal, tmp_path / "a.speed.yaml", how, options={"mode": "raw"})
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    done = export_map(universal, tmp_path / "a.yaml", how)
+    assert before.items() <= {path: path.read_bytes() for path in tmp_path.iterdir()}.items()
+    left = "a.speed.pgm, a.speed.yaml"
+    assert ("left: not of the old map, or changed", left) in done.rows
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from fieldgrid.mapfile import open_map, shared_sums
+from fieldgrid.mapfile import open_map, row_digest, shared_sums
 from fieldgrid.mapfile.row_digest import of_rows
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES
 from fieldgrid.mapfile.shared_sums import SharedSums, sharing_sums
@@ -54,17 +55,67 @@ def test_processes_have_the_sums_of_one(sound: Path, shared: list[int], jobs: in
     assert (shared[0] > len(SUMMED_TABLES)) == (jobs > 1)
 
 
-@pytest.mark.parametrize("command", ["missing", "false"])
+@pytest.mark.parametrize(
+    "script",
+    [
+        None,
+        "exit 1",
+        "exec sleep 60",
+        "printf 'sums of'; exec sleep 60",
+        "echo welcome; exec sleep 60",
+        "printf 'sums of rows\\n'; exit 1",
+        "printf 'sums of rows\\nwelcome\\n'; read line",
+    ],
+)
 def test_where_no_other_process_works_this_one_does_all(
-    sound: Path, shared: list[int], command: str, monkeypatch: pytest.MonkeyPatch
+    sound: Path,
+    tmp_path: Path,
+    shared: list[int],
+    script: str | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sys, "executable", shutil.which(command) or f"/{command}")
+    program = tmp_path / "python3"
+    if script is not None:
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    monkeypatch.setattr(shared_sums, "GREETING_S", 0.5)
+    start = time.monotonic()
     with (
         closing(sqlite3.connect(sound)) as connection,
         sharing_sums(connection, SUMMED_TABLES, 3) as sums,
     ):
         assert sums.finish() == expected(connection)
     assert shared[0] == 0
+    assert time.monotonic() - start < 20.0
+
+
+@pytest.mark.parametrize("executable", [None, "", "/usr/bin/qgis", "/usr/bin/uwsgi", "frozen"])
+def test_a_program_that_is_not_python_does_not_start_itself(
+    sound: Path, shared: list[int], executable: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if executable == "frozen":
+        monkeypatch.setattr(sys, "frozen", True, raising=False)
+    else:
+        monkeypatch.setattr(sys, "executable", executable)
+    monkeypatch.setattr(SharedSums, "_share", lambda _: pytest.fail("a process"))
+    with (
+        closing(sqlite3.connect(sound)) as connection,
+        sharing_sums(connection, SUMMED_TABLES, 3) as sums,
+    ):
+        assert sums._others == 0
+        assert sums.finish() == expected(connection)
+
+
+def test_a_package_in_an_archive_starts_no_process(
+    sound: Path, tmp_path: Path, shared: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(row_digest, "__file__", str(tmp_path / "all.zip" / "row_digest.py"))
+    with (
+        closing(sqlite3.connect(sound)) as connection,
+        sharing_sums(connection, SUMMED_TABLES, 3) as sums,
+    ):
+        assert sums._others == 0
 
 
 def test_a_writer_that_waits_is_not_waited_for(sound: Path, shared: list[int]) -> None:

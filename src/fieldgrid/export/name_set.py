@@ -9,13 +9,20 @@ after a kill, files take the places of the links.
 from __future__ import annotations
 
 import os
-import shutil
+import stat
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from fieldgrid.errors import MapWriteError
+from fieldgrid.file_locks import lock
 from fieldgrid.publish import NO_HARD_LINKS, hold, sync, writing
 
+WAIT_S = 30.0
+"""How long another program that writes the same set is waited for."""
+
+_MODE = 0o755  # of folders that no other user changes while this program works in them
 _OLD, _NEW, _NOW, _SPARE = "old", "new", "now", "spare"
 
 
@@ -24,24 +31,31 @@ def held_set(main: Path) -> Iterator[Path | None]:
     """Holds the set of files of which programs open `main`: its folder for links, in which
     :func:`show` works. Another program that writes the same set waits.
 
-    None where there can be no such folder. Raises MapWriteError where the disk does not take what
-    a killed program left to do.
+    None where there can be no such folder, or where it is not one that this program makes: a link,
+    a folder of another user, or one with other things in it; nothing there is touched. Raises
+    MapWriteError where another program has the set for too long, where names are links into a
+    folder that cannot be used, and where the disk does not take what a killed program left to do.
     """
     folder = Path(os.path.realpath(main.parent)) / f".{main.name}.set"
     descriptor = _held(folder)
     if descriptor is None:
+        _refuse_links(folder, main)
         yield None
         return
     try:
-        with writing(main):
-            _settle(folder)
+        if not _is_ours(folder):
+            _refuse_links(folder, main)
+            yield None
+            return
+        _settle_left(folder, main)
         try:
             yield folder
         finally:
             with writing(main):
                 _settle(folder)
-            shutil.rmtree(folder, ignore_errors=True)
     finally:
+        with suppress(OSError):  # what another program has put there stays
+            folder.rmdir()
         os.close(descriptor)
 
 
@@ -54,7 +68,7 @@ def show(folder: Path, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
     beside, names = folder.parent, (*new, *gone)
     try:
         for part in (_OLD, _NEW):
-            (folder / part).mkdir()
+            (folder / part).mkdir(_MODE)
         for name, file in new.items():
             os.link(file, folder / _NEW / name)
         for name in names:
@@ -83,38 +97,142 @@ def _replace_by_link(place: Path, to: str, folder: Path) -> None:
 
 
 def _settle(folder: Path) -> None:
-    """Put the files that links of a set lead to in their places, and empty its folder."""
-    if (folder / _NOW).is_symlink():
-        for link in [path for path in folder.parent.iterdir() if _leads_into(folder, path)]:
-            if link.exists():
-                (folder / _SPARE).unlink(missing_ok=True)
-                os.link(link.resolve(), folder / _SPARE)
-                (folder / _SPARE).replace(link)
-            else:  # a name that is only in the other half of the set
-                link.unlink()
-        sync(folder.parent)
-    for part in folder.iterdir():
-        if part.is_dir() and not part.is_symlink():
-            shutil.rmtree(part)
+    """Put the files that links of a set lead to in their places, and empty its folder.
+
+    A link that leads to nothing goes: its name is only in the other half of the set, or somebody
+    has deleted the folder.
+    """
+    links = _links_into(folder)
+    for link in links:
+        name = Path(os.readlink(link)).name
+        if (folder / _NOW / name).is_file():
+            (folder / _SPARE).unlink(missing_ok=True)
+            os.link(folder / os.readlink(folder / _NOW) / name, folder / _SPARE)
+            (folder / _SPARE).replace(link)
         else:
+            link.unlink()
+    if links:
+        sync(folder.parent)
+    for part in [path for path in folder.iterdir() if path.name in (_OLD, _NEW, _NOW, _SPARE)]:
+        if part.is_symlink() or not part.is_dir():
             part.unlink()
+            continue
+        for file in part.iterdir():
+            file.unlink()
+        part.rmdir()
 
 
-def _leads_into(folder: Path, path: Path) -> bool:
-    return path.is_symlink() and Path(os.readlink(path)).parts[:1] == (folder.name,)
+def _settle_left(folder: Path, main: Path) -> None:
+    """The same of what a killed program left, in whose place another user cannot put files."""
+    with writing(main):
+        try:
+            _settle(folder)
+        except PermissionError as error:
+            raise _left(folder, main) from error
+
+
+def _links_into(folder: Path) -> list[Path]:
+    """The names beside the folder of a set that are links of this program into it."""
+    with os.scandir(folder.parent) as entries:
+        links = [folder.parent / entry.name for entry in entries if entry.is_symlink()]
+    return [link for link in links if _leads_into(folder, link)]
+
+
+def _leads_into(folder: Path, link: Path) -> bool:
+    parts = Path(os.readlink(link)).parts
+    # A file system may take one case of a name for the other.
+    if len(parts) != 3 or parts[1] != _NOW or parts[2].casefold() != link.name.casefold():
+        return False
+    return parts[0] == folder.name or _is_same(folder.with_name(parts[0]), folder)
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return os.path.samestat(one.lstat(), other.lstat())
+    except OSError:
+        return False
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a folder has nothing in it but what :func:`show` makes."""
+    for path in folder.iterdir():
+        if path.name in (_OLD, _NEW):
+            if path.is_symlink() or not path.is_dir() or not all(map(_is_plain, path.iterdir())):
+                return False
+        elif path.name == _NOW:
+            if not path.is_symlink() or os.readlink(path) not in (_OLD, _NEW):
+                return False
+        elif path.name != _SPARE or not (path.is_symlink() or path.is_file()):
+            return False
+    return True
+
+
+def _is_plain(path: Path) -> bool:
+    return stat.S_ISREG(path.lstat().st_mode)
+
+
+def _refuse_links(folder: Path, main: Path) -> None:
+    """MapWriteError where names lead into a folder that this program may not use."""
+    links: list[Path] = []
+    with suppress(OSError):  # no such folder, which the export will say
+        links = _links_into(folder)
+    if links:
+        raise _left(folder, main)
+
+
+def _left(folder: Path, main: Path) -> MapWriteError:
+    return MapWriteError(
+        f"{main} could not be written: files beside it are links into {folder}, which a crashed "
+        "export of another user has left, or which holds other things; let that user export "
+        f"again, or copy what you need with its content and remove {folder}."
+    )
 
 
 def _held(folder: Path) -> int | None:
     """A descriptor of the folder, made where it is missing, that holds it; None where the file
-    system does not have it."""
-    with suppress(OSError):
-        while True:
-            folder.mkdir(exist_ok=True)
-            try:
-                descriptor = os.open(folder, os.O_RDONLY)
-            except FileNotFoundError:
-                continue  # another program has ended in this moment
+    system does not have it, and where it is not a folder of this user."""
+    while True:
+        is_new = False
+        try:
+            with suppress(FileExistsError):
+                folder.mkdir(_MODE)
+                is_new = True
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError:
+            if not folder.parent.is_dir():
+                return None
+            continue  # another program has ended in this moment
+        except OSError:
+            return None
+        try:
+            if os.fstat(descriptor).st_uid != os.geteuid():
+                if is_new:  # on a file system that makes all files those of one user
+                    folder.rmdir()
+                os.close(descriptor)
+                return None
+            _wait(descriptor, folder)
             if hold(descriptor, folder):
                 return descriptor
+        except BaseException:
             os.close(descriptor)
-    return None
+            raise
+        os.close(descriptor)
+
+
+def _wait(descriptor: int, folder: Path) -> None:
+    """Wait for another program to let go of the folder. MapWriteError where it does not."""
+    until = time.monotonic() + WAIT_S
+    while True:
+        try:
+            lock(descriptor, wait=False)
+        except BlockingIOError:
+            if time.monotonic() > until:
+                raise MapWriteError(
+                    f"{folder} is in use: another program has been exporting to the same name for "
+                    f"over {WAIT_S:.0f} s; wait for it or end it, or give another name."
+                ) from None
+            time.sleep(0.05)
+        except OSError:  # a file system without locks
+            return
+        else:
+            return

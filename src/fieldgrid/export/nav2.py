@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,6 +37,7 @@ _FREE_GREY, _UNKNOWN_GREY, _OCCUPIED_GREY = 254, 205, 0
 _RAW_UNKNOWN = 255
 _ENDINGS = (".yaml", ".yml")
 _SPEED_ENDINGS = (".speed.pgm", ".speed.yaml", ".speed.params.yaml")
+_MOST_CHARACTERS = 10_000  # of the small files beside a map
 _INDEX = "index.yaml"
 _GEOREFERENCE = b"fieldgrid_georeference"
 
@@ -85,7 +87,8 @@ def export_nav2(
     """Write a part of a map for Nav2's map server: `OUT.yaml`, its picture, `OUT.georef.json`, and
     the keep-outs as a mask for Nav2's keepout filter: `OUT.keepout.yaml` with its picture; where a
     speed of slow zones is given, those for the speed filter, too: `OUT.speed.yaml` with its picture
-    and `OUT.speed.params.yaml`; where none is given, those of the map that is replaced go.
+    and `OUT.speed.params.yaml`; where none is given, those of the map that is replaced go, unless
+    they are not as this function writes them.
 
     The curve of the options makes an occupancy of the density. `trinary` keeps free and obstacle;
     doubt is read back as unknown. `scale` and `raw` keep each of 0..100 and unknown exactly. The
@@ -112,18 +115,20 @@ def export_nav2(
         return _export_tiles(universal, path, selection, options, whole, overwrite=overwrite)
     part = _Part(universal, path, selection, options)
     speed = [path.with_suffix(ending) for ending in _SPEED_ENDINGS]
-    old = [file for file in speed if file.exists()]
+    old = [file for file in speed if file.exists()] if options.slow_percent is None else []
     paths = write_together(
         part.writers(),
         overwrite=overwrite,
         ours=lambda file: mentions(file.with_suffix(".georef.json"), _GEOREFERENCE),
         what="a Nav2 map",
-        gone=speed if options.slow_percent is None else (),
+        gone=old if _is_speed_of(path) else (),
     )
     cells = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
     rows = (("mode", options.mode), ("cells", cells), *_rows(part.counts))
     if gone := [file.name for file in old if not file.exists()]:
         rows += (("removed with the old map", ", ".join(gone)),)
+    if left := [file.name for file in old if file.exists()]:
+        rows += (("left: not of the old map, or changed", ", ".join(left)),)
     about = {"mode": options.mode, **_counted(part.counts)}
     about |= extent(whole.lattice, whole.window, universal.datum)
     return Exported((paths[-1], *paths[:-1]), rows, about)
@@ -247,19 +252,51 @@ class _Part:
 
     def _yaml(self, picture: str, mode: str) -> str:
         bounds = self._lattice.bounds(self._window)
-        return _dumped(
-            {
-                "image": picture,
-                "mode": mode,
-                "resolution": float(self._lattice.cell_m),
-                # Of the lower left corner of the lower left pixel; 0.0 is added because -0.0
-                # looks odd.
-                "origin": [bounds.west_m + 0.0, bounds.south_m + 0.0, 0.0],
-                "negate": 0,
-                "occupied_thresh": OCCUPIED_THRESH,
-                "free_thresh": FREE_THRESH,
-            }
-        )
+        corner = bounds.west_m, bounds.south_m
+        return _dumped(_server_yaml(picture, mode, float(self._lattice.cell_m), corner))
+
+
+def _server_yaml(
+    picture: str, mode: str, cell_m: float, corner: tuple[float, float]
+) -> dict[str, Any]:
+    """The YAML file of a picture, by the lower left corner of its lower left pixel."""
+    return {
+        "image": picture,
+        "mode": mode,
+        "resolution": cell_m,
+        "origin": [corner[0] + 0.0, corner[1] + 0.0, 0.0],  # -0.0 looks odd
+        "negate": 0,
+        "occupied_thresh": OCCUPIED_THRESH,
+        "free_thresh": FREE_THRESH,
+    }
+
+
+def _is_speed_of(path: Path) -> bool:
+    """Whether the files of a speed mask beside a map are what :func:`export_nav2` has written."""
+    picture, mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
+    if mask.with_suffix(".georef.json").exists():  # a map of that name, which has no mask's purpose
+        return False
+    if _content(parameters) != filter_parameters(mask.name):
+        return False
+    if not mask.exists():
+        return True
+    found = _content(mask)
+    form = _server_yaml(picture.name, "raw", 0.0, (0.0, 0.0))
+    if not isinstance(found, dict) or list(found) != list(form):
+        return False
+    return all(found[key] == form[key] for key in form if key not in ("resolution", "origin"))
+
+
+def _content(path: Path) -> Any:
+    """What a small YAML file has in it; None for another file."""
+    import yaml
+
+    with suppress(OSError, ValueError, RecursionError, yaml.YAMLError):
+        with path.open(encoding="utf-8") as file:
+            text = file.read(_MOST_CHARACTERS + 1)
+        if len(text) <= _MOST_CHARACTERS:
+            return yaml.safe_load(text)
+    return None
 
 
 def greys(mode: str) -> UInt8:

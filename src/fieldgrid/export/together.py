@@ -5,7 +5,7 @@ from __future__ import annotations
 import filecmp
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapWriteError
@@ -33,7 +33,10 @@ def write_together(
     written.
     """
     targets = tuple(writers)
-    with held_set(targets[-1]) as folder, ExitStack() as stack:
+    # Without overwriting no name changes, but a killed program may have left links.
+    is_set = overwrite or any(map(os.path.islink, targets))
+    holding = held_set(targets[-1]) if is_set else nullcontext()
+    with holding as folder, ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
             check = ours if target == targets[-1] else None
@@ -77,7 +80,13 @@ def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None)
                 return
     # The file that programs open is missing while the others change.
     for old in (drafts[-1].place, *gone):
-        old.unlink(missing_ok=True)
+        try:
+            old.unlink(missing_ok=True)
+        except OSError as error:
+            raise MapWriteError(
+                f"{main} could not be written: {old.name} could not be removed "
+                f"({error.strerror}); check the folder and its permissions."
+            ) from error
     _publish(drafts)
 
 

@@ -1,8 +1,8 @@
 """The SHA-256 of a row, and the sum of those of many, by the standard library alone.
 
 It is also a program, `python row_digest.py MAP`, that starts in a tenth of the time that importing
-this package takes. It reads lines `TABLE FIRST LAST` from its standard input and answers each with
-the sum of these rows.
+this package takes. It writes `GREETING`, then reads lines `TABLE FIRST LAST` from its standard
+input and answers each with the sum of these rows.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
+
+GREETING = "sums of rows\n"
+"""By which who starts this program knows that it is this one."""
 
 
 class _Form(NamedTuple):
@@ -69,7 +72,8 @@ def of_rows(connection: sqlite3.Connection, table: str, rows: tuple[int, int] | 
 
 
 def main() -> None:
-    """Answer lines until there are no more."""
+    """Greet, then answer lines until there are no more."""
+    print(GREETING, end="", flush=True)
     place = Path(sys.argv[1]).resolve().as_uri()
     with closing(sqlite3.connect(f"{place}?mode=ro", uri=True, isolation_level=None)) as connection:
         connection.execute("PRAGMA busy_timeout = 0")

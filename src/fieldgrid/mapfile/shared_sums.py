@@ -6,10 +6,14 @@ While this process reads the map nobody commits, so all processes see the same s
 
 from __future__ import annotations
 
+import os
+import re
+import select
 import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +24,9 @@ from fieldgrid.mapfile import row_digest
 
 BYTES_A_PROCESS = 32 << 20
 """What one process reads while another one starts, many times over."""
+
+GREETING_S = 2.0
+"""How long a process may take until it greets; it takes a tenth of a second."""
 
 _PIECES = 64
 
@@ -42,7 +49,7 @@ def sharing_sums(
     (*_, file) = connection.execute("PRAGMA database_list").fetchone()
     (mode,) = connection.execute("PRAGMA journal_mode").fetchone()
     # With a write-ahead log, others would see another state.
-    size = Path(file).stat().st_size if file and mode == "delete" else 0
+    size = Path(file).stat().st_size if file and mode == "delete" and _has_python() else 0
     sums = SharedSums(connection, Path(file), min(jobs - 1, size // BYTES_A_PROCESS))
     try:
         sums.begin(tables)
@@ -106,13 +113,16 @@ class SharedSums:
         command = [sys.executable, "-I", "-S", row_digest.__file__, str(self._file)]
         pipe = subprocess.PIPE
         with (
-            suppress(OSError),
+            suppress(OSError, TypeError, ValueError),
             subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, bufsize=1
             ) as process,
         ):
             assert process.stdin is not None
             assert process.stdout is not None
+            if not _greets(process.stdout.fileno()):
+                process.kill()
+                return
             while (piece := self._next()) and piece.rows is not None:
                 try:
                     process.stdin.write(f"{piece.table} {piece.rows[0]} {piece.rows[1]}\n")
@@ -122,6 +132,34 @@ class SharedSums:
                     self._pieces.append(piece)
                     return
                 self._done.append((piece.table, part))
+
+
+def _has_python() -> bool:
+    """Whether this program can start the one that sums rows, and is not itself what would start:
+    another program that has an interpreter within it, or one that is made of this package."""
+    if getattr(sys, "frozen", False) or not sys.executable:
+        return False
+    name = Path(sys.executable).name.lower()
+    is_python = re.fullmatch(r"(python|pypy)[0-9.]*[a-z]{0,2}(\.exe)?", name) is not None
+    return is_python and Path(row_digest.__file__).is_file()
+
+
+def _greets(output: int) -> bool:
+    """Whether a process says in time that it is the program that sums rows."""
+    greeting, found = row_digest.GREETING.encode(), b""
+    until = time.monotonic() + GREETING_S
+    poll = select.poll()
+    poll.register(output, select.POLLIN)
+    # Not by readline(), which would wait for the end of the line.
+    while found != greeting and greeting.startswith(found):
+        left_s = until - time.monotonic()
+        if left_s <= 0 or not poll.poll(1000.0 * left_s):
+            return False
+        part = os.read(output, len(greeting) - len(found))
+        if not part:
+            return False
+        found += part
+    return found == greeting
 
 
 def _pieces(connection: sqlite3.Connection, table: str) -> Iterator[_Piece]:
