@@ -38,6 +38,9 @@ def test_what_is_taken_or_missing_is_refused() -> None:
         register_group(replace(group, channels=(Channel("other"),)))
     with pytest.raises(ConfigError, match="needs a plain name, and either"):
         register_group(replace(group, name="x", channels=(Channel("x"),), fold=None))
+    with pytest.raises(ConfigError, match="'guessed' has values for blocks"):
+        register_group(replace(group, name="guessed", channels=(Channel("x"),), blocks=True))
+    assert "guessed" not in GROUPS
     with pytest.raises(ConfigError, match="layer 'variance' already"):
         register_layer(layer)
     with pytest.raises(ConfigError, match="channel group 'soil', which is not there"):

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +18,9 @@ import numpy as np
 from fieldgrid.errors import MapError
 from fieldgrid.farm.catalogue import Block
 from fieldgrid.farm.maps import Maps, OpenMap
-from fieldgrid.lattice import Bounds, Window
-from fieldgrid.layers import GROUPS, Cells, ChannelGroup, Combine, groups_of
+from fieldgrid.lattice import Bounds, Lattice, Window
+from fieldgrid.layers import GROUPS, Cells, ChannelGroup, Combine, channel_names, groups_of
+from fieldgrid.layers.blocks import whole_blocks
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import FrameRecord, MapView, Mark
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
@@ -49,6 +52,13 @@ class Part(NamedTuple):
         assert own is not None
         same = own.lattice == self.header.lattice and own.transfer is self.header.transfer
         return same and self.moved is None
+
+    def reach(self, lattice: Lattice) -> Window:
+        """The cells of a lattice of which the map may tell anything: those of all blocks, of the
+        farm's cells and of the lattice, that hold a cell that it saw."""
+        own = self.header.lattice
+        held = own.bounds(whole_blocks(own.window(self.bounds), own))
+        return whole_blocks(lattice.window(held), lattice)
 
     def request(self, asked: Request) -> Request | None:
         """What is asked of the map itself; None for nothing."""
@@ -118,7 +128,7 @@ class FarmContent:
             for part in self._parts
             if (asked := part.request(request)) is not None
         ]
-        return _Neighbours(alone, needed, by.factor), 1
+        return _Neighbours(alone, needed, groups, by.factor), 1
 
     def _own_cells(self, request: Request, groups: Sequence[ChannelGroup]) -> CellSource:
         return self._joined(
@@ -156,8 +166,8 @@ class _FromMap:
         self._maps, self._part, self._request, self._find = maps, part, request, source
 
     def near(self, window: Window) -> tuple[Window, Cells] | None:
-        """What of a window lies in the map's extent, and its cells; None where it saw nothing."""
-        part = self._request.lattice.window(self._part.bounds).intersect(window)
+        """What of a window lies in the map's reach, and its cells; None where it saw nothing."""
+        part = self._part.reach(self._request.lattice).intersect(window)
         if part is None:
             return None
         with self._maps.reading(self._part.block) as opened:
@@ -202,8 +212,16 @@ class _Neighbours:
     The density alone needs the sums only, and then there is no `exact`.
     """
 
-    def __init__(self, alone: Sequence[_FromMap], exact: CellSource | None, factor: int) -> None:
+    def __init__(
+        self,
+        alone: Sequence[_FromMap],
+        exact: CellSource | None,
+        groups: Sequence[ChannelGroup],
+        factor: int,
+    ) -> None:
         self._alone, self._exact, self._factor = alone, exact, factor
+        blocks = (channel_names(group) for group in groups if group.blocks)
+        self._tell = ("weight", *chain.from_iterable(blocks))
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
@@ -214,7 +232,9 @@ class _Neighbours:
                 continue
             part, cells = found
             place = window.slices_of(part)
-            maps[place] += cells["weight"] > 0
+            # Of a block that it saw a part of, a map tells in the cells beside that, too.
+            tell = (cells[name] != 0 for name in self._tell if name in cells)
+            maps[place] += reduce(np.logical_or, tell)
             if total is None:
                 total = _empty_like(cells, window)
             for name, values in cells.items():

@@ -45,6 +45,12 @@ def blocks_under(window: Window, side: int) -> Window:
     return Window(i0, j0, i1 - i0, j1 - j0)
 
 
+def whole_blocks(window: Window, lattice: Lattice) -> Window:
+    """The cells of all blocks that a window touches: what they hold depends on no others."""
+    side = block_side(lattice)
+    return Window(*(value * side for value in blocks_under(window, side)))
+
+
 class BlockPoints(NamedTuple):
     """Where a frame is looked up for the blocks under a window.
 

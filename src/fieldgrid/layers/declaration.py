@@ -126,7 +126,8 @@ class ChannelGroup:
     each channel from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0. With `blocks` there is one value for each block of cells
-    (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number.
+    (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number; such a group has no
+    `expected`.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are stored above the base only.

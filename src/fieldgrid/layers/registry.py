@@ -43,7 +43,8 @@ LAYERS: Mapping[str, Layer] = MappingProxyType(_LAYERS)
 def register_group(group: ChannelGroup) -> None:
     """Make a channel group known. New maps accumulate it from then on; `repair` adds it to others.
 
-    Raises ConfigError when its name, or that of a channel, is taken.
+    Raises ConfigError when its name, or that of a channel, is taken, and when what it declares does
+    not go together.
     """
     taken = {name for other in _GROUPS.values() for name in channel_names(other)}
     twice = taken.intersection(channel_names(group))
@@ -55,6 +56,11 @@ def register_group(group: ChannelGroup) -> None:
         raise ConfigError(
             f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
             "or a function of a session's cells; neither, if it has no channels."
+        )
+    if group.blocks and group.expected is not None:
+        raise ConfigError(
+            f"The channel group {group.name!r} has values for blocks of cells, so that they cannot "
+            "be expected from the weight and the sum of a cell; leave `expected` out."
         )
     missing = [name for name in group.follows_from if name not in _GROUPS]
     if missing or bool(group.follows_from) != group.derived:

@@ -10,7 +10,7 @@ import numpy as np
 from fieldgrid.array_types import Int32, UInt64
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers.blocks import block_side, blocks_under
+from fieldgrid.layers.blocks import block_side, blocks_under, whole_blocks
 from fieldgrid.layers.declaration import (
     Cells,
     Channel,
@@ -43,7 +43,7 @@ class WindowFold:
         self._side = block_side(lattice)
         self._under = blocks_under(window, self._side)
         # Whether a frame saw anything of a block is known where all of it is.
-        self._window = Window(*(value * self._side for value in self._under))
+        self._window = whole_blocks(window, lattice)
         self._folds = {
             group.name: group.fold(math.prod(self._units(group).shape), lattice)
             for group in groups

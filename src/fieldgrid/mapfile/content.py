@@ -13,6 +13,7 @@ import numpy as np
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, ChannelGroup, groups_of
+from fieldgrid.layers.blocks import whole_blocks
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome, unseen
@@ -101,7 +102,7 @@ class MapContent:
         if request.lattice == self.header.lattice and _stored(self.header, request, groups):
             tables = self._tables(groups)
             return StoredSessions(tables, self.evidence.session_ids(names), groups)
-        near = request.lattice.bounds(request.window)
+        near = request.lattice.bounds(whole_blocks(request.window, request.lattice))
         frames = self.evidence.accepted(near, names, request.frame_filter)
         _check_cells(request.lattice, frames)
         by_session = [(name, [f for f in frames if f.session == name]) for name in names]

@@ -165,7 +165,7 @@ class Pyramid:
             if leaving is not None and by_sum and not is_nothing(leaving[name]):
                 arrays[name] = arrays[name] - leaving[name]
             elif leaving is not None and not by_sum:
-                arrays[name] = nothing(_SHAPE) if stay is None else stay[name]
+                arrays[name] = nothing(arrays[name].shape) if stay is None else stay[name]
             if joining is None or box is None or is_nothing(joining[name]):
                 continue
             if is_nothing(value := arrays[name]):

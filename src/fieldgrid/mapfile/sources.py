@@ -11,7 +11,7 @@ import numpy as np
 from fieldgrid.array_types import UInt64
 from fieldgrid.lattice import Lattice, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, is_nothing, nothing
-from fieldgrid.layers.blocks import blocks_under
+from fieldgrid.layers.blocks import blocks_under, whole_blocks
 from fieldgrid.layers.window import (
     WindowFold,
     at_cells,
@@ -129,8 +129,9 @@ class FoldedFrames:
             yield name, with_overviews(self._groups, cells)
 
     def _folded(self, window: Window) -> Iterator[tuple[str, Cells]]:
+        near = whole_blocks(window, self._lattice)
         for name, frames in self._sessions:
-            inside = [frame for frame, place in frames if place.intersect(window) is not None]
+            inside = [frame for frame, place in frames if place.intersect(near) is not None]
             if inside:
                 fold = WindowFold(self._lattice, window, self._transfer, self._groups)
                 for frame in inside:

@@ -102,8 +102,11 @@ def encode_tile(
     *,
     base: bool,
 ) -> bytes:
-    """The blob of a group's channels, uint64 [256, 256] each; of a group with blocks they have one
-    value for each, and `box` counts these."""
+    """The blob of a group's channels, uint64 [256, 256] each.
+
+    Those of a group with blocks have one value for each block, [256 / side, 256 / side] with so
+    many cells along its side; `box` counts blocks then.
+    """
     names = stored_channels(group, base=base)
     if all(is_nothing(cells[name]) or not cells[name].any() for name, _ in names):
         # All outside of the box is 0, so that what was expected in vain is not written down.
@@ -134,9 +137,10 @@ def decode_tile(
     base: bool,
     block: int = 1,
 ) -> dict[str, UInt64]:
-    """The channels of a group, uint64 [256, 256] each; `what` names the tile when it is damaged.
+    """The channels of a group, uint64 [256, 256] each; those of a group with blocks have one value
+    for each `block` x `block` cells, [256 / block, 256 / block].
 
-    Those of a group with blocks have one value for each `block` x `block` cells.
+    `what` names the tile when it is damaged.
     """
     side = TILE_CELLS // block if group.blocks else TILE_CELLS
     names = stored_channels(group, base=base)
