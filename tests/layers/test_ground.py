@@ -11,9 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
-from fieldgrid.layers import robust
-from fieldgrid.layers.ground import halvings
-from fieldgrid.layers.robust import WIDEST_SIGMA_M, Heights
+from fieldgrid.layers import Cells, robust
+from fieldgrid.layers.ground import GROUND, GROUP, SIGMA, _agreeing, halvings
+from fieldgrid.layers.robust import BIN_CM, BINS, WIDEST_SIGMA_M, Heights
+from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import MapView, create_map, open_map
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
@@ -146,11 +147,66 @@ def test_drives_that_are_apart_say_so_and_meet_smoothly(tmp_path: Path) -> None:
     assert np.nanmin(alone) == pytest.approx(0.3, rel=0.2)
 
 
-def test_what_lies_a_turn_of_the_histogram_apart_is_no_height(tmp_path: Path) -> None:
-    """Two drives 4 m apart fall into one bin, whose mean is neither of them."""
-    view = read(tmp_path / "map.gpkg", [[level(10.1)], [level(14.1)], [level(14.1)]])
+@pytest.mark.parametrize(
+    "heights_m", [(10.1, 14.1, 14.1), (1.0, 9.0), (1.0, 1.0, 1.0, 17.0), (0.0, 0.0, 48.0, 48.0)]
+)
+def test_what_lies_a_turn_of_the_histogram_apart_is_no_height(
+    tmp_path: Path, heights_m: Sequence[float]
+) -> None:
+    """Drives a multiple of 4 m apart fall into one bin, whose mean may even belong to it."""
+    view = read(tmp_path / "map.gpkg", [[level(up_m)] for up_m in heights_m])
     assert np.isnan(view.layer("ground")).all()
     assert np.isnan(view.layer("ground_sigma")).all()
+
+
+SURE, UNSURE = 1 << 14, 1 << 8  # 3 cm and 25 cm
+
+
+@pytest.mark.parametrize(
+    ("said", "height_m", "sigma_m"),
+    [
+        ([(0, SURE), (24, SURE)], 0.12, 0.12),  # in one bin
+        ([(1, SURE), (25, SURE)], 0.13, 0.178),  # in two
+        ([(0, SURE), (0, SURE), (24, SURE)], 0.08, 0.113),
+        ([(0, SURE), (0, SURE), (0, SURE), (20, SURE)], 0.05, 0.087),
+        ([(10, SURE), (10, SURE), (10, SURE), (30, SURE)], 0.1, 0.1),
+        ([(0, SURE), (200, UNSURE)], 0.0, 0.248),  # two are no majority
+        ([(0, SURE)] * 3 + [(180, SURE)], 0.0, 0.031),
+        ([(-5, SURE)] * 3, -0.05, 0.031),
+        ([(100, SURE)] * 3 + [(500, 4)], 1.0, 0.036),  # too little weight to tell, or to matter
+        ([(0, UNSURE), (800, UNSURE)], math.nan, math.nan),
+        ([(0, SURE)] * 2 + [(1600, SURE), (50, SURE)], math.nan, math.nan),
+        ([(0, SURE)] * 4 + [(60, SURE), (460, SURE)], 0.0, 0.031),  # the mixed bin is left out
+    ],
+)
+def test_the_sigma_holds_what_sessions_are_apart(
+    said: list[tuple[int, int]], height_m: float, sigma_m: float
+) -> None:
+    found = [_read_of(order) for order in (said, said[::-1])]
+    np.testing.assert_equal(*found)
+    assert found[0][0] == pytest.approx(height_m, abs=0.002, nan_ok=True)
+    assert found[0][1] == pytest.approx(sigma_m, abs=0.002, nan_ok=True)
+
+
+def _read_of(said: list[tuple[int, int]]) -> tuple[float, float]:
+    """The height and the sigma of sessions that say a height in centimetres, with a weight."""
+    cells = {one.name: np.zeros((1, 1), np.int64) for one in GROUP.channels}
+    for height_cm, weight in said:
+        k = height_cm // BIN_CM % BINS
+        for power, name in enumerate(("ground_weight", "ground_cm", "ground_squares")):
+            cells[f"{name}_{k}"] += weight * height_cm**power
+        cells["ground_sessions"] += 1
+    made = with_overviews([GROUP], Cells({n: v.view(np.uint64) for n, v in cells.items()}))
+    return GROUND.values(made).item(), SIGMA.values(made).item()
+
+
+def test_squares_of_heights_cost_nothing_where_sessions_agree() -> None:
+    """They are stored as what they differ from those of the mean."""
+    heights = np.random.default_rng(1).integers(-300, 300, (4, 64, 64))
+    weight = np.full((64, 64), 3 * SURE)
+    for cm in heights:
+        guess = _agreeing(weight.view(np.uint64), (weight * cm).view(np.uint64))
+        np.testing.assert_array_equal(guess.view(np.int64), weight * cm * cm)
 
 
 def test_heights_below_the_datum_keep_their_sign(tmp_path: Path) -> None:

@@ -83,13 +83,17 @@ class Channel:
     """A stored channel.
 
     `sessions` says how the sessions meet in a base cell, `coarser` how base cells meet in a larger
-    one. `signed` values are stored as small numbers of either sign.
+    one. `signed` values are stored as small numbers of either sign. What is stored of a channel of
+    base cells is the difference from `guess`, if there is one: of the channels `guessed_from`,
+    which come before it in its group. It must give 0 where these are 0.
     """
 
     name: str
     sessions: Combine = Combine.SUM
     coarser: Combine = Combine.SUM
     signed: bool = False
+    guess: Callable[..., UInt64] | None = None
+    guessed_from: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

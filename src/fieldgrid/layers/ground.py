@@ -13,10 +13,13 @@ error (the receiver's slow one), so the session's sigma is that of one of them, 
 or what the frames are apart, where that is more.
 
 **Sessions meet** in a histogram of heights in bins of 25 cm, which repeats every 4 m. A session
-adds its weight, and weight times height, to one bin. All are whole sums, so neither the order of
-sessions nor one taken out changes a bit. What is read is the mean of the middle fifth of the bins,
-each at the mean of what it holds. The sigma is that of the sessions, their harmonic mean, or what
-they are apart, where that is more.
+adds its weight, weight times height, and weight times its square to one bin. All are whole sums, so
+neither the order of sessions nor one taken out changes a bit. What is read is the mean of the
+middle fifth of the bins, each at the mean of what it holds. A bin whose variance shows heights that
+are 4 m or more apart is not believed, and there is no height where such bins have more than 40 % of
+the weight. The sigma is that of the sessions, their harmonic mean, or what they are apart, inside
+the bins too, where that is more. Where no majority is clear, all sessions count for what they are
+apart, also those that do not move the height.
 """
 
 from __future__ import annotations
@@ -107,13 +110,12 @@ class _Terrain:
         seen, weight, height_cm = (np.zeros(self._blocks, np.int64) for _ in range(3))
         settle(*self._heights.sorted(), seen, weight, height_cm)
         bins = height_cm // BIN_CM % BINS
-        sums = []
+        of_bin = weight, weight * height_cm, weight * height_cm * height_cm
+        sums: list[AnyArray] = []
         for k in range(BINS):
             inside = (seen > 0) & (bins == k)
             some = inside.any()
-            sums += [
-                np.where(inside, of, 0) if some else none for of in (weight, weight * height_cm)
-            ]
+            sums += [np.where(inside, of, 0) if some else none for of in of_bin]
         count, *rises = self._rises.T
         slopes = (count > 0).astype(np.int64), *(session_means(one, count) for one in rises)
         return [one.view(np.uint64) for one in (seen, *sums, *slopes)]
@@ -184,18 +186,19 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
 
 
 def _from_bins(cells: Cells) -> tuple[Float64, Float64]:
-    """The height over all sessions, NaN where there is none, and its spread, centimetres."""
+    """The height over all sessions, NaN where there is none, and its sigma, centimetres."""
     number = [k for k in range(BINS) if not is_nothing(cells[_BINS[k][0].name])]
-    shape = cells["ground_sessions"].shape
-    height_cm, spread_cm = np.full(shape, np.nan), np.zeros(shape)
+    sessions = cells["ground_sessions"]
+    height_cm, sigma_cm = np.full(sessions.shape, np.nan), np.zeros(sessions.shape)
     if number:
-        weight, weighted_cm = (
+        sums = (
             np.stack([cells[_BINS[k][of].name].reshape(-1) for k in number]).view(np.int64)
-            for of in (0, 1)
+            for of in range(3)
         )
-        into = height_cm.reshape(-1), spread_cm.reshape(-1)
-        read_bins(np.array(number), weight, weighted_cm, *into)
-    return height_cm, spread_cm
+        into = height_cm.reshape(-1), sigma_cm.reshape(-1)
+        stated = np.ascontiguousarray(sessions).reshape(-1).view(np.int64)
+        read_bins(np.array(number), *sums, stated, *into)
+    return height_cm, sigma_cm
 
 
 def _base_cells(cells: Cells) -> UInt64:
@@ -209,14 +212,8 @@ def _base_height(cells: Cells) -> UInt64:
 
 
 def _base_variance(cells: Cells) -> UInt64:
-    """Square millimetres: what the sessions state, or what they are apart where that is more."""
-    sessions = cells["ground_sessions"].astype(np.float64)
-    weight = np.sum([cells[own.name] for own, _ in _BINS], axis=0, dtype=np.float64)
-    height_cm, spread_cm = _from_bins(cells)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stated_mm2 = (1000.0 * WIDEST_SIGMA_M) ** 2 * sessions / weight
-    variance_mm2 = np.maximum(stated_mm2, (10.0 * spread_cm) ** 2)
-    return np.where(np.isfinite(height_cm), np.rint(variance_mm2), 0.0).astype(np.uint64)
+    """Square millimetres."""
+    return np.rint((10.0 * _from_bins(cells)[1]) ** 2).astype(np.uint64)
 
 
 def _mean(cells: Cells, total: str, count: str) -> AnyArray:
@@ -239,19 +236,35 @@ def _slope(cells: Cells) -> AnyArray:
     return np.degrees(np.arctan(np.hypot(*rises) / _PER_RISE))
 
 
-_BINS = [
-    (
-        Channel(f"ground_weight_{k}", coarser=Combine.ABSENT),
-        Channel(f"ground_cm_{k}", coarser=Combine.ABSENT, signed=True),
+def _agreeing(weight: UInt64, weighted_cm: UInt64) -> UInt64:
+    """Sum of weight times the square of the height, modulo 2^64, less what the squares of heights
+    about their mean, rounded down, add to it: 0 where one session, or those that agree, saw it."""
+    own, total = weight.astype(np.int64), weighted_cm.astype(np.int64)
+    mean = total // np.maximum(own, 1)
+    return (2 * mean * total - mean * mean * own).view(np.uint64)
+
+
+def _bin(k: int) -> tuple[Channel, Channel, Channel]:
+    weight, weighted_cm = f"ground_weight_{k}", f"ground_cm_{k}"
+    return (
+        Channel(weight, coarser=Combine.ABSENT),
+        Channel(weighted_cm, coarser=Combine.ABSENT, signed=True),
+        Channel(
+            f"ground_squares_{k}",
+            coarser=Combine.ABSENT,
+            guess=_agreeing,
+            guessed_from=(weight, weighted_cm),
+        ),
     )
-    for k in range(BINS)
-]
+
+
+_BINS = [_bin(k) for k in range(BINS)]
 
 GROUP = ChannelGroup(
     "terrain",
     (
         Channel("ground_sessions", coarser=Combine.ABSENT),
-        *(one for both in _BINS for one in both),
+        *(one for channels in _BINS for one in channels),
         Channel("rise_parts"),
         Channel("rise_east", signed=True),
         Channel("rise_north", signed=True),

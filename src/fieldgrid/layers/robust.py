@@ -19,12 +19,18 @@ each halving of its square doubles the weight, up to a sigma of 3 cm."""
 BINS, BIN_CM = 16, 25
 """Of the histogram of sessions: canopies, wrong antenna heights and poor fixes are less than the
 4 m after which it repeats. A height that is off by more shares a bin with the others in one of 16
-cases."""
+cases. Heights of one turn have at most the variance of the bin's two ends; a bin that has more is
+not believed. A mix that has less has moved the mean by less than 5 mm."""
 
 LOW_SHARE = 0.4
 """Heights meet by the mean of what lies between this share of their weight from below and from
 above: wrong ones of less than this share do not move it, and it does not jump where the weights of
 two become equal, as a median does."""
+
+LEAST_MAJORITY, NEAR_SIGMAS = 3, 2.0
+"""The majority is clear where there are so many sessions, of which all but `LOW_SHARE` of the
+weight lies within so many sigmas, or a bin, of the height. Elsewhere the sigma is at least the root
+of the mean square of what they all are away from it."""
 
 IQR_OF_SIGMA = 1.349
 """The middle half of normal errors is so many sigmas wide."""
@@ -126,25 +132,50 @@ def settle(keys, counts, seen, weight, height_cm):  # type: ignore[no-untyped-de
 
 
 @kernel
-def read_bins(number, weight, weighted_cm, height_cm, spread_cm):  # type: ignore[no-untyped-def]
-    """Fill the height and the spread [n] of what the bins [bins, n] hold, which are those of
-    `number`; they stay where there is none."""
-    values, weights = np.empty(number.size), np.empty(number.size)
+def read_bins(number, weight, weighted_cm, squares, sessions, height_cm, sigma_cm):  # type: ignore[no-untyped-def]
+    """Fill the height and its sigma [n] of what the bins [bins, n] hold, which are those of
+    `number`: weights, weights times height, and weights times its square, modulo 2^64. They stay
+    where there is no height, or none to be believed."""
+    values, weights = np.empty(number.size), np.empty(number.size)  # of those that are believed
+    means, variances = np.empty(number.size), np.empty(number.size)
     for at in range(height_cm.size):
-        count = 0
+        count, every, believed, moment = 0, 0.0, 0.0, 0.0
         for k in range(number.size):
-            if weight[k, at] == 0:
+            own = weight[k, at]
+            if own == 0:
                 continue
-            value = weighted_cm[k, at] / weight[k, at]
-            # Otherwise it mixes heights that are turns of the histogram apart.
-            if np.floor(value / BIN_CM) % BINS != number[k]:
+            about = weighted_cm[k, at] // own
+            past = (weighted_cm[k, at] - about * own) / own
+            value = about + past
+            # Exact, as it is small, though the sums are modulo 2^64.
+            scatter = squares[k, at] - 2 * about * weighted_cm[k, at] + about * about * own
+            variance = max(scatter / own - past * past, 0.0)
+            means[k], variances[k], every = value, variance, every + own
+            if variance > BIN_CM * BIN_CM / 4:
                 continue
+            believed += own
             place = count
             while place > 0 and values[place - 1] > value:
                 values[place], weights[place] = values[place - 1], weights[place - 1]
                 place -= 1
-            values[place], weights[place] = value, weight[k, at]
+            values[place], weights[place] = value, own
             count += 1
-        if count > 0:
-            height_cm[at] = middle(values, weights, count)
-            spread_cm[at] = spread(values, weights, count)
+        if count == 0 or believed < (1.0 - LOW_SHARE - 1e-9) * every:
+            continue
+        height = middle(values, weights, count)
+        sigma = 100.0 * WIDEST_SIGMA_M * np.sqrt(sessions[at] / every)
+        near, agreeing, inside = max(NEAR_SIGMAS * sigma, float(BIN_CM)), 0.0, 0.0
+        for k in range(number.size):
+            if weight[k, at] == 0:
+                continue
+            away = means[k] - height
+            moment += weight[k, at] * (variances[k] + away * away)
+            if abs(away) <= near and variances[k] <= BIN_CM * BIN_CM / 4:
+                agreeing += weight[k, at]
+                inside += weight[k, at] * (variances[k] + away * away)
+        apart = spread(values, weights, count)
+        if agreeing > 0.0:
+            apart = max(apart, np.sqrt(inside / agreeing))
+        if sessions[at] < LEAST_MAJORITY or agreeing < (1.0 - LOW_SHARE - 1e-9) * every:
+            apart = max(apart, np.sqrt(moment / every))
+        height_cm[at], sigma_cm[at] = height, max(sigma, apart)
