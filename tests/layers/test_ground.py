@@ -11,9 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
-from fieldgrid.layers import Cells, robust
-from fieldgrid.layers.ground import GROUND, GROUP, SIGMA, _agreeing, halvings
-from fieldgrid.layers.robust import BIN_CM, BINS, WIDEST_SIGMA_M, Heights
+from fieldgrid.layers import Cells
+from fieldgrid.layers.blocks import COLUMN_BITS
+from fieldgrid.layers.ground import GROUND, GROUP, SIGMA, _agreeing, add_terrain, halvings
+from fieldgrid.layers.robust import BIN_CM, BINS, MOST_HEIGHTS, WIDEST_SIGMA_M, Heights
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import MapView, create_map, open_map
 from fieldgrid.trajectory import Pose
@@ -215,21 +216,52 @@ def test_heights_below_the_datum_keep_their_sign(tmp_path: Path) -> None:
     np.testing.assert_allclose(ground[np.isfinite(ground)], -33.29, atol=0.011)
 
 
-def test_many_heights_are_counted_instead_of_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def _heights(found: npt.NDArray[np.int64]) -> Heights:
+    heights = Heights(4)
+    for part in np.array_split(found, 7):
+        heights.add(part)
+    return heights
+
+
+@pytest.mark.parametrize("noise_cm", [3.0, 50.0, 2000.0])
+def test_any_number_of_heights_takes_the_same_memory_in_any_order(noise_cm: float) -> None:
     random = np.random.default_rng(0)
-    keys = [random.integers(0, 50, 40) for _ in range(20)]
-    every = Heights()
-    for one in keys:
-        every.add(one)
-    monkeypatch.setattr(robust, "TOGETHER", 100)
-    counted = Heights()
-    for one in keys:
-        counted.add(one)
-    assert counted._size < 100
-    for found in (every.sorted(), counted.sorted()):
-        values, counts = np.unique(np.concatenate(keys), return_counts=True)
-        np.testing.assert_array_equal(found[0], values)
-        np.testing.assert_array_equal(found[1], counts)
+    cm = np.rint(random.normal(-120.0, noise_cm, 4000))
+    found = np.stack([random.integers(0, 3, 4000), cm, random.integers(8, 15, 4000)], 1)
+    heights, again = (_heights(one.astype(np.int64)) for one in (found, random.permutation(found)))
+    assert set(vars(heights)) == set(vars(again))
+    for name, values in vars(heights).items():
+        assert values.size <= 4 * MOST_HEIGHTS, name
+    for one, other in zip(heights.settled(), again.settled(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    seen, weight, height_cm = heights.settled()
+    assert seen.tolist() == [1, 1, 1, 0]
+    np.testing.assert_allclose(height_cm[:3], -120.0, atol=1.0 + 0.15 * noise_cm)
+    sigma_m = WIDEST_SIGMA_M / np.sqrt(weight[:3])
+    expected = min(max(0.01 * noise_cm, 0.09), WIDEST_SIGMA_M)
+    np.testing.assert_allclose(sigma_m, expected, rtol=0.5)
+    steps = 1 << heights._level
+    assert np.all(steps[:3] <= max(1.0, noise_cm / 1.5)), steps
+
+
+def test_few_heights_are_kept_to_the_centimetre() -> None:
+    cm = np.array([-700, 1, 2, 2, 3, 10_000])
+    heights = _heights(np.stack([np.full(6, 1), cm, np.full(6, 10)], 1))
+    assert heights.settled()[2].tolist() == [0, 2, 0, 0]
+    assert heights._level[1] == 0
+
+
+def test_a_large_cell_is_as_sure_as_the_least_sure_part_of_it() -> None:
+    """Not as the part that comes last."""
+    heights = np.zeros(SPEC.shape, np.int16)
+    found = np.empty((1, 3), np.int64)
+    block, rises = np.zeros(1, np.int32), np.zeros((1, 3), np.int64)
+    places = [(60, 1), (5, 2)]  # far, near
+    for order in (places, places[::-1]):
+        cell = np.array([[(row << COLUMN_BITS) | column for row, column in order]], np.int32)
+        rows = np.repeat(np.arange(13, 9, -1), 20)
+        add_terrain(heights, block, cell, rows, 0, 5, 1.0, 0.0, found, rises)
+        assert found.tolist() == [[0, 0, rows[60]]]
 
 
 def test_what_a_frame_lacks_is_not_a_number(tmp_path: Path) -> None:

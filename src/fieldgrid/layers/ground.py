@@ -51,16 +51,16 @@ from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.robust import (
     BIN_CM,
     BINS,
-    HEIGHT_BITS,
     MOST_HALVINGS,
-    WEIGHT_BITS,
     WIDEST_SIGMA_M,
     Heights,
     read_bins,
-    settle,
 )
 
 HEIGHT_SHARE, LEAST_SIGMA_M, SIGMA_SHARE = 2.0, 0.02, 0.004
+
+HIGHEST_M = 1e7
+"""Poses that are farther above or below the datum tell no heights."""
 
 RISE_REACH_M = 0.5
 """The slope of a cell is that between the heights so far to either side of it."""
@@ -75,20 +75,21 @@ class _Terrain:
 
     def __init__(self, blocks: int, _: Lattice) -> None:
         self._blocks = blocks
-        self._heights = Heights()
-        self._rises: Int64 | None = None  # before the first frame that tells any
+        self._heights: Heights | None = None  # before the first frame that tells any
+        self._rises = np.empty((0, 3), np.int64)
 
     def add(self, frame: FrameInPlace) -> None:
         ground_cm, pose = frame.cells.channels.get(GROUND_CHANNEL), frame.pose
-        if ground_cm is None or not math.isfinite(pose.up_m):
+        if ground_cm is None or not abs(pose.up_m) < HIGHEST_M:
             return
-        if self._rises is None:
+        if self._heights is None:
+            self._heights = Heights(self._blocks)
             self._rises = np.zeros((self._blocks, 3), dtype=np.int64)
         spec, (block, cell) = frame.cells.grid.spec, frame.in_blocks
         reach = max(round(RISE_REACH_M / spec.cell_m), 1)
         scale = _PER_RISE / (100.0 * 2.0 * reach * spec.cell_m)
         phi = math.radians(pose.heading_deg)
-        keys = np.empty(block.size, np.int64)
+        found = np.empty((block.size, 3), np.int64)
         count = add_terrain(
             np.ascontiguousarray(ground_cm, dtype=np.int16),
             block,
@@ -98,17 +99,16 @@ class _Terrain:
             reach,
             math.cos(phi) * scale,
             math.sin(phi) * scale,
-            keys,
+            found,
             self._rises,
         )
-        self._heights.add(keys[:count])
+        self._heights.add(found[:count])
 
     def channels(self) -> Sequence[UInt64]:
         none = nothing((self._blocks,))
-        if self._rises is None:
+        if self._heights is None:
             return [none] * len(GROUP.channels)
-        seen, weight, height_cm = (np.zeros(self._blocks, np.int64) for _ in range(3))
-        settle(*self._heights.sorted(), seen, weight, height_cm)
+        seen, weight, height_cm = self._heights.settled()
         bins = height_cm // BIN_CM % BINS
         of_bin = weight, weight * height_cm, weight * height_cm * height_cm
         sums: list[AnyArray] = []
@@ -141,9 +141,10 @@ def _halvings(sigma_m: float) -> int:
 
 
 @kernel
-def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, rises):  # type: ignore[no-untyped-def]
-    """Fill `keys` with the heights of a frame, ground_cm [n_y, n_x], in the blocks where it has one
-    at any of the points, and add its slopes to `rises` [blocks, 3]. Returns how many there are.
+def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, found, rises):  # type: ignore[no-untyped-def]
+    """Fill `found` with block, height and halvings where a frame, ground_cm [n_y, n_x], has a
+    height at any of the points of a block, the least sure of which counts. Add its slopes to
+    `rises` [blocks, 3]. Returns how many heights there are.
 
     `cos` and `sin` of the heading turn a difference of centimetres over twice the reach into the
     rise to east and north.
@@ -153,7 +154,7 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
     for b in range(block.size):
         known = total = slopes = np.int64(0)
         east = north = 0.0
-        row = np.int64(0)
+        least = np.int64(MOST_HALVINGS)
         for p in range(cell.shape[1]):
             if cell[b, p] < 0:
                 continue
@@ -161,7 +162,8 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
             height = np.int64(ground_cm[j, i])
             if height == NO_GROUND_CM:
                 continue
-            known, total, row = known + 1, total + height, np.int64(j)
+            known, total = known + 1, total + height
+            least = min(least, halvings[j])
             if j < reach or j >= n_y - reach or i < reach or i >= n_x - reach:
                 continue
             left, right = np.int64(ground_cm[j, i - reach]), np.int64(ground_cm[j, i + reach])
@@ -174,9 +176,7 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
         if known == 0:
             continue
         height = up_cm + np.int64(np.floor(total / known + 0.5))
-        shifted = height + (1 << (HEIGHT_BITS - 1))
-        key = (np.int64(block[b]) << (HEIGHT_BITS + WEIGHT_BITS)) | (shifted << WEIGHT_BITS)
-        keys[count] = key | halvings[row]
+        found[count, 0], found[count, 1], found[count, 2] = block[b], height, least
         count += 1
         if slopes > 0:
             rises[block[b], 0] += 1
