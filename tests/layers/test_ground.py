@@ -183,10 +183,9 @@ SURE, UNSURE = 1 << 14, 1 << 8  # 3 cm and 25 cm
 def test_the_sigma_holds_what_sessions_are_apart(
     said: list[tuple[int, int]], height_m: float, sigma_m: float
 ) -> None:
-    found = [_read_of(order) for order in (said, said[::-1])]
-    np.testing.assert_equal(*found)
-    assert found[0][0] == pytest.approx(height_m, abs=0.002, nan_ok=True)
-    assert found[0][1] == pytest.approx(sigma_m, abs=0.002, nan_ok=True)
+    one, other = (_read_of(order) for order in (said, said[::-1]))
+    np.testing.assert_array_equal(one, other)
+    assert one == pytest.approx((height_m, sigma_m), abs=0.002, nan_ok=True)
 
 
 def _read_of(said: list[tuple[int, int]]) -> tuple[float, float]:

@@ -99,11 +99,12 @@ class Channel:
 @dataclass(frozen=True, slots=True)
 class OverviewChannel:
     """A channel that follows from the other channels of its group in a base cell, and is stored
-    only of larger cells, where it no longer does. See `Channel` for `signed`."""
+    only of larger cells, where it no longer does. See `Channel` for `signed`. Without `of_base` it
+    is one of those that the group's `overview_of_base` makes."""
 
     name: str
     coarser: Combine
-    of_base: Callable[[Cells], UInt64]
+    of_base: Callable[[Cells], UInt64] | None = None
     signed: bool = False
 
 
@@ -130,7 +131,8 @@ class ChannelGroup:
     each channel from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0. With `blocks` there is one value for each block of cells
-    (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number.
+    (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number. `overview_of_base` makes
+    the overview channels that share a calculation, those without `of_base`, at once.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are stored above the base only.
@@ -141,6 +143,7 @@ class ChannelGroup:
     fold: Callable[[int, Lattice], Fold] | None = None
     of_session: Callable[[Cells], UInt64] | None = None
     overview: tuple[OverviewChannel, ...] = ()
+    overview_of_base: Callable[[Cells], Iterable[UInt64]] | None = None
     expected: Callable[[UInt64, UInt64], Iterable[UInt64]] | None = None
     frame: tuple[str, ...] = ()
     follows_from: tuple[str, ...] = ()

@@ -109,6 +109,7 @@ class _Terrain:
         if self._heights is None:
             return [none] * len(GROUP.channels)
         seen, weight, height_cm = self._heights.settled()
+        self._heights = None  # which takes more than all that follows
         bins = height_cm // BIN_CM % BINS
         of_bin = weight, weight * height_cm, weight * height_cm * height_cm
         sums: list[AnyArray] = []
@@ -201,19 +202,12 @@ def _from_bins(cells: Cells) -> tuple[Float64, Float64]:
     return height_cm, sigma_cm
 
 
-def _base_cells(cells: Cells) -> UInt64:
-    return np.isfinite(_from_bins(cells)[0]).astype(np.uint64)
-
-
-def _base_height(cells: Cells) -> UInt64:
-    """Whole millimetres."""
-    height_mm = np.rint(10.0 * np.nan_to_num(_from_bins(cells)[0]))
-    return height_mm.astype(np.int64).view(np.uint64)
-
-
-def _base_variance(cells: Cells) -> UInt64:
-    """Square millimetres."""
-    return np.rint((10.0 * _from_bins(cells)[1]) ** 2).astype(np.uint64)
+def _base_values(cells: Cells) -> tuple[UInt64, UInt64, UInt64]:
+    """Whether there is a height, whole millimetres, and square millimetres of its sigma."""
+    height_cm, sigma_cm = _from_bins(cells)
+    known = np.isfinite(height_cm).astype(np.uint64)
+    height_mm = np.rint(10.0 * np.nan_to_num(height_cm)).astype(np.int64)
+    return known, height_mm.view(np.uint64), np.rint((10.0 * sigma_cm) ** 2).astype(np.uint64)
 
 
 def _mean(cells: Cells, total: str, count: str) -> AnyArray:
@@ -271,10 +265,11 @@ GROUP = ChannelGroup(
     ),
     fold=_Terrain,
     overview=(
-        OverviewChannel("ground_cells", Combine.SUM, _base_cells),
-        OverviewChannel("ground_mm", Combine.SUM, _base_height, signed=True),
-        OverviewChannel("ground_variance", Combine.SUM, _base_variance),
+        OverviewChannel("ground_cells", Combine.SUM),
+        OverviewChannel("ground_mm", Combine.SUM, signed=True),
+        OverviewChannel("ground_variance", Combine.SUM),
     ),
+    overview_of_base=_base_values,
     frame=(GROUND_CHANNEL,),
     blocks=True,
 )
