@@ -10,10 +10,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fieldgrid.array_types import Float64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
-from fieldgrid.layers import Cells
+from fieldgrid.layers import Cells, ground
 from fieldgrid.layers.blocks import COLUMN_BITS
-from fieldgrid.layers.ground import GROUND, GROUP, SIGMA, _agreeing, add_terrain, halvings
+from fieldgrid.layers.ground import (
+    GROUND,
+    GROUP,
+    SIGMA,
+    _agreeing,
+    _from_bins,
+    add_terrain,
+    halvings,
+)
 from fieldgrid.layers.robust import BIN_CM, BINS, MOST_HEIGHTS, WIDEST_SIGMA_M, Heights
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import MapView, create_map, open_map
@@ -198,6 +207,18 @@ def _read_of(said: list[tuple[int, int]]) -> tuple[float, float]:
         cells["ground_sessions"] += 1
     made = with_overviews([GROUP], Cells({n: v.view(np.uint64) for n, v in cells.items()}))
     return GROUND.values(made).item(), SIGMA.values(made).item()
+
+
+def test_larger_cells_take_one_look_at_the_bins(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = list[Cells]()
+
+    def look(cells: Cells) -> tuple[Float64, Float64]:
+        looks.append(cells)
+        return _from_bins(cells)
+
+    monkeypatch.setattr(ground, "_from_bins", look)
+    assert _read_of([(120, SURE)])[0] == 1.2
+    assert len(looks) == 1
 
 
 def test_squares_of_heights_cost_nothing_where_sessions_agree() -> None:

@@ -105,21 +105,30 @@ class _Terrain:
         self._heights.add(found[:count])
 
     def channels(self) -> Sequence[UInt64]:
-        none = nothing((self._blocks,))
         if self._heights is None:
-            return [none] * len(GROUP.channels)
-        seen, weight, height_cm = self._heights.settled()
+            return [nothing((self._blocks,))] * 6
+        said = self._heights.settled()
         self._heights = None  # which takes more than all that follows
-        bins = height_cm // BIN_CM % BINS
-        of_bin = weight, weight * height_cm, weight * height_cm * height_cm
-        sums: list[AnyArray] = []
-        for k in range(BINS):
-            inside = (seen > 0) & (bins == k)
-            some = inside.any()
-            sums += [np.where(inside, of, 0) if some else none for of in of_bin]
         count, *rises = self._rises.T
         slopes = (count > 0).astype(np.int64), *(session_means(one, count) for one in rises)
-        return [one.view(np.uint64) for one in (seen, *sums, *slopes)]
+        return [one.view(np.uint64) for one in (*said, *slopes)]
+
+
+def _unfold(said: Sequence[UInt64]) -> list[UInt64]:
+    """The channels from what a session says: whether it saw a block, its weight, its height; and
+    its slope."""
+    seen, *slopes = said[0], *said[3:]
+    weight, height_cm = (np.ascontiguousarray(one).view(np.int64) for one in said[1:3])
+    bins, own = height_cm // BIN_CM % BINS, seen > 0
+    of_bin = weight, weight * height_cm, weight * height_cm * height_cm
+    sums: list[UInt64] = []
+    for k in range(BINS):
+        inside = own & (bins == k)
+        if inside.any():
+            sums += [np.where(inside, of, 0).view(np.uint64) for of in of_bin]
+        else:
+            sums += [nothing(seen.shape)] * len(of_bin)
+    return [seen, *sums, *slopes]
 
 
 def halvings(spec: GridSpec, position_sigma_m: float) -> Int64:
@@ -270,6 +279,7 @@ GROUP = ChannelGroup(
         OverviewChannel("ground_variance", Combine.SUM),
     ),
     overview_of_base=_base_values,
+    unfold=_unfold,
     frame=(GROUND_CHANNEL,),
     blocks=True,
 )

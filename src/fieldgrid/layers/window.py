@@ -117,16 +117,18 @@ class WindowFold:
                         np.multiply(one, seen, out=one)
             self._done[group.name] = channels
 
-    def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> list[UInt64]:
+    def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> Iterable[UInt64]:
         """The channels of a group that was folded, in a part of the window."""
         done = self._done[group.name]
-        if not group.blocks:
-            return [values[self._window.slices_of(part)] for values in done]
-        under = self._under.slices_of(blocks_under(part, self._side))
-        return [
-            values[under] if whole_blocks else at_cells(values[under], part, self._side)
-            for values in done
-        ]
+        if group.blocks:
+            under = self._under.slices_of(blocks_under(part, self._side))
+            found = [
+                values[under] if whole_blocks else at_cells(values[under], part, self._side)
+                for values in done
+            ]
+        else:
+            found = [values[self._window.slices_of(part)] for values in done]
+        return found if group.unfold is None else group.unfold(found)
 
 
 def at_cells(values: UInt64, window: Window, side: int) -> UInt64:
