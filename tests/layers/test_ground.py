@@ -10,10 +10,21 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fieldgrid.array_types import Float64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM, GridSpec, LocalGrid
-from fieldgrid.layers import robust
-from fieldgrid.layers.ground import halvings
-from fieldgrid.layers.robust import WIDEST_SIGMA_M, Heights
+from fieldgrid.layers import Cells, ground
+from fieldgrid.layers.blocks import COLUMN_BITS
+from fieldgrid.layers.ground import (
+    GROUND,
+    GROUP,
+    SIGMA,
+    _agreeing,
+    _from_bins,
+    add_terrain,
+    halvings,
+)
+from fieldgrid.layers.robust import BIN_CM, BINS, MOST_HEIGHTS, WIDEST_SIGMA_M, Heights
+from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import MapView, create_map, open_map
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
@@ -146,11 +157,77 @@ def test_drives_that_are_apart_say_so_and_meet_smoothly(tmp_path: Path) -> None:
     assert np.nanmin(alone) == pytest.approx(0.3, rel=0.2)
 
 
-def test_what_lies_a_turn_of_the_histogram_apart_is_no_height(tmp_path: Path) -> None:
-    """Two drives 4 m apart fall into one bin, whose mean is neither of them."""
-    view = read(tmp_path / "map.gpkg", [[level(10.1)], [level(14.1)], [level(14.1)]])
+@pytest.mark.parametrize(
+    "heights_m", [(10.1, 14.1, 14.1), (1.0, 9.0), (1.0, 1.0, 1.0, 17.0), (0.0, 0.0, 48.0, 48.0)]
+)
+def test_what_lies_a_turn_of_the_histogram_apart_is_no_height(
+    tmp_path: Path, heights_m: Sequence[float]
+) -> None:
+    """Drives a multiple of 4 m apart fall into one bin, whose mean may even belong to it."""
+    view = read(tmp_path / "map.gpkg", [[level(up_m)] for up_m in heights_m])
     assert np.isnan(view.layer("ground")).all()
     assert np.isnan(view.layer("ground_sigma")).all()
+
+
+SURE, UNSURE = 1 << 14, 1 << 8  # 3 cm and 25 cm
+
+
+@pytest.mark.parametrize(
+    ("said", "height_m", "sigma_m"),
+    [
+        ([(0, SURE), (24, SURE)], 0.12, 0.12),  # in one bin
+        ([(1, SURE), (25, SURE)], 0.13, 0.178),  # in two
+        ([(0, SURE), (0, SURE), (24, SURE)], 0.08, 0.113),
+        ([(0, SURE), (0, SURE), (0, SURE), (20, SURE)], 0.05, 0.087),
+        ([(10, SURE), (10, SURE), (10, SURE), (30, SURE)], 0.1, 0.1),
+        ([(0, SURE), (200, UNSURE)], 0.0, 0.248),  # two are no majority
+        ([(0, SURE)] * 3 + [(180, SURE)], 0.0, 0.031),
+        ([(-5, SURE)] * 3, -0.05, 0.031),
+        ([(100, SURE)] * 3 + [(500, 4)], 1.0, 0.036),  # too little weight to tell, or to matter
+        ([(0, UNSURE), (800, UNSURE)], math.nan, math.nan),
+        ([(0, SURE)] * 2 + [(1600, SURE), (50, SURE)], math.nan, math.nan),
+        ([(0, SURE)] * 4 + [(60, SURE), (460, SURE)], 0.0, 0.031),  # the mixed bin is left out
+    ],
+)
+def test_the_sigma_holds_what_sessions_are_apart(
+    said: list[tuple[int, int]], height_m: float, sigma_m: float
+) -> None:
+    one, other = (_read_of(order) for order in (said, said[::-1]))
+    np.testing.assert_array_equal(one, other)
+    assert one == pytest.approx((height_m, sigma_m), abs=0.002, nan_ok=True)
+
+
+def _read_of(said: list[tuple[int, int]]) -> tuple[float, float]:
+    """The height and the sigma of sessions that say a height in centimetres, with a weight."""
+    cells = {one.name: np.zeros((1, 1), np.int64) for one in GROUP.channels}
+    for height_cm, weight in said:
+        k = height_cm // BIN_CM % BINS
+        for power, name in enumerate(("ground_weight", "ground_cm", "ground_squares")):
+            cells[f"{name}_{k}"] += weight * height_cm**power
+        cells["ground_sessions"] += 1
+    made = with_overviews([GROUP], Cells({n: v.view(np.uint64) for n, v in cells.items()}))
+    return GROUND.values(made).item(), SIGMA.values(made).item()
+
+
+def test_larger_cells_take_one_look_at_the_bins(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = list[Cells]()
+
+    def look(cells: Cells) -> tuple[Float64, Float64]:
+        looks.append(cells)
+        return _from_bins(cells)
+
+    monkeypatch.setattr(ground, "_from_bins", look)
+    assert _read_of([(120, SURE)])[0] == 1.2
+    assert len(looks) == 1
+
+
+def test_squares_of_heights_cost_nothing_where_sessions_agree() -> None:
+    """They are stored as what they differ from those of the mean."""
+    heights = np.random.default_rng(1).integers(-300, 300, (4, 64, 64))
+    weight = np.full((64, 64), 3 * SURE)
+    for cm in heights:
+        guess = _agreeing(weight.view(np.uint64), (weight * cm).view(np.uint64))
+        np.testing.assert_array_equal(guess.view(np.int64), weight * cm * cm)
 
 
 def test_heights_below_the_datum_keep_their_sign(tmp_path: Path) -> None:
@@ -159,21 +236,52 @@ def test_heights_below_the_datum_keep_their_sign(tmp_path: Path) -> None:
     np.testing.assert_allclose(ground[np.isfinite(ground)], -33.29, atol=0.011)
 
 
-def test_many_heights_are_counted_instead_of_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def _heights(found: npt.NDArray[np.int64]) -> Heights:
+    heights = Heights(4)
+    for part in np.array_split(found, 7):
+        heights.add(part)
+    return heights
+
+
+@pytest.mark.parametrize("noise_cm", [3.0, 50.0, 2000.0])
+def test_any_number_of_heights_takes_the_same_memory_in_any_order(noise_cm: float) -> None:
     random = np.random.default_rng(0)
-    keys = [random.integers(0, 50, 40) for _ in range(20)]
-    every = Heights()
-    for one in keys:
-        every.add(one)
-    monkeypatch.setattr(robust, "TOGETHER", 100)
-    counted = Heights()
-    for one in keys:
-        counted.add(one)
-    assert counted._size < 100
-    for found in (every.sorted(), counted.sorted()):
-        values, counts = np.unique(np.concatenate(keys), return_counts=True)
-        np.testing.assert_array_equal(found[0], values)
-        np.testing.assert_array_equal(found[1], counts)
+    cm = np.rint(random.normal(-120.0, noise_cm, 4000))
+    found = np.stack([random.integers(0, 3, 4000), cm, random.integers(8, 15, 4000)], 1)
+    heights, again = (_heights(one.astype(np.int64)) for one in (found, random.permutation(found)))
+    assert set(vars(heights)) == set(vars(again))
+    for name, values in vars(heights).items():
+        assert values.size <= 4 * MOST_HEIGHTS, name
+    for one, other in zip(heights.settled(), again.settled(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    seen, weight, height_cm = heights.settled()
+    assert seen.tolist() == [1, 1, 1, 0]
+    np.testing.assert_allclose(height_cm[:3], -120.0, atol=1.0 + 0.15 * noise_cm)
+    sigma_m = WIDEST_SIGMA_M / np.sqrt(weight[:3])
+    expected = min(max(0.01 * noise_cm, 0.09), WIDEST_SIGMA_M)
+    np.testing.assert_allclose(sigma_m, expected, rtol=0.5)
+    steps = 1 << heights._level
+    assert np.all(steps[:3] <= max(1.0, noise_cm / 1.5)), steps
+
+
+def test_few_heights_are_kept_to_the_centimetre() -> None:
+    cm = np.array([-700, 1, 2, 2, 3, 10_000])
+    heights = _heights(np.stack([np.full(6, 1), cm, np.full(6, 10)], 1))
+    assert heights.settled()[2].tolist() == [0, 2, 0, 0]
+    assert heights._level[1] == 0
+
+
+def test_a_large_cell_is_as_sure_as_the_least_sure_part_of_it() -> None:
+    """Not as the part that comes last."""
+    heights = np.zeros(SPEC.shape, np.int16)
+    found = np.empty((1, 3), np.int64)
+    block, rises = np.zeros(1, np.int32), np.zeros((1, 3), np.int64)
+    places = [(60, 1), (5, 2)]  # far, near
+    for order in (places, places[::-1]):
+        cell = np.array([[(row << COLUMN_BITS) | column for row, column in order]], np.int32)
+        rows = np.repeat(np.arange(13, 9, -1), 20)
+        add_terrain(heights, block, cell, rows, 0, 5, 1.0, 0.0, found, rises)
+        assert found.tolist() == [[0, 0, rows[60]]]
 
 
 def test_what_a_frame_lacks_is_not_a_number(tmp_path: Path) -> None:

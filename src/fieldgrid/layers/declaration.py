@@ -7,7 +7,7 @@ channels. Nothing here depends on the order of frames or sessions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -83,23 +83,28 @@ class Channel:
     """A stored channel.
 
     `sessions` says how the sessions meet in a base cell, `coarser` how base cells meet in a larger
-    one. `signed` values are stored as small numbers of either sign.
+    one. `signed` values are stored as small numbers of either sign. What is stored of a channel of
+    base cells is the difference from `guess`, if there is one: of the channels `guessed_from`,
+    which come before it in its group. It must give 0 where these are 0.
     """
 
     name: str
     sessions: Combine = Combine.SUM
     coarser: Combine = Combine.SUM
     signed: bool = False
+    guess: Callable[..., UInt64] | None = None
+    guessed_from: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class OverviewChannel:
     """A channel that follows from the other channels of its group in a base cell, and is stored
-    only of larger cells, where it no longer does. See `Channel` for `signed`."""
+    only of larger cells, where it no longer does. See `Channel` for `signed`. Without `of_base` it
+    is one of those that the group's `overview_of_base` makes."""
 
     name: str
     coarser: Combine
-    of_base: Callable[[Cells], UInt64]
+    of_base: Callable[[Cells], UInt64] | None = None
     signed: bool = False
 
 
@@ -110,7 +115,8 @@ class Fold(Protocol):
         """Add a frame to the cells that it lands in."""
 
     def channels(self) -> Iterable[UInt64]:
-        """The channels so far, uint64 [cells] each; a cell without a frame is all 0.
+        """The channels so far, or what the group unfolds to them, uint64 [cells] each; a cell
+        without a frame is all 0.
 
         Where no frame had anything to tell, `nothing` says so.
         """
@@ -127,7 +133,9 @@ class ChannelGroup:
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0. With `blocks` there is one value for each block of cells
     (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number; such a group has no
-    `expected`.
+    `expected`. `overview_of_base` makes the overview channels that share a calculation, those
+    without `of_base`, at once. `unfold` makes the channels of a part of the window from what the
+    fold gave of it, where that is less.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are stored above the base only.
@@ -138,6 +146,8 @@ class ChannelGroup:
     fold: Callable[[int, Lattice], Fold] | None = None
     of_session: Callable[[Cells], UInt64] | None = None
     overview: tuple[OverviewChannel, ...] = ()
+    overview_of_base: Callable[[Cells], Iterable[UInt64]] | None = None
+    unfold: Callable[[Sequence[UInt64]], Iterable[UInt64]] | None = None
     expected: Callable[[UInt64, UInt64], Iterable[UInt64]] | None = None
     frame: tuple[str, ...] = ()
     follows_from: tuple[str, ...] = ()

@@ -13,10 +13,13 @@ error (the receiver's slow one), so the session's sigma is that of one of them, 
 or what the frames are apart, where that is more.
 
 **Sessions meet** in a histogram of heights in bins of 25 cm, which repeats every 4 m. A session
-adds its weight, and weight times height, to one bin. All are whole sums, so neither the order of
-sessions nor one taken out changes a bit. What is read is the mean of the middle fifth of the bins,
-each at the mean of what it holds. The sigma is that of the sessions, their harmonic mean, or what
-they are apart, where that is more.
+adds its weight, weight times height, and weight times its square to one bin. All are whole sums, so
+neither the order of sessions nor one taken out changes a bit. What is read is the mean of the
+middle fifth of the bins, each at the mean of what it holds. A bin whose variance shows heights that
+are 4 m or more apart is not believed, and there is no height where such bins have more than 40 % of
+the weight. The sigma is that of the sessions, their harmonic mean, or what they are apart, inside
+the bins too, where that is more. Where no majority is clear, all sessions count for what they are
+apart, also those that do not move the height.
 """
 
 from __future__ import annotations
@@ -48,16 +51,16 @@ from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.robust import (
     BIN_CM,
     BINS,
-    HEIGHT_BITS,
     MOST_HALVINGS,
-    WEIGHT_BITS,
     WIDEST_SIGMA_M,
     Heights,
     read_bins,
-    settle,
 )
 
 HEIGHT_SHARE, LEAST_SIGMA_M, SIGMA_SHARE = 2.0, 0.02, 0.004
+
+HIGHEST_M = 1e7
+"""Poses that are farther above or below the datum tell no heights."""
 
 RISE_REACH_M = 0.5
 """The slope of a cell is that between the heights so far to either side of it."""
@@ -72,20 +75,21 @@ class _Terrain:
 
     def __init__(self, blocks: int, _: Lattice) -> None:
         self._blocks = blocks
-        self._heights = Heights()
-        self._rises: Int64 | None = None  # before the first frame that tells any
+        self._heights: Heights | None = None  # before the first frame that tells any
+        self._rises = np.empty((0, 3), np.int64)
 
     def add(self, frame: FrameInPlace) -> None:
         ground_cm, pose = frame.cells.channels.get(GROUND_CHANNEL), frame.pose
-        if ground_cm is None or not math.isfinite(pose.up_m):
+        if ground_cm is None or not abs(pose.up_m) < HIGHEST_M:
             return
-        if self._rises is None:
+        if self._heights is None:
+            self._heights = Heights(self._blocks)
             self._rises = np.zeros((self._blocks, 3), dtype=np.int64)
         spec, (block, cell) = frame.cells.grid.spec, frame.in_blocks
         reach = max(round(RISE_REACH_M / spec.cell_m), 1)
         scale = _PER_RISE / (100.0 * 2.0 * reach * spec.cell_m)
         phi = math.radians(pose.heading_deg)
-        keys = np.empty(block.size, np.int64)
+        found = np.empty((block.size, 3), np.int64)
         count = add_terrain(
             np.ascontiguousarray(ground_cm, dtype=np.int16),
             block,
@@ -95,28 +99,36 @@ class _Terrain:
             reach,
             math.cos(phi) * scale,
             math.sin(phi) * scale,
-            keys,
+            found,
             self._rises,
         )
-        self._heights.add(keys[:count])
+        self._heights.add(found[:count])
 
     def channels(self) -> Sequence[UInt64]:
-        none = nothing((self._blocks,))
-        if self._rises is None:
-            return [none] * len(GROUP.channels)
-        seen, weight, height_cm = (np.zeros(self._blocks, np.int64) for _ in range(3))
-        settle(*self._heights.sorted(), seen, weight, height_cm)
-        bins = height_cm // BIN_CM % BINS
-        sums = []
-        for k in range(BINS):
-            inside = (seen > 0) & (bins == k)
-            some = inside.any()
-            sums += [
-                np.where(inside, of, 0) if some else none for of in (weight, weight * height_cm)
-            ]
+        if self._heights is None:
+            return [nothing((self._blocks,))] * 6
+        said = self._heights.settled()
+        self._heights = None  # which takes more than all that follows
         count, *rises = self._rises.T
         slopes = (count > 0).astype(np.int64), *(session_means(one, count) for one in rises)
-        return [one.view(np.uint64) for one in (seen, *sums, *slopes)]
+        return [one.view(np.uint64) for one in (*said, *slopes)]
+
+
+def _unfold(said: Sequence[UInt64]) -> list[UInt64]:
+    """The channels from what a session says: whether it saw a block, its weight, its height; and
+    its slope."""
+    seen, *slopes = said[0], *said[3:]
+    weight, height_cm = (np.ascontiguousarray(one).view(np.int64) for one in said[1:3])
+    bins, own = height_cm // BIN_CM % BINS, seen > 0
+    of_bin = weight, weight * height_cm, weight * height_cm * height_cm
+    sums: list[UInt64] = []
+    for k in range(BINS):
+        inside = own & (bins == k)
+        if inside.any():
+            sums += [np.where(inside, of, 0).view(np.uint64) for of in of_bin]
+        else:
+            sums += [nothing(seen.shape)] * len(of_bin)
+    return [seen, *sums, *slopes]
 
 
 def halvings(spec: GridSpec, position_sigma_m: float) -> Int64:
@@ -139,9 +151,10 @@ def _halvings(sigma_m: float) -> int:
 
 
 @kernel
-def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, rises):  # type: ignore[no-untyped-def]
-    """Fill `keys` with the heights of a frame, ground_cm [n_y, n_x], in the blocks where it has one
-    at any of the points, and add its slopes to `rises` [blocks, 3]. Returns how many there are.
+def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, found, rises):  # type: ignore[no-untyped-def]
+    """Fill `found` with block, height and halvings where a frame, ground_cm [n_y, n_x], has a
+    height at any of the points of a block, the least sure of which counts. Add its slopes to
+    `rises` [blocks, 3]. Returns how many heights there are.
 
     `cos` and `sin` of the heading turn a difference of centimetres over twice the reach into the
     rise to east and north.
@@ -151,7 +164,7 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
     for b in range(block.size):
         known = total = slopes = np.int64(0)
         east = north = 0.0
-        row = np.int64(0)
+        least = np.int64(MOST_HALVINGS)
         for p in range(cell.shape[1]):
             if cell[b, p] < 0:
                 continue
@@ -159,7 +172,8 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
             height = np.int64(ground_cm[j, i])
             if height == NO_GROUND_CM:
                 continue
-            known, total, row = known + 1, total + height, np.int64(j)
+            known, total = known + 1, total + height
+            least = min(least, halvings[j])
             if j < reach or j >= n_y - reach or i < reach or i >= n_x - reach:
                 continue
             left, right = np.int64(ground_cm[j, i - reach]), np.int64(ground_cm[j, i + reach])
@@ -172,9 +186,7 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
         if known == 0:
             continue
         height = up_cm + np.int64(np.floor(total / known + 0.5))
-        shifted = height + (1 << (HEIGHT_BITS - 1))
-        key = (np.int64(block[b]) << (HEIGHT_BITS + WEIGHT_BITS)) | (shifted << WEIGHT_BITS)
-        keys[count] = key | halvings[row]
+        found[count, 0], found[count, 1], found[count, 2] = block[b], height, least
         count += 1
         if slopes > 0:
             rises[block[b], 0] += 1
@@ -184,39 +196,27 @@ def add_terrain(ground_cm, block, cell, halvings, up_cm, reach, cos, sin, keys, 
 
 
 def _from_bins(cells: Cells) -> tuple[Float64, Float64]:
-    """The height over all sessions, NaN where there is none, and its spread, centimetres."""
+    """The height over all sessions, NaN where there is none, and its sigma, centimetres."""
     number = [k for k in range(BINS) if not is_nothing(cells[_BINS[k][0].name])]
-    shape = cells["ground_sessions"].shape
-    height_cm, spread_cm = np.full(shape, np.nan), np.zeros(shape)
+    sessions = cells["ground_sessions"]
+    height_cm, sigma_cm = np.full(sessions.shape, np.nan), np.zeros(sessions.shape)
     if number:
-        weight, weighted_cm = (
+        sums = (
             np.stack([cells[_BINS[k][of].name].reshape(-1) for k in number]).view(np.int64)
-            for of in (0, 1)
+            for of in range(3)
         )
-        into = height_cm.reshape(-1), spread_cm.reshape(-1)
-        read_bins(np.array(number), weight, weighted_cm, *into)
-    return height_cm, spread_cm
+        into = height_cm.reshape(-1), sigma_cm.reshape(-1)
+        stated = np.ascontiguousarray(sessions).reshape(-1).view(np.int64)
+        read_bins(np.array(number), *sums, stated, *into)
+    return height_cm, sigma_cm
 
 
-def _base_cells(cells: Cells) -> UInt64:
-    return np.isfinite(_from_bins(cells)[0]).astype(np.uint64)
-
-
-def _base_height(cells: Cells) -> UInt64:
-    """Whole millimetres."""
-    height_mm = np.rint(10.0 * np.nan_to_num(_from_bins(cells)[0]))
-    return height_mm.astype(np.int64).view(np.uint64)
-
-
-def _base_variance(cells: Cells) -> UInt64:
-    """Square millimetres: what the sessions state, or what they are apart where that is more."""
-    sessions = cells["ground_sessions"].astype(np.float64)
-    weight = np.sum([cells[own.name] for own, _ in _BINS], axis=0, dtype=np.float64)
-    height_cm, spread_cm = _from_bins(cells)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stated_mm2 = (1000.0 * WIDEST_SIGMA_M) ** 2 * sessions / weight
-    variance_mm2 = np.maximum(stated_mm2, (10.0 * spread_cm) ** 2)
-    return np.where(np.isfinite(height_cm), np.rint(variance_mm2), 0.0).astype(np.uint64)
+def _base_values(cells: Cells) -> tuple[UInt64, UInt64, UInt64]:
+    """Whether there is a height, whole millimetres, and square millimetres of its sigma."""
+    height_cm, sigma_cm = _from_bins(cells)
+    known = np.isfinite(height_cm).astype(np.uint64)
+    height_mm = np.rint(10.0 * np.nan_to_num(height_cm)).astype(np.int64)
+    return known, height_mm.view(np.uint64), np.rint((10.0 * sigma_cm) ** 2).astype(np.uint64)
 
 
 def _mean(cells: Cells, total: str, count: str) -> AnyArray:
@@ -239,29 +239,47 @@ def _slope(cells: Cells) -> AnyArray:
     return np.degrees(np.arctan(np.hypot(*rises) / _PER_RISE))
 
 
-_BINS = [
-    (
-        Channel(f"ground_weight_{k}", coarser=Combine.ABSENT),
-        Channel(f"ground_cm_{k}", coarser=Combine.ABSENT, signed=True),
+def _agreeing(weight: UInt64, weighted_cm: UInt64) -> UInt64:
+    """Sum of weight times the square of the height, modulo 2^64, less what the squares of heights
+    about their mean, rounded down, add to it: 0 where one session, or those that agree, saw it."""
+    own, total = weight.astype(np.int64), weighted_cm.astype(np.int64)
+    mean = total // np.maximum(own, 1)
+    return (2 * mean * total - mean * mean * own).view(np.uint64)
+
+
+def _bin(k: int) -> tuple[Channel, Channel, Channel]:
+    weight, weighted_cm = f"ground_weight_{k}", f"ground_cm_{k}"
+    return (
+        Channel(weight, coarser=Combine.ABSENT),
+        Channel(weighted_cm, coarser=Combine.ABSENT, signed=True),
+        Channel(
+            f"ground_squares_{k}",
+            coarser=Combine.ABSENT,
+            guess=_agreeing,
+            guessed_from=(weight, weighted_cm),
+        ),
     )
-    for k in range(BINS)
-]
+
+
+_BINS = [_bin(k) for k in range(BINS)]
 
 GROUP = ChannelGroup(
     "terrain",
     (
         Channel("ground_sessions", coarser=Combine.ABSENT),
-        *(one for both in _BINS for one in both),
+        *(one for channels in _BINS for one in channels),
         Channel("rise_parts"),
         Channel("rise_east", signed=True),
         Channel("rise_north", signed=True),
     ),
     fold=_Terrain,
     overview=(
-        OverviewChannel("ground_cells", Combine.SUM, _base_cells),
-        OverviewChannel("ground_mm", Combine.SUM, _base_height, signed=True),
-        OverviewChannel("ground_variance", Combine.SUM, _base_variance),
+        OverviewChannel("ground_cells", Combine.SUM),
+        OverviewChannel("ground_mm", Combine.SUM, signed=True),
+        OverviewChannel("ground_variance", Combine.SUM),
     ),
+    overview_of_base=_base_values,
+    unfold=_unfold,
     frame=(GROUND_CHANNEL,),
     blocks=True,
 )

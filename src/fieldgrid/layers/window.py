@@ -103,27 +103,32 @@ class WindowFold:
         folds, self._folds = self._folds, {}
         seen = np.empty(0, np.bool_)
         for group in self._groups:
-            if (fold := folds.get(group.name)) is None:
+            if group.name not in folds:
                 continue
-            channels = [one.reshape(self._units(group).shape) for one in fold.channels()]
+            made = folds.pop(group.name).channels()
+            channels = [one.reshape(self._units(group).shape) for one in made]
             if group is self._groups[0]:
                 side, (height, width) = self._side, self._under.shape
                 weighty = (channels[0] > 0).reshape(height, side, width, side)
                 seen = np.logical_or.reduce(weighty, axis=(1, 3))
             elif group.blocks:
-                channels = [one if is_nothing(one) else one * seen for one in channels]
+                for one in channels:
+                    if not is_nothing(one):
+                        np.multiply(one, seen, out=one)
             self._done[group.name] = channels
 
-    def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> list[UInt64]:
+    def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> Iterable[UInt64]:
         """The channels of a group that was folded, in a part of the window."""
         done = self._done[group.name]
-        if not group.blocks:
-            return [values[self._window.slices_of(part)] for values in done]
-        under = self._under.slices_of(blocks_under(part, self._side))
-        return [
-            values[under] if whole_blocks else at_cells(values[under], part, self._side)
-            for values in done
-        ]
+        if group.blocks:
+            under = self._under.slices_of(blocks_under(part, self._side))
+            found = [
+                values[under] if whole_blocks else at_cells(values[under], part, self._side)
+                for values in done
+            ]
+        else:
+            found = [values[self._window.slices_of(part)] for values in done]
+        return found if group.unfold is None else group.unfold(found)
 
 
 def at_cells(values: UInt64, window: Window, side: int) -> UInt64:
@@ -183,7 +188,14 @@ def combined(how: Combine, a: UInt64, b: UInt64) -> UInt64:
 
 def with_overviews(groups: Iterable[ChannelGroup], cells: Cells) -> Cells:
     """Base cells with the channels that are stored only of larger ones."""
-    made = {extra.name: extra.of_base(cells) for group in groups for extra in group.overview}
+    made: dict[str, UInt64] = {}
+    for group in groups:
+        together = [extra.name for extra in group.overview if extra.of_base is None]
+        if group.overview_of_base is not None:
+            made.update(zip(together, group.overview_of_base(cells), strict=True))
+        for extra in group.overview:
+            if extra.of_base is not None:
+                made[extra.name] = extra.of_base(cells)
     return Cells({**cells, **made}, cells.base_cells, cells.block)
 
 

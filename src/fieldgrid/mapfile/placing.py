@@ -33,7 +33,9 @@ from fieldgrid.workers.order import in_order
 _Result = TypeVar("_Result")
 
 BLOCK_TILES = 3
-"""Side of the square of tiles that is folded at a time; it takes up to 60 MB."""
+"""Side of the square of tiles that is folded at a time. It takes up to 90 MB with cells of 5 cm,
+however many frames there are. Heights of the terrain take up to half a kilobyte of that for each
+block, so that it is up to 400 MB where a block is a single cell, which then is 0.13 m or more."""
 
 _SIDE = BLOCK_TILES * TILE_CELLS
 

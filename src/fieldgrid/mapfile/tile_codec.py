@@ -90,8 +90,25 @@ class Expectation:
             weight, total = (self._density[name][box.slices] for name in _DENSITY)
             self._box = box
             self._sums = np.ravel(weight), np.ravel(total)
-        rows = group.expected(*self._sums)
-        return tuple(_NOTHING if is_nothing(row) or not row.any() else row for row in rows)
+        return tuple(_if_any(row) for row in group.expected(*self._sums))
+
+
+def _if_any(values: UInt64) -> UInt64:
+    """What is expected, flat; nothing where it is all 0."""
+    return _NOTHING if is_nothing(values) or not values.any() else np.ravel(values)
+
+
+def _guesses(group: ChannelGroup, *, base: bool) -> dict[str, Channel]:
+    """The channels that are guessed from others of their group, by name."""
+    return {one.name: one for one in group.channels if base and one.guess is not None}
+
+
+def _guess(channel: Channel, cells: Mapping[str, UInt64], box: Box) -> UInt64:
+    """What a channel is expected to be in a box, flat; empty where it is 0."""
+    known = [cells[name] for name in channel.guessed_from]
+    if channel.guess is None or any(is_nothing(one) for one in known):
+        return _NOTHING
+    return _if_any(channel.guess(*(one[box.slices] for one in known)))
 
 
 def encode_tile(
@@ -114,7 +131,9 @@ def encode_tile(
     area = box.shape[0] * box.shape[1]
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
     stored, used = np.empty(area, dtype=np.uint64), 0
-    for guess, (name, signed) in zip(expectation.of(group, box), names, strict=True):
+    guesses = _guesses(group, base=base)
+    for expected, (name, signed) in zip(expectation.of(group, box), names, strict=True):
+        guess = _guess(guesses[name], cells, box) if name in guesses else expected
         if is_nothing(cells[name]) and not guess.size:
             header += [0, 0]
             continue
@@ -158,7 +177,10 @@ def decode_tile(
     planes = np.frombuffer(inflate(blob[head:], size, what), dtype=np.uint8)
     planes = planes.reshape(-1, *box.shape)
     arrays, first = dict[str, UInt64](), 0
+    guesses = _guesses(group, base=base)
     for guess, (name, signed), shift, count in zip(expected, names, shifts, counts, strict=True):
+        if name in guesses:
+            guess = _guess(guesses[name], arrays, box)
         if not (count or guess.size or name in _DENSITY):  # that kernels take
             arrays[name] = nothing((side, side))
             continue
