@@ -4,6 +4,7 @@ sweeps whose points have times, within a bound."""
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -11,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.closing import Closing
-from fieldgrid.errors import MapWriteError
 from fieldgrid.live.given import GIVEN_ROWS
 from fieldgrid.live.points_file import Place, PointsFile, Seen, packed
 from fieldgrid.live.sensor_rows import Rows
@@ -21,6 +21,11 @@ from fieldgrid.sweep import Sweep
 UNTOLD_NS = 60_000_000_000
 """For so long from the first frame on points are kept of a drive that does not tell how its
 vehicle leans: what tells it may come later."""
+
+RESERVE_BYTES = 1_000_000_000
+"""With less free on their disk no points are kept: grids, journal and the map need the room."""
+
+_NO_ROOM = "so the points of later frames are not kept: their grids stay as level as while driving."
 
 _TOO_LATE = (
     "How the vehicle leans is known only now, and the points of earlier frames were not kept, so "
@@ -72,8 +77,8 @@ class KeptPoints(Closing):
         return self._file is not None and not self._is_full
 
     def add(self, record: bytes | None, time_ns: int) -> Place | None:
-        """Keep the points of the next frame; where they are, None where they are not kept.
-        MapWriteError on a full disk."""
+        """Keep the points of the next frame; where they are, None where they are not kept. When
+        there is no more room for them, those of all later frames are not."""
         with self._lock:
             if self._first_ns is None:
                 self._first_ns = time_ns
@@ -82,18 +87,18 @@ class KeptPoints(Closing):
             if record is None or self._file is None or self._is_full:
                 return None
             if self._file.size + len(record) > self._most:
-                self._is_full = True
-                self._warning = (
-                    f"The points of the frames take {self._most / 1e9:g} GB, so those of later "
-                    "frames are not kept: their grids stay as level as they are while driving."
-                )
-                return None
+                return self._fill(f"The points of the frames take {self._most / 1e9:g} GB")
             try:
+                if shutil.disk_usage(self._path.parent).free < RESERVE_BYTES:
+                    least = f"less than {RESERVE_BYTES / 1e9:g} GB free"
+                    return self._fill(f"The disk of {self._path} has {least}")
                 return self._file.append(record)
             except OSError as error:
-                raise MapWriteError(
-                    f"{self._path} could not be written ({error.strerror}); free some space there."
-                ) from error
+                return self._fill(f"{self._path} could not be written ({error.strerror})")
+
+    def _fill(self, why: str) -> None:
+        """Keep no more points."""
+        self._is_full, self._warning = True, f"{why}, {_NO_ROOM}"
 
     def _give_up(self) -> None:
         """Remove what was kept for nothing."""

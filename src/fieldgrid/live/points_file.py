@@ -11,6 +11,7 @@ import json
 import math
 import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
@@ -64,9 +65,14 @@ class PointsFile(Closing):
         added."""
         assert self._file is not None, "the file of points is closed"
         start, left = self.size, memoryview(record)
-        while left:  # a disk that fills up takes a part first
-            written = os.pwrite(self._file, left, start + len(record) - len(left))
-            left = left[written:]
+        try:
+            while left:  # a disk that fills up takes a part first
+                written = os.pwrite(self._file, left, start + len(record) - len(left))
+                left = left[written:]
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._file, start)  # other files need the room
+            raise
         self.size += len(record)
         return Place(start, len(record))
 

@@ -1,0 +1,96 @@
+"""Points of a session that the disk does not take or has lost cost no frame and no session."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import namedtuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.live import finish_session, replay
+from fieldgrid.live.kept_drive import POINTS
+from fieldgrid.live.kept_points import RESERVE_BYTES, KeptPoints
+from fieldgrid.live.points_file import MAGIC, PointsFile, packed
+from fieldgrid.live.running_tilt import RunningTilt
+from fieldgrid.recording import open_recording
+from fieldgrid.rotations import Tilt
+from fieldgrid.sweep import Sweep
+from tests.live.making import Told, begin
+
+pytestmark = pytest.mark.usefixtures("worked_out_once")
+
+RECORD = packed(Sweep(np.ones((50, 3), np.float32)), 15.0)
+LEAN = Tilt(0.5, 0.3, 0.2)
+
+
+def known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tilt is known from the first frame on."""
+    monkeypatch.setattr(RunningTilt, "at", lambda _self, _time_ns: LEAN)
+
+
+def test_a_disk_that_is_full_for_points_costs_no_frame(
+    leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known(monkeypatch)
+    append, count = PointsFile.append, [0]
+
+    def appending(self: PointsFile, record: bytes) -> object:
+        count[0] += 1
+        if count[0] == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return append(self, record)
+
+    monkeypatch.setattr(PointsFile, "append", appending)
+    out, told = tmp_path / "m.gpkg", Told()
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, out, on_result=told)
+        replay(live, recording, rate=None)
+        assert live.counts.frames == 6
+        assert live.counts.dropped == 0
+        live.stop()
+    assert count[0] == 3  # no more are kept
+    (text,) = told.texts("disk")
+    assert "No space left" in text
+    assert "points of later frames are not kept" in text
+    report = finish_session(out)
+    assert report.frames == 6
+    assert not report.bad
+    assert sum("of 4 of 6" in note or "4 of 6 frames" in note for note in report.notes) == 1
+
+
+def test_a_record_that_did_not_fit_gives_its_room_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = os.pwrite
+
+    def part(file: int, data: bytes, offset: int) -> int:
+        if offset > len(MAGIC):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(file, bytes(data)[:10], offset)
+
+    with PointsFile(tmp_path / POINTS) as file:
+        monkeypatch.setattr("fieldgrid.live.points_file.os.pwrite", part)
+        with pytest.raises(OSError, match="No space"):
+            file.append(RECORD)
+    assert (tmp_path / POINTS).read_bytes() == MAGIC
+
+
+def test_no_points_are_kept_below_the_reserve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = namedtuple("usage", "free")
+    free = [RESERVE_BYTES]
+    monkeypatch.setattr(
+        "fieldgrid.live.kept_points.shutil.disk_usage", lambda _path: usage(free[0])
+    )
+    with KeptPoints(tmp_path / POINTS, 15.0, 1 << 40, None) as kept:
+        assert kept.add(RECORD, 1) is not None
+        free[0] -= 1
+        assert kept.add(RECORD, 2) is None
+        assert "less than 1 GB free" in kept.take_warning()
+        free[0] += 1
+        assert kept.record(Sweep(np.ones((50, 3), np.float32))) is None
+        assert kept.add(RECORD, 3) is None
