@@ -15,6 +15,8 @@ from fieldgrid.live.kept_drive import POINTS
 from fieldgrid.live.kept_points import RESERVE_BYTES, KeptPoints
 from fieldgrid.live.points_file import MAGIC, PointsFile, packed
 from fieldgrid.live.running_tilt import RunningTilt
+from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.recording import open_recording
 from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import Sweep
@@ -94,3 +96,58 @@ def test_no_points_are_kept_below_the_reserve(
         free[0] += 1
         assert kept.record(Sweep(np.ones((50, 3), np.float32))) is None
         assert kept.add(RECORD, 3) is None
+
+
+@pytest.mark.parametrize("dtype", ["int16", "int32", "float64"])
+def test_points_of_any_numbers_are_kept(dtype: str, tmp_path: Path) -> None:
+    points = np.array([[1, 2, 3], [90, 0, 0]], dtype)
+    with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as kept:
+        place = kept.add(kept.record(Sweep(points)), 1)
+        found = kept.read(place, None)  # type: ignore[arg-type] - a sweep asks for none
+    assert isinstance(found, Sweep)
+    assert np.array_equal(found.points_m[0], points[0])
+    assert np.isnan(found.points_m[1]).all()
+
+
+def test_points_that_cannot_be_packed_cost_no_frame(tmp_path: Path) -> None:
+    with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as kept:
+        assert kept.record(Sweep(np.array([["a", "b", "c"]]))) is None  # type: ignore[arg-type]
+        assert "cannot be kept" in kept.take_warning()
+        assert kept.add(None, 1) is None
+
+
+def test_rates_that_end_in_a_long_gap_are_taken() -> None:
+    time_ns = np.arange(0, 40_000_000_000, 100_000_000)
+    rate = np.zeros((len(time_ns), 3))
+    rate[50:] = np.nan
+    running = RunningTilt()
+    running.add_rows("inertial", rows_of("inertial", time_ns, rate, np.zeros_like(rate)))
+    late = time_ns + 40_000_000_000
+    running.add_rows("inertial", rows_of("inertial", late, 0.0 * late[:, None] + [0.0] * 3, rate))
+    assert len(running._rows["inertial"]) == 1
+
+
+@pytest.mark.parametrize("failing", ["points", "stage"])
+def test_all_files_are_synced_though_one_fails(
+    failing: str, leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+    live.stop()
+    synced: list[str] = []
+    with SessionFolder(tmp_path / "m.gpkg", None) as kept:
+        for name in ("stage", "journal", "points"):
+            file = getattr(kept, name)
+            monkeypatch.setattr(
+                type(file), "sync", lambda _self, name=name: synced.append(name) or True
+            )
+        assert kept.sync()
+        assert synced == ["stage", "journal", "points"]
+        synced.clear()
+        monkeypatch.setattr(type(getattr(kept, failing)), "sync", lambda _self: refuse())
+        assert not kept.sync()
+        assert synced == [name for name in ("stage", "journal", "points") if name != failing]
+        monkeypatch.undo()

@@ -63,18 +63,24 @@ class KeptPoints(Closing):
         """Rows of a sensor that were pushed: of some, the drive tells how its vehicle leans."""
         leans = part in ("tilt", GIVEN_ROWS) and len(rows.time_ns) > 0
         leans = leans or (part == "inertial" and bool(np.isfinite(rows.columns[1]).any()))
-        if leans and not self._is_needed:
-            self._is_needed = True
-            self._warning = "" if self.is_levelling else _TOO_LATE
+        with self._lock:
+            if leans and not self._is_needed:
+                self._is_needed = True
+                self._warning = "" if self.is_levelling else _TOO_LATE
 
     def record(self, seen: Seen) -> bytes | None:
-        """A frame's points as `add` takes them; None where they are not kept."""
-        if isinstance(seen, Sweep) and seen.after_s is not None:
-            self._is_needed = True
-        return packed(seen, self._reach_m) if self._takes() else None
-
-    def _takes(self) -> bool:
-        return self._file is not None and not self._is_full
+        """A frame's points as `add` takes them; None where they are not kept or cannot be."""
+        with self._lock:
+            if isinstance(seen, Sweep) and seen.after_s is not None:
+                self._is_needed = True
+            if self._file is None or self._is_full:
+                return None
+        try:
+            return packed(seen, self._reach_m)
+        except Exception as error:  # noqa: BLE001 - it costs the points, and no frame
+            with self._lock:
+                self._warning = f"Points of a frame cannot be kept: {error!r}"
+            return None
 
     def add(self, record: bytes | None, time_ns: int) -> Place | None:
         """Keep the points of the next frame; where they are, None where they are not kept. When
@@ -111,7 +117,8 @@ class KeptPoints(Closing):
 
     def take_warning(self) -> str:
         """What the user must know, once; empty where there is nothing."""
-        warning, self._warning = self._warning, ""
+        with self._lock:
+            warning, self._warning = self._warning, ""
         return warning
 
     def read(self, at: Place | None, gridder: LocalGridder) -> Seen | None:

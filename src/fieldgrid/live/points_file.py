@@ -143,7 +143,9 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
 
 def _near(points_m: AnyArray, reach_m: float) -> AnyArray:
     """Points [n, 3], NaN where they are too far. They stay as many, and as they lie in memory: sums
-    of floats must come out the same."""
+    of floats must come out the same. Integers, which have no NaN, become floats."""
+    if points_m.dtype.kind != "f":
+        points_m = points_m.astype(np.float32)
     near = np.einsum("ni,ni->n", points_m, points_m) <= (2.0 * reach_m + CARRIED_M) ** 2
     found = points_m.copy(order="K")
     found[~near] = np.nan
