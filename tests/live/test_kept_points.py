@@ -10,16 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.live import finish_session, replay
+from fieldgrid.build import build_map
+from fieldgrid.errors import MapError, MapExistsError
+from fieldgrid.live import discard_session, finish_from, finish_session, live_folder, replay
+from fieldgrid.live.finish import NOT_LEVELLED
 from fieldgrid.live.kept_drive import POINTS
-from fieldgrid.live.kept_points import RESERVE_BYTES, KeptPoints
+from fieldgrid.live.kept_points import LOST, RESERVE_BYTES, KeptPoints
 from fieldgrid.live.points_file import MAGIC, PointsFile, packed
 from fieldgrid.live.running_tilt import RunningTilt
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.mapfile import open_map
 from fieldgrid.recording import open_recording
 from fieldgrid.rotations import Tilt
+from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import Sweep
+from tests.build.making import content
+from tests.conftest import make_small_drive
 from tests.live.making import Told, begin
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
@@ -151,3 +158,128 @@ def test_all_files_are_synced_though_one_fails(
         assert not kept.sync()
         assert synced == [name for name in ("stage", "journal", "points") if name != failing]
         monkeypatch.undo()
+
+
+def lose(points: Path, how: str) -> None:
+    if how == "missing":
+        points.unlink()
+    elif how == "empty":
+        points.write_bytes(b"")
+    else:
+        data = points.read_bytes()
+        points.write_bytes(bytes(512) + data[512:])
+
+
+@pytest.mark.parametrize("how", ["missing", "empty", "head"])
+def test_level_frames_whose_points_are_lost_are_in_the_map_as_driven(
+    how: str, leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known(monkeypatch)
+    out = tmp_path / "m.gpkg"
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    lose(live_folder(out) / POINTS, how)
+    report = finish_session(out)
+    assert report.frames == 6
+    assert not report.bad
+    assert NOT_LEVELLED not in report.notes
+    assert sum("points" in note for note in report.notes) == 1
+    with open_map(out) as universal:
+        assert universal.sessions()[0].config["level_grids"] is True
+    assert not live_folder(out).exists()
+
+
+def test_frames_that_are_left_out_keep_the_session(
+    leaning_drive: Path, built_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_recording(leaning_drive) as recording:
+        unknown_ns = recording.frame_times_ns()[1]
+        monkeypatch.setattr(
+            RunningTilt, "at", lambda _self, at_ns: LEAN if at_ns > unknown_ns else None
+        )
+        out = tmp_path / "m.gpkg"
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    (live_folder(out) / POINTS).unlink()
+    for _ in range(2):  # another end finds the drive in the map and removes nothing
+        report = finish_session(out)
+        assert report.frames == 4
+        (note,) = (note for note in report.notes if "left out" in note)
+        assert note.startswith("2 frames are left out")
+        assert "--finish-from" in note
+        assert live_folder(out).exists()
+    out.unlink()
+    finish_from(out, leaning_drive)
+    assert content(out) == content(built_level)
+    assert not live_folder(out).exists()
+
+
+def test_a_session_with_a_damaged_head_goes_on_and_can_be_discarded(
+    leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known(monkeypatch)
+    out, told = tmp_path / "m.gpkg", Told()
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, out)
+        for frame in recording.frames(0, 3):
+            live.push_frame(frame, wait=True)
+        live.drain()
+        live.stop()
+        lose(live_folder(out) / POINTS, "head")
+        live = begin(recording, out, on_result=told)
+        assert live.counts.frames == 3
+        replay(live, recording, rate=None)
+        assert live.counts.frames == 6
+        live.stop()
+    (text,) = told.texts("disk")
+    assert text == LOST
+    with SessionFolder(out, None) as kept:
+        assert all(frame.is_level for frame in kept.drive.frames)
+    assert discard_session(out) == ("drive", 6)
+    assert not live_folder(out).exists()
+
+
+def test_a_damaged_head_before_the_first_frame_is_written_anew(tmp_path: Path) -> None:
+    (tmp_path / POINTS).write_bytes(MAGIC[:5])
+    with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as kept:
+        place = kept.add(RECORD, 1)
+        assert place is not None
+        assert place.start == len(MAGIC)
+        assert not kept.is_lost
+
+
+def test_a_file_of_points_that_cannot_be_opened_is_closed(tmp_path: Path) -> None:
+    (tmp_path / POINTS).write_bytes(b"something else")
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(MapError, match="holds no points"):
+        PointsFile(tmp_path / POINTS)
+    assert len(os.listdir("/proc/self/fd")) == len(before)
+
+
+def test_the_head_is_on_the_disk_when_a_session_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[bytes] = []
+    monkeypatch.setattr(
+        "fieldgrid.live.points_file.os.fsync", lambda file: synced.append(os.pread(file, 99, 0))
+    )
+    PointsFile(tmp_path / POINTS).close()
+    assert synced == [MAGIC]
+
+
+def test_a_session_of_the_same_name_with_fewer_frames_is_another_drive(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    fewer = make_small_drive(tmp_path / "fewer" / "drive", range(20, 24))
+    build_map([fewer], out, BuildSettings())
+    with pytest.raises(MapExistsError, match="The drive is kept"):
+        finish_session(out)
+    assert live_folder(out).exists()

@@ -26,7 +26,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import Features, Step, step
 from fieldgrid.recording import CloudFrame, Frame, StereoFrame
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import Sweep, Way
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -66,6 +66,7 @@ class _Looked(NamedTuple):
     staged: StagedFrame
     points: bytes | None
     is_level: bool
+    is_timed: bool
 
 
 class Perceiver:
@@ -250,7 +251,8 @@ class Perceiver:
             gridded=partial(self._gridded, waiting, turn),
         )
         points = None if waiting.is_again else kept.points.record(seen.seen)
-        return _Looked(seen, staged, points, tilt is not None)
+        is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
+        return _Looked(seen, staged, points, tilt is not None, is_timed)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -275,7 +277,7 @@ class Perceiver:
 
     def _keep(self, waiting: _Waiting, looked: _Looked) -> int | None:
         """Keep a frame and pass it on; its number where its images are to be kept, too."""
-        seen, staged, points, is_level = looked
+        seen, staged, points, is_level, is_timed = looked
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         # Behind it the stage file may have frames of which the journal does not know.
@@ -305,7 +307,8 @@ class Perceiver:
             self._last = seen.features
             self.frames += 1
             times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-            kept.add_frame(KeptFrame(number, found, points_at, is_level), frame.frame_id, times)
+            kept_frame = KeptFrame(number, found, points_at, is_level, is_timed)
+            kept.add_frame(kept_frame, frame.frame_id, times)
         self._disk_full = not is_kept
         if warning := kept.points.take_warning():
             self._tell(LiveEvent(What.DISK, warning, time_ns))

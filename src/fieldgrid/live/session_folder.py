@@ -121,7 +121,7 @@ class SessionFolder(Closing):
         first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
         reach_m = drive.about.settings.grid.spec().reach_m
         try:
-            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns)
+            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
         except OSError as error:
             raise MapWriteError(
                 f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
