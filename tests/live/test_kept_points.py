@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.build import build_map
-from fieldgrid.errors import MapError, MapExistsError
+from fieldgrid.errors import MapError, MapExistsError, MapWriteError
 from fieldgrid.live import discard_session, finish_from, finish_session, live_folder, replay
 from fieldgrid.live.finish import NOT_LEVELLED
 from fieldgrid.live.kept_drive import POINTS
@@ -20,7 +20,7 @@ from fieldgrid.live.points_file import MAGIC, PointsFile, packed
 from fieldgrid.live.running_tilt import RunningTilt
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import StageFile, open_map
 from fieldgrid.recording import open_recording
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
@@ -283,3 +283,19 @@ def test_a_session_of_the_same_name_with_fewer_frames_is_another_drive(
     with pytest.raises(MapExistsError, match="The drive is kept"):
         finish_session(out)
     assert live_folder(out).exists()
+
+
+def test_points_of_a_frame_that_is_not_kept_give_their_room_back(
+    leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_self: StageFile, _frame: object) -> int:
+        raise MapWriteError("The disk is full.")
+
+    monkeypatch.setattr(StageFile, "append", refuse)
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        live.push_frame(next(iter(recording.frames())), wait=True)
+        live.drain()
+        assert live.counts.dropped == 1
+        live.stop()
+    assert (live_folder(tmp_path / "m.gpkg") / POINTS).read_bytes() == MAGIC

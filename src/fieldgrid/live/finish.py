@@ -36,7 +36,7 @@ from fieldgrid.transfer import check_cell_sizes
 NOT_LEVELLED = (
     "The drive has roll and pitch, but the points of its frames were not kept, so its grids are "
     "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
-    "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
+    "build the drive from a recording (fieldgrid build RECORDING)."
 )
 
 AT_THE_END = frozenset({"pose", "checks"})

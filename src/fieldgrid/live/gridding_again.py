@@ -118,5 +118,5 @@ def _as_driven(count: int, frames: int, known: str) -> str:
     return (
         f"The points of {count} of {frames} frames were not kept to the end: their grids are as "
         f"they were made while driving, by {known} known then. A build from a recording (fieldgrid "
-        "live --finish-from RECORDING) makes them by the data of the whole drive."
+        "build RECORDING) makes them by the data of the whole drive."
     )

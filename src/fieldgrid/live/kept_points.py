@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,8 +22,8 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
 UNTOLD_NS = 60_000_000_000
-"""For so long from the first frame on points are kept of a drive that does not tell how its
-vehicle leans: what tells it may come later."""
+"""For so long from the first frame on, by stamps and by the clock of the machine, points are kept
+of a drive that does not tell how its vehicle leans: what tells it may come later."""
 
 RESERVE_BYTES = 1_000_000_000
 """With less free on their disk no points are kept: grids, journal and the map need the room."""
@@ -64,6 +65,7 @@ class KeptPoints(Closing):
         self._first_ns = first_ns
         self._lock = threading.Lock()
         self._is_needed, self._warning = False, ""
+        self._since_ns = time.monotonic_ns()
         is_kept = points_end(path) is not None
         begins = first_ns is None and most_bytes > 0
         if begins and not is_kept:
@@ -110,8 +112,11 @@ class KeptPoints(Closing):
         there is no more room for them, those of all later frames are not."""
         with self._lock:
             if self._first_ns is None:
-                self._first_ns = time_ns
-            if not self._is_needed and time_ns - self._first_ns > UNTOLD_NS:
+                self._first_ns, self._since_ns = time_ns, time.monotonic_ns()
+            # Stamps alone may jump, or run ahead in a replay.
+            is_long = time_ns - self._first_ns > UNTOLD_NS
+            is_long = is_long and time.monotonic_ns() - self._since_ns > UNTOLD_NS
+            if not self._is_needed and is_long:
                 self._give_up()
             if record is None or self._file is None or self._is_full:
                 return None
@@ -124,6 +129,12 @@ class KeptPoints(Closing):
                 return self._file.append(record)
             except OSError as error:
                 return self._filled(f"{self._path} could not be written ({error.strerror})")
+
+    def take_back(self, at: Place | None) -> None:
+        """Give the room of the points added last back: their frame is not kept."""
+        with self._lock:
+            if at is not None and self._file is not None:
+                self._file.take_back(at)
 
     def _filled(self, why: str) -> Place | None:
         """Keep no more points: there is no place for them."""

@@ -290,11 +290,12 @@ class Perceiver:
             found = step(self._last, seen.features, rig)
         odometry_s = seen.odometry_s + time.thread_time() - start
         is_kept = True
+        points_at = kept.points.add(points, time_ns)
         try:
-            points_at = kept.points.add(points, time_ns)
             number = kept.stage.append(staged)
         except MapWriteError as error:
             is_kept = False
+            kept.points.take_back(points_at)
             if not self._disk_full:
                 text = f"{error} Frames are not kept until there is room; the mapping goes on."
                 self._tell(LiveEvent(What.DISK, text, time_ns))

@@ -80,6 +80,14 @@ class PointsFile(Closing):
         self.size += len(record)
         return Place(start, len(record))
 
+    def take_back(self, place: Place) -> None:
+        """Give the room of the last record back."""
+        assert self._file is not None, "the file of points is closed"
+        if place.start + place.size == self.size:
+            with suppress(OSError):
+                os.ftruncate(self._file, place.start)
+                self.size = place.start
+
     def read(self, place: Place, gridder: LocalGridder) -> Seen | None:
         """The points of the record there; None where it is cut off or damaged."""
         parts = self._parts(place)
