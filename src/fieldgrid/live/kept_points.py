@@ -72,7 +72,9 @@ class KeptPoints(Closing):
             path.unlink(missing_ok=True)
         self._file = PointsFile(path) if begins or is_kept else None
         self._has_level = any(frame.is_level for frame in frames)
-        self.is_lost = self._file is None and any(frame.points is not None for frame in frames)
+        # Of other frames they may have been removed, since nothing told how the vehicle leans.
+        needed = (frame.points for frame in frames if frame.is_level or frame.is_timed)
+        self.is_lost = self._file is None and any(place is not None for place in needed)
         if self.is_lost:
             self._warning = LOST
         self._is_full = self._file is not None and self._file.size >= most_bytes
