@@ -26,9 +26,9 @@ from fieldgrid.live import (
     replay,
 )
 from fieldgrid.live.gridding_again import NO_POINTS
-from fieldgrid.live.kept_drive import POINTS
+from fieldgrid.live.kept_drive import POINTS, KeptFrame
 from fieldgrid.live.kept_points import UNTOLD_NS, KeptPoints
-from fieldgrid.live.points_file import PointsFile, packed
+from fieldgrid.live.points_file import Place, PointsFile, packed
 from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.localgrid import LocalGridder
@@ -57,7 +57,7 @@ def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
     shown: list[Progress] = []
     report = finish_session(out, progress=shown.append)
     assert content(out) == content(built_level)
-    assert not any("--finish-from" in note for note in report.notes)
+    assert not any("fieldgrid build" in note for note in report.notes)
     told = [(one.frames_done, one.frames_total) for one in shown]
     assert told == [(done, report.frames) for done in range(1, report.frames + 1)]
     assert not live_folder(out).exists()
@@ -176,7 +176,7 @@ def test_without_room_for_points_the_grids_are_not_level(
         again = begin(recording, tmp_path / "anew.gpkg", options=options)
         replay(again, recording, rate=None)
         again.stop()
-    assert any("--finish-from" in note for note in finish_session(out).notes)
+    assert any("fieldgrid build" in note for note in finish_session(out).notes)
     with open_map(out) as ours, open_map(built_level) as theirs:
         assert ours.sessions()[0].config["level_grids"] is False
         # Its poses say so, too: they lie below the sensor along the vehicle's own axis.
@@ -220,12 +220,19 @@ def test_frames_beyond_the_bound_are_as_level_as_they_were_while_driving(
         assert {one.reason for one in report.bad} == {NO_POINTS}
 
 
-def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(tmp_path: Path) -> None:
+def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock_ns = [0]
+    monkeypatch.setattr("fieldgrid.live.kept_points.time.monotonic_ns", lambda: clock_ns[0])
     path, record = tmp_path / POINTS, packed(Sweep(np.ones((50, 3), np.float32)), 15.0)
     level = KeptPoints(path, 15.0, 1 << 30, None)
     assert level.add(record, 1_000) is not None
     assert level.add(record, 1_000 + UNTOLD_NS) is not None
-    assert level.add(record, 1_001 + UNTOLD_NS) is None
+    # Stamps alone do not say so.
+    assert level.add(record, 1_001 + UNTOLD_NS) is not None
+    clock_ns[0] = 1 + UNTOLD_NS
+    assert level.add(record, 1_002 + UNTOLD_NS) is None
     assert not path.exists()
     assert not level.is_levelling
     # It is told when an IMU comes too late, once.
@@ -237,6 +244,10 @@ def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(tmp_path: Pa
     assert not level.take_warning()
     # Nor after a restart.
     assert not KeptPoints(path, 15.0, 1 << 30, 1_000).is_levelling
+    # What was removed for nothing is not lost.
+    frames = [KeptFrame(0, None, Place(20, 99))]
+    assert not KeptPoints(path, 15.0, 1 << 30, 1_000, frames).is_lost
+    assert KeptPoints(path, 15.0, 1 << 30, 1_000, [frames[0]._replace(is_timed=True)]).is_lost
 
 
 @pytest.mark.parametrize("part", ["inertial", "tilt", "sweep"])

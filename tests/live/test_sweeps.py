@@ -55,6 +55,8 @@ def test_walls_are_where_they_are_if_the_way_is_known(
     # Without the points of its frames the map has the grids as they were made while driving.
     report = driven(drive, tmp_path / "map.gpkg", wheels=wheels, points_gb=0.0)
     assert report.used == SWEEPS
+    (note,) = (note for note in report.notes if "fieldgrid build" in note)
+    assert "by the motion known then" in note
     off = np.percentile(off_m(tmp_path / "map.gpkg"), 95)
     assert off < 0.10 if wheels else off > 0.25
 

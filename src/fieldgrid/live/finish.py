@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -20,10 +20,10 @@ from fieldgrid.build import (
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import check_images
 from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.build.staging import Staged
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept_drive import About
+from fieldgrid.live.kept_points import LOST
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
 from fieldgrid.pose import tells_attitude
@@ -36,7 +36,7 @@ from fieldgrid.transfer import check_cell_sizes
 NOT_LEVELLED = (
     "The drive has roll and pitch, but the points of its frames were not kept, so its grids are "
     "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
-    "build the drive from a recording (fieldgrid live --finish-from RECORDING)."
+    "build the drive from a recording (fieldgrid build RECORDING)."
 )
 
 AT_THE_END = frozenset({"pose", "checks"})
@@ -142,16 +142,41 @@ def finish(
     try:
         if not kept.staged().entries:
             raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
-        report = _placed(kept, kept.recording(), settings, progress, patience or Patience())
+        placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
     except FieldgridError as error:
         sentence = str(error).removesuffix(".")
         raise type(error)(
             f"{sentence}. The drive is kept in {kept.folder}; fieldgrid live -o {kept.out} "
             "--finish tries again, with pose options or --accept, and --discard gives it up."
         ) from error
-    kept.remove()
+    report = placed.report
+    if placed.left_out:
+        report.notes += (_still_kept(kept, placed.left_out),)
+    else:
+        kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
+
+
+class _Placed(NamedTuple):
+    """The drive in the map; `left_out` of its frames are not, since their points are lost."""
+
+    report: SessionReport
+    left_out: int
+
+
+def _still_kept(kept: SessionFolder, left_out: int) -> str:
+    """The remark on a drive that is in the map without some of its frames."""
+    name = kept.drive.about.name
+    first = f"remove {kept.out}"
+    if kept.drive.about.append:
+        first = f"remove the session from it (fieldgrid sessions {kept.out} --remove {name})"
+    return (
+        f"{left_out} frames are left out of the map, since their points are not there and it was "
+        f"not known while driving how the vehicle leaned. The drive stays in {kept.folder}: with a "
+        f"recording, {first} and run fieldgrid live -o {kept.out} --finish-from RECORDING; "
+        "without one, --discard removes what is kept."
+    )
 
 
 def _placed(
@@ -160,13 +185,14 @@ def _placed(
     settings: BuildSettings,
     progress: Callable[[Progress], None] | None,
     patience: Patience,
-) -> SessionReport:
+) -> _Placed:
     about, out = kept.drive.about, kept.out
-    if out.exists() and _is_done(out, about.name, kept.staged()):
+    left_out = _done(kept) if out.exists() else None
+    if left_out is not None:
         session = NewSession(recording, settings, None, None, about.name, 1)
         session.report.notes += ("The drive was in the map already.",)
-        session.report.frames = len(kept.staged().entries)
-        return session.report
+        session.report.frames = len(kept.staged().entries) - left_out
+        return _Placed(session.report, left_out)
     check_target(out, about)
     datum = about.datum
     if about.append and datum is None:
@@ -188,6 +214,8 @@ def _placed(
     with StageFile.temporary(out) as file:
         final = gridded_again(kept, file, attitude, Way.of(trajectory), progress)
         session.report.notes += final.notes
+        if kept.points.is_lost and not final.notes:
+            session.report.notes += (LOST,)
         if about.append:
             universal = open_map(
                 out, datum=datum, cell_m=chosen.cell_m, transfer=chosen.transfer, patience=patience
@@ -199,18 +227,32 @@ def _placed(
         with universal:
             session.check(universal)
             session.add(universal, final.staged)
-    return session.report
+    return _Placed(session.report, final.left_out)
 
 
-def _is_done(out: Path, name: str, staged: Staged) -> bool:
-    """Whether an end that was killed had put the drive into the map already: its frames, that is,
-    whose grids may be others by now."""
-    with open_map(out) as universal:
+def _done(kept: SessionFolder) -> int | None:
+    """How many frames an end left out that has put the drive into the map already, and was killed
+    or left frames out; None where none has. It is told by its frames, whose grids may be others by
+    now."""
+    with open_map(kept.out) as universal:
+        name = kept.drive.about.name
         if name not in {info.name for info in universal.sessions()}:
-            return False
+            return None
         placed = {frame.frame_id: frame.images_sha256 for frame in universal.frames(name)}
-    frames = (staged.frames[k] for k in range(len(staged.entries)))
-    return placed.items() <= {one.frame_id: one.images_sha256 for one in frames}.items()
+    if not placed:
+        return None
+    missing = 0
+    for frame in kept.read().frames:
+        staged = kept.stage[frame.number]
+        if staged.frame_id not in placed:
+            # What an end leaves out was not level and cannot be made so.
+            is_lost = kept.points.is_levelling and not kept.points.has(frame.points)
+            if frame.is_level or not is_lost:
+                return None
+            missing += 1
+        elif placed.pop(staged.frame_id) != staged.images_sha256:
+            return None
+    return None if placed else missing
 
 
 def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettings:

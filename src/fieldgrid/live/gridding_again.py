@@ -4,7 +4,7 @@ of the whole drive, and sweeps carried by its trajectory, as a build makes them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,7 +20,6 @@ from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame, StageFile, stage
 from fieldgrid.odometry import Refusal
-from fieldgrid.rig import Lidar
 from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import Way
 
@@ -32,6 +31,8 @@ class GriddedAgain(NamedTuple):
 
     staged: Staged
     notes: tuple[str, ...]
+    left_out: int = 0
+    """So many frames cannot be as the others are, since their points are not there."""
 
 
 class _Made(NamedTuple):
@@ -53,8 +54,7 @@ def gridded_again(
     ground ahead where that is None, of sweeps carried by the vehicle's `way`; those that had to be
     made again are in the `file`. `progress` is called after each of them."""
     staged, drive = kept.staged(), kept.read()
-    # Sweeps whose points have times keep their points, too.
-    is_swept = isinstance(drive.about.rig.sensor, Lidar) and kept.points.is_levelling
+    is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return GriddedAgain(staged, ())
     settings = drive.about.settings
@@ -69,7 +69,7 @@ def gridded_again(
         return _Made(was if frame.is_level == (tilt is not None) else None, True)
 
     found: list[Found] = []
-    bad, as_driven = list(staged.bad), set[str]()
+    bad, as_driven, notes = list(staged.bad), set[str](), tuple[str, ...]()
     with closing(side_by_side(make, drive.frames, os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, staged.entries, staged.found, strict=True)
@@ -87,7 +87,11 @@ def gridded_again(
             found.append(Refusal.NOT_COMPARED if lost and step is not None else step)
             lost = False
     made_again = replace(staged, frames=file, entries=file.entries, found=found, bad=bad)
-    return GriddedAgain(made_again, tuple(_notes(as_driven, len(found), is_swept)))
+    if as_driven:
+        known = ["the attitude"] if attitude is not None else []
+        known += ["the motion"] if is_swept else []
+        notes = (_as_driven(len(as_driven), len(found), " and ".join(known)),)
+    return GriddedAgain(made_again, notes, len(drive.frames) - len(found))
 
 
 def _again(
@@ -109,12 +113,10 @@ def _again(
     )
 
 
-def _notes(as_driven: set[str], frames: int, is_swept: bool) -> Iterator[str]:
-    """Which frames a build would have made otherwise."""
-    if as_driven:
-        yield (
-            f"The points of {len(as_driven)} of {frames} frames were not kept to the end: their "
-            "grids are as they were made while driving, by the attitude"
-            f"{' and the motion' if is_swept else ''} known then. A build from a recording "
-            "(fieldgrid live --finish-from RECORDING) makes them by those of the whole drive."
-        )
+def _as_driven(count: int, frames: int, known: str) -> str:
+    """The remark on frames that a build would have made otherwise."""
+    return (
+        f"The points of {count} of {frames} frames were not kept to the end: their grids are as "
+        f"they were made while driving, by {known} known then. A build from a recording (fieldgrid "
+        "build RECORDING) makes them by the data of the whole drive."
+    )

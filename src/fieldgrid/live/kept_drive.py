@@ -16,7 +16,7 @@ from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.journal import read_journal
-from fieldgrid.live.points_file import Place
+from fieldgrid.live.points_file import Place, points_end
 from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
 from fieldgrid.mapfile import StageEntry
 from fieldgrid.recording.pose_source import PoseBody
@@ -97,12 +97,14 @@ def _datum_to_json(datum: Datum | None) -> list[float] | None:
 
 class KeptFrame(NamedTuple):
     """A frame that was staged: its number in the stage file, the step to it, where its points are
-    in theirs, None where they were not kept, and whether its grid is level."""
+    in theirs, None where they were not kept, whether its grid is level, and whether it is a sweep
+    whose points have times."""
 
     number: int
     found: Found
     points: Place | None = None
     is_level: bool = False
+    is_timed: bool = False
 
     def is_within(self, end: int) -> bool:
         """Whether a file of points that is so long has those of the frame."""
@@ -134,16 +136,15 @@ def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
     """What a journal holds, with the frames that the stage file has as well, and the file of points
     if their points were kept; None without a beginning: then nothing was pushed."""
     drive: Drive | None = None
-    points = folder / POINTS
-    points_end = (points.stat().st_size or None) if points.is_file() else None
+    end = points_end(folder / POINTS)
     try:
         for kind, value in read_journal(folder / JOURNAL):
             if kind == "begin":
                 drive = drive or Drive(About.from_json(value))
             elif drive is not None:
                 _take(drive, kind, value, entries)
-        if drive is not None and points_end is not None:
-            while drive.frames and not drive.frames[-1].is_within(points_end):
+        if drive is not None and end is not None:
+            while drive.frames and not drive.frames[-1].is_within(end):
                 drive.cut_at = drive.frames.pop().number
     except (KeyError, ValueError, TypeError, IndexError) as error:
         if isinstance(error, MapError):
@@ -166,9 +167,9 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
         # A frame that was lost with the power is written anew under the same number.
         _cut(drive, number)
         if number < len(entries) and entries[number].frame_id == frame_id:
-            points, is_level = rest or (None, False)
+            points, *flags = rest or (None,)
             place = None if points is None else Place(*points)
-            drive.frames.append(KeptFrame(number, found_from_json(found), place, is_level))
+            drive.frames.append(KeptFrame(number, found_from_json(found), place, *flags))
             drive.times.add(StageTimes(*times))
     elif kind == "cut":
         _cut(drive, value)

@@ -4,23 +4,36 @@ sweeps whose points have times, within a bound."""
 from __future__ import annotations
 
 import os
+import shutil
 import threading
+import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from fieldgrid.closing import Closing
-from fieldgrid.errors import MapWriteError
 from fieldgrid.live.given import GIVEN_ROWS
-from fieldgrid.live.points_file import Place, PointsFile, Seen, packed
+from fieldgrid.live.kept_drive import POINTS, KeptFrame
+from fieldgrid.live.points_file import Place, PointsFile, Seen, packed, points_end
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
 UNTOLD_NS = 60_000_000_000
-"""For so long from the first frame on points are kept of a drive that does not tell how its
-vehicle leans: what tells it may come later."""
+"""For so long from the first frame on, by stamps and by the clock of the machine, points are kept
+of a drive that does not tell how its vehicle leans: what tells it may come later."""
+
+RESERVE_BYTES = 1_000_000_000
+"""With less free on their disk no points are kept: grids, journal and the map need the room."""
+
+_NO_ROOM = "so the points of later frames are not kept: their grids stay as level as while driving."
+
+LOST = (
+    f"The points of the frames ({POINTS}) are missing or damaged, so grids cannot be made again at "
+    "the end of the drive; they stay as they were made while driving."
+)
 
 _TOO_LATE = (
     "How the vehicle leans is known only now, and the points of earlier frames were not kept, so "
@@ -36,64 +49,99 @@ class KeptPoints(Closing):
     vehicle leans.
     """
 
-    def __init__(self, path: Path, reach_m: float, most_bytes: int, first_ns: int | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        reach_m: float,
+        most_bytes: int,
+        first_ns: int | None,
+        frames: Sequence[KeptFrame] = (),
+    ) -> None:
         """Open the file of a session, or make it for one that has no frame yet (`first_ns` is the
-        time of the first). Of grids that reach `reach_m`, at most `most_bytes` are kept; none where
-        that is 0. OSError where there can be no file."""
+        time of the first of its `frames`). Of grids that reach `reach_m`, at most `most_bytes` are
+        kept; none where that is 0. A file that is damaged at its beginning counts as none. OSError
+        where there can be no file."""
         self._path, self._reach_m, self._most = path, reach_m, most_bytes
         self._first_ns = first_ns
         self._lock = threading.Lock()
         self._is_needed, self._warning = False, ""
-        is_kept = path.is_file() and path.stat().st_size > 0
+        self._since_ns = time.monotonic_ns()
+        is_kept = points_end(path) is not None
         begins = first_ns is None and most_bytes > 0
+        if begins and not is_kept:
+            path.unlink(missing_ok=True)
         self._file = PointsFile(path) if begins or is_kept else None
+        self._has_level = any(frame.is_level for frame in frames)
+        # Of other frames they may have been removed, since nothing told how the vehicle leans.
+        needed = (frame.points for frame in frames if frame.is_level or frame.is_timed)
+        self.is_lost = self._file is None and any(place is not None for place in needed)
+        if self.is_lost:
+            self._warning = LOST
         self._is_full = self._file is not None and self._file.size >= most_bytes
 
     @property
     def is_levelling(self) -> bool:
-        """Whether points of all frames were kept from the first one on, up to the bound."""
-        return self._file is not None
+        """Whether points of all frames were kept from the first one on, up to the bound, or were
+        until they were lost: some grids are level then."""
+        return self._file is not None or self._has_level
 
     def note_rows(self, part: str, rows: Rows) -> None:
         """Rows of a sensor that were pushed: of some, the drive tells how its vehicle leans."""
         leans = part in ("tilt", GIVEN_ROWS) and len(rows.time_ns) > 0
         leans = leans or (part == "inertial" and bool(np.isfinite(rows.columns[1]).any()))
-        if leans and not self._is_needed:
-            self._is_needed = True
-            self._warning = "" if self.is_levelling else _TOO_LATE
+        with self._lock:
+            if leans and not self._is_needed:
+                self._is_needed = True
+                if not self.is_levelling and not self.is_lost:
+                    self._warning = _TOO_LATE
 
     def record(self, seen: Seen) -> bytes | None:
-        """A frame's points as `add` takes them; None where they are not kept."""
-        if isinstance(seen, Sweep) and seen.after_s is not None:
-            self._is_needed = True
-        return packed(seen, self._reach_m) if self._takes() else None
-
-    def _takes(self) -> bool:
-        return self._file is not None and not self._is_full
+        """A frame's points as `add` takes them; None where they are not kept or cannot be."""
+        with self._lock:
+            if isinstance(seen, Sweep) and seen.after_s is not None:
+                self._is_needed = True
+            if self._file is None or self._is_full:
+                return None
+        try:
+            return packed(seen, self._reach_m)
+        except Exception as error:  # noqa: BLE001 - it costs the points, and no frame
+            with self._lock:
+                self._warning = f"Points of a frame cannot be kept: {error!r}"
+            return None
 
     def add(self, record: bytes | None, time_ns: int) -> Place | None:
-        """Keep the points of the next frame; where they are, None where they are not kept.
-        MapWriteError on a full disk."""
+        """Keep the points of the next frame; where they are, None where they are not kept. When
+        there is no more room for them, those of all later frames are not."""
         with self._lock:
             if self._first_ns is None:
-                self._first_ns = time_ns
-            if not self._is_needed and time_ns - self._first_ns > UNTOLD_NS:
+                self._first_ns, self._since_ns = time_ns, time.monotonic_ns()
+            # Stamps alone may jump, or run ahead in a replay.
+            is_long = time_ns - self._first_ns > UNTOLD_NS
+            is_long = is_long and time.monotonic_ns() - self._since_ns > UNTOLD_NS
+            if not self._is_needed and is_long:
                 self._give_up()
             if record is None or self._file is None or self._is_full:
                 return None
             if self._file.size + len(record) > self._most:
-                self._is_full = True
-                self._warning = (
-                    f"The points of the frames take {self._most / 1e9:g} GB, so those of later "
-                    "frames are not kept: their grids stay as level as they are while driving."
-                )
-                return None
+                return self._filled(f"The points of the frames take {self._most / 1e9:g} GB")
             try:
+                if shutil.disk_usage(self._path.parent).free < RESERVE_BYTES:
+                    least = f"less than {RESERVE_BYTES / 1e9:g} GB free"
+                    return self._filled(f"The disk of {self._path} has {least}")
                 return self._file.append(record)
             except OSError as error:
-                raise MapWriteError(
-                    f"{self._path} could not be written ({error.strerror}); free some space there."
-                ) from error
+                return self._filled(f"{self._path} could not be written ({error.strerror})")
+
+    def take_back(self, at: Place | None) -> None:
+        """Give the room of the points added last back: their frame is not kept."""
+        with self._lock:
+            if at is not None and self._file is not None:
+                self._file.take_back(at)
+
+    def _filled(self, why: str) -> Place | None:
+        """Keep no more points: there is no place for them."""
+        self._is_full, self._warning = True, f"{why}, {_NO_ROOM}"
+        return None
 
     def _give_up(self) -> None:
         """Remove what was kept for nothing."""
@@ -106,12 +154,17 @@ class KeptPoints(Closing):
 
     def take_warning(self) -> str:
         """What the user must know, once; empty where there is nothing."""
-        warning, self._warning = self._warning, ""
+        with self._lock:
+            warning, self._warning = self._warning, ""
         return warning
 
     def read(self, at: Place | None, gridder: LocalGridder) -> Seen | None:
         """The points of a frame that are there; None where they were not kept or are damaged."""
         return None if at is None or self._file is None else self._file.read(at, gridder)
+
+    def has(self, at: Place | None) -> bool:
+        """Whether the points of a frame are there and whole."""
+        return at is not None and self._file is not None and self._file.has(at)
 
     def sync(self) -> None:
         """Return when what was added is on the disk. OSError where the disk refuses."""

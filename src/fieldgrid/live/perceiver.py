@@ -26,7 +26,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import Features, Step, step
 from fieldgrid.recording import CloudFrame, Frame, StereoFrame
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import Sweep, Way
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -66,6 +66,7 @@ class _Looked(NamedTuple):
     staged: StagedFrame
     points: bytes | None
     is_level: bool
+    is_timed: bool
 
 
 class Perceiver:
@@ -250,7 +251,8 @@ class Perceiver:
             gridded=partial(self._gridded, waiting, turn),
         )
         points = None if waiting.is_again else kept.points.record(seen.seen)
-        return _Looked(seen, staged, points, tilt is not None)
+        is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
+        return _Looked(seen, staged, points, tilt is not None, is_timed)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -275,7 +277,7 @@ class Perceiver:
 
     def _keep(self, waiting: _Waiting, looked: _Looked) -> int | None:
         """Keep a frame and pass it on; its number where its images are to be kept, too."""
-        seen, staged, points, is_level = looked
+        seen, staged, points, is_level, is_timed = looked
         frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
         time_ns = frame.time_ns + rig.image_time_offset_ns
         # Behind it the stage file may have frames of which the journal does not know.
@@ -288,11 +290,12 @@ class Perceiver:
             found = step(self._last, seen.features, rig)
         odometry_s = seen.odometry_s + time.thread_time() - start
         is_kept = True
+        points_at = kept.points.add(points, time_ns)
         try:
-            points_at = kept.points.add(points, time_ns)
             number = kept.stage.append(staged)
         except MapWriteError as error:
             is_kept = False
+            kept.points.take_back(points_at)
             if not self._disk_full:
                 text = f"{error} Frames are not kept until there is room; the mapping goes on."
                 self._tell(LiveEvent(What.DISK, text, time_ns))
@@ -305,7 +308,8 @@ class Perceiver:
             self._last = seen.features
             self.frames += 1
             times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-            kept.add_frame(KeptFrame(number, found, points_at, is_level), frame.frame_id, times)
+            kept_frame = KeptFrame(number, found, points_at, is_level, is_timed)
+            kept.add_frame(kept_frame, frame.frame_id, times)
         self._disk_full = not is_kept
         if warning := kept.points.take_warning():
             self._tell(LiveEvent(What.DISK, warning, time_ns))

@@ -11,6 +11,7 @@ import json
 import math
 import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
@@ -52,26 +53,51 @@ class PointsFile(Closing):
         """Open the file, or make it. MapError for another file, OSError where there can be
         none."""
         self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        self.size = os.fstat(self._file).st_size
-        if not self.size:
-            self.size = os.pwrite(self._file, MAGIC, 0)
-        if os.pread(self._file, len(MAGIC), 0) != MAGIC:
+        try:
+            self.size = os.fstat(self._file).st_size
+            if not self.size:
+                self.size = os.pwrite(self._file, MAGIC, 0)
+                os.fsync(self._file)  # records without their head are lost
+            if os.pread(self._file, len(MAGIC), 0) != MAGIC:
+                raise MapError(f"{path} holds no points of a live session. Check the name.")
+        except BaseException:
             self.close()
-            raise MapError(f"{path} holds no points of a live session. Check the name.")
+            raise
 
     def append(self, record: bytes) -> Place:
         """Write what `packed` made behind the others. OSError on a full disk: then nothing was
         added."""
         assert self._file is not None, "the file of points is closed"
         start, left = self.size, memoryview(record)
-        while left:  # a disk that fills up takes a part first
-            written = os.pwrite(self._file, left, start + len(record) - len(left))
-            left = left[written:]
+        try:
+            while left:  # a disk that fills up takes a part first
+                written = os.pwrite(self._file, left, start + len(record) - len(left))
+                left = left[written:]
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._file, start)  # other files need the room
+            raise
         self.size += len(record)
         return Place(start, len(record))
 
+    def take_back(self, place: Place) -> None:
+        """Give the room of the last record back."""
+        assert self._file is not None, "the file of points is closed"
+        if place.start + place.size == self.size:
+            with suppress(OSError):
+                os.ftruncate(self._file, place.start)
+                self.size = place.start
+
     def read(self, place: Place, gridder: LocalGridder) -> Seen | None:
         """The points of the record there; None where it is cut off or damaged."""
+        parts = self._parts(place)
+        return None if parts is None else _unpacked(*parts, gridder)
+
+    def has(self, place: Place) -> bool:
+        """Whether the record there is whole."""
+        return self._parts(place) is not None
+
+    def _parts(self, place: Place) -> tuple[bytes, bytes] | None:
         assert self._file is not None, "the file of points is closed"
         record = os.pread(self._file, place.size, place.start)
         if len(record) < max(place.size, _RECORD.size):
@@ -80,7 +106,7 @@ class PointsFile(Closing):
         body = record[_RECORD.size :]
         if mark != _MARK or len(body) != size + length or zlib.crc32(body) != check:
             return None
-        return _unpacked(body[:size], body[size:], gridder)
+        return body[:size], body[size:]
 
     def duplicate(self) -> int:
         """A descriptor of its own, to sync the file beside appending; the caller closes it."""
@@ -92,6 +118,16 @@ class PointsFile(Closing):
         if self._file is not None:
             os.close(self._file)
             self._file = None
+
+
+def points_end(path: Path) -> int | None:
+    """How long a file of points is; None where there is none, or no head of one: all its records
+    are lost."""
+    try:
+        with path.open("rb") as file:
+            return path.stat().st_size if file.read(len(MAGIC)) == MAGIC else None
+    except OSError:
+        return None
 
 
 def packed(seen: Seen, reach_m: float) -> bytes:
@@ -137,7 +173,9 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
 
 def _near(points_m: AnyArray, reach_m: float) -> AnyArray:
     """Points [n, 3], NaN where they are too far. They stay as many, and as they lie in memory: sums
-    of floats must come out the same."""
+    of floats must come out the same. Integers, which have no NaN, become floats."""
+    if points_m.dtype.kind != "f":
+        points_m = points_m.astype(np.float32)
     near = np.einsum("ni,ni->n", points_m, points_m) <= (2.0 * reach_m + CARRIED_M) ** 2
     found = points_m.copy(order="K")
     found[~near] = np.nan

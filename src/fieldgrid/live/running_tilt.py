@@ -74,8 +74,9 @@ class RunningTilt:
             return
         with self._lock:
             chunks = self._rows[part]
-            chunks.append((rows.time_ns[known], values[known]))
-            while chunks[0][0][-1] < rows.time_ns[-1] - KEPT_NS:
+            times_ns = rows.time_ns[known]
+            chunks.append((times_ns, values[known]))
+            while chunks and chunks[0][0][-1] < times_ns[-1] - KEPT_NS:
                 chunks.popleft()
 
     def forget(self, sources: Collection[str]) -> None:

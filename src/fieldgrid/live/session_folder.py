@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,7 @@ class SessionFolder(Closing):
         first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
         reach_m = drive.about.settings.grid.spec().reach_m
         try:
-            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns)
+            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
         except OSError as error:
             raise MapWriteError(
                 f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
@@ -188,12 +189,16 @@ class SessionFolder(Closing):
 
     def sync(self) -> bool:
         """Return when all of it is on the disk; False where the disk does not take it."""
+        taken = [self._synced(self.stage.sync), self.journal.sync(), self._synced(self.points.sync)]
+        return all(taken)
+
+    @staticmethod
+    def _synced(sync: Callable[[], None]) -> bool:
         try:
-            self.points.sync()
-            self.stage.sync()
+            sync()
         except (MapWriteError, OSError):
             return False
-        return self.journal.sync()
+        return True
 
     def read(self) -> Drive:
         """What was pushed so far."""
