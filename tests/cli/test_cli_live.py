@@ -164,7 +164,7 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
         def until(part: str) -> None:
             while True:
                 said.append(process.stdout.readline().decode())  # type: ignore[union-attr]
-                assert said[-1], process.stderr.read()  # type: ignore[union-attr]
+                assert said[-1], (process.stderr.read(), said[-6:])  # type: ignore[union-attr]
                 if part in said[-1]:
                     return
 
