@@ -28,7 +28,10 @@ of a drive that does not tell how its vehicle leans: what tells it may come late
 RESERVE_BYTES = 1_000_000_000
 """With less free on their disk no points are kept: grids, journal and the map need the room."""
 
-_NO_ROOM = "so the points of later frames are not kept: their grids stay as level as while driving."
+_NO_ROOM = (
+    "so the points of later frames are not kept: their grids stay as they were made while driving, "
+    "level by the roll and pitch known then."
+)
 
 LOST = (
     f"The points of the frames ({POINTS}) are missing or damaged, so grids cannot be made again at "
