@@ -4,8 +4,8 @@ Each document is worked through from top to bottom in a temporary directory of i
 in which `examples` leads to the repository's examples:
 
 - A block marked ``python`` is executed. All of a document's blocks share one namespace.
-- In a block marked ``console``, each command that starts with ``$ fieldgrid`` is run, and
-  what it prints must be what is shown. A shown ``...`` stands for anything within its
+- In a block marked ``console``, each command that starts with ``$ fieldgrid``, ``$ mkdir`` or
+  ``$ cat`` is run, and what it prints must be what is shown. A shown ``...`` stands for anything within its
   line, or, alone on a line, for any number of lines. The command must succeed, unless
   the next command is ``$ echo $?``, under which its exit status is shown. Other commands
   (``$ git clone``, ``$ make``) are for the reader only.
@@ -41,6 +41,7 @@ TIMEOUT_S = 900
 FENCE = re.compile(r"(?P<indent>[ \t]*)(?P<ticks>`{3,}|~{3,})[ \t]*(?P<language>[^\s`]*)[^`]*")
 NOT_RUN = re.compile(r"\s*<!--\s*not run:\s*\S.*-->\s*")
 STATUS_COMMAND = "echo $?"
+RUN = re.compile(r"(fieldgrid|mkdir|cat)\b")
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def parse_blocks(text: str) -> Iterator[Block]:
 
 
 def parse_commands(block: Block) -> list[Command]:
-    """Split a console block into its `fieldgrid` commands and their outputs."""
+    """Split a console block into the commands that are run, and their outputs."""
     commands: list[Command] = []
     lines = list(enumerate(block.lines, block.first_line))
     while lines:
@@ -128,7 +129,7 @@ def parse_commands(block: Block) -> list[Command]:
 
     ours: list[Command] = []
     for command, following in zip(commands, [*commands[1:], None], strict=True):
-        if re.match(r"fieldgrid\b", command.text):
+        if RUN.match(command.text):
             status = "0"
             if following is not None and following.text == STATUS_COMMAND:
                 status = "".join(following.shown).strip()

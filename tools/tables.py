@@ -61,10 +61,19 @@ def export_options_table() -> str:
     return markdown(("flag", "in Python", "default", "formats", "meaning"), list(rows.values()))
 
 
+def layers_table() -> str:
+    """Every built-in layer of a map."""
+    from fieldgrid.layers import LAYERS
+
+    rows = [(f"`{one.name}`", one.unit or "-", one.dtype, one.meaning) for one in LAYERS.values()]
+    return markdown(("layer", "unit", "type", "meaning"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "settings": settings_table,
     "formats": formats_table,
     "export-options": export_options_table,
+    "layers": layers_table,
 }
 
 
