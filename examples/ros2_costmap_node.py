@@ -3,14 +3,16 @@
 
     python3 ros2_costmap_node.py --ros-args -p map:=field.gpkg -p robot_radius_m:=0.6
 
-Paths are in the frame `map`: x metres east, y metres north of the map's datum. The map is read once,
-at the start; no map server is needed. `fieldgrid` must be importable by the Python of ROS.
+Paths are in the frame `map`: x metres east, y metres north of the map's datum. The map is read
+once, at the start; no map server is needed. `fieldgrid` must be importable by the Python of ROS.
 
 Subscribed:  plan (nav_msgs/Path)
 Published:   plan_clear (std_msgs/Bool, true only where all of the path is known and far enough from
              obstacles), plan_clearance (std_msgs/Float32, metres from the path's middle line to the
              nearest obstacle), plan_blocked_at (geometry_msgs/PointStamped, the first bad place)
 """
+
+from itertools import pairwise
 
 import numpy as np
 import rclpy
@@ -80,7 +82,7 @@ class PathCheck(Node):
 def along(points_m, step_m):
     """Points of a line at most `step_m` apart, and its corners; [n, 2] of metres."""
     parts = [points_m[:1]]
-    for start, end in zip(points_m[:-1], points_m[1:], strict=True):
+    for start, end in pairwise(points_m):
         count = max(1, int(np.ceil(np.hypot(*(end - start)) / step_m)))
         parts.append(start + (end - start) * np.linspace(0.0, 1.0, count + 1)[1:, np.newaxis])
     return np.concatenate(parts)

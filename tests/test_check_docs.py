@@ -93,6 +93,17 @@ def test_a_command_that_prints_what_is_shown_passes(programs: Path) -> None:
     assert (report.run, report.skipped, report.failures) == (1, 0, [])
 
 
+def test_folders_are_made_and_files_are_shown(programs: Path) -> None:
+    text = (
+        "```console\n$ mkdir out\n$ fieldgrid 'a word' > out/said\n$ cat out/said\na word\n"
+        "$ cathedral\n```\n"
+    )
+    report = check(text, programs)
+    assert (report.run, report.failures) == (1, [])
+    (failure,) = check(text.replace("\na word\n", "\nanother\n"), programs).failures
+    assert "-another\n+a word" in failure.message
+
+
 def test_a_command_that_prints_something_else_fails_with_a_diff(programs: Path) -> None:
     report = check(
         "Text\n\n```console\n$ fieldgrid one two\none\nthree\n```\n",

@@ -5,8 +5,8 @@ in which `examples` leads to the repository's examples:
 
 - A block marked ``python`` is executed. All of a document's blocks share one namespace.
 - In a block marked ``console``, each command that starts with ``$ fieldgrid``, ``$ mkdir`` or
-  ``$ cat`` is run, and what it prints must be what is shown. A shown ``...`` stands for anything within its
-  line, or, alone on a line, for any number of lines. The command must succeed, unless
+  ``$ cat`` is run, and what it prints must be what is shown. A shown ``...`` stands for anything
+  within its line, or, alone on a line, for any number of lines. The command must succeed, unless
   the next command is ``$ echo $?``, under which its exit status is shown. Other commands
   (``$ git clone``, ``$ make``) are for the reader only.
 - A block right after ``<!-- not run: reason -->`` is skipped, and counted.

@@ -83,4 +83,3 @@ def test_what_the_map_does_not_know_is_not_clear(node: Any) -> None:
     assert answer(node, plan())[0] is False
     assert answer(node, plan((0.0, 0.0), frame="odom"))[0] is False
     assert "'odom'" in node.logger.said[-1][1]
-
