@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from fieldgrid.angles import wrap_deg
+from fieldgrid.attitude import Attitude
 from fieldgrid.build.inputs import Inputs, from_arrays
 from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
@@ -74,6 +75,22 @@ def repose_map(
                     f"{path} has no active session {name!r}; fieldgrid sessions lists them."
                 )
         return [_repose(universal, session, pose_settings or {}) for session in sessions]
+
+
+def attitudes_of(universal: MapFile) -> dict[str, Attitude]:
+    """Roll and pitch of the active sessions that tell them, by name, estimated again from what the
+    map keeps. Sessions without their fixes are left out."""
+    found = {}
+    for session in universal.sessions():
+        arrays = universal.session_inputs(session.name) if session.active else {}
+        if "fix.time_ns" not in arrays:
+            continue
+        inputs = from_arrays(arrays)
+        rig = rig_from_config(session.config.get("rig", {}), session.name)
+        estimate = _estimate(universal, session, inputs, rig, _settings(session, {}))
+        if estimate.report.attitude is not None:
+            found[session.name] = estimate.report.attitude
+    return found
 
 
 def _repose(

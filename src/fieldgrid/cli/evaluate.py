@@ -74,11 +74,15 @@ def command(
         if is_survey:
             _survey(universal, truth, within, crop, things, as_json)
             return
+        from fieldgrid.build.repose import attitudes_of
         from fieldgrid.evaluation import evaluate, read_truth
         from fieldgrid.evaluation.scores import OBSERVABLE_PIXELS
 
         result = evaluate(
-            universal, read_truth(truth), observable_pixels=min_pixels or OBSERVABLE_PIXELS
+            universal,
+            read_truth(truth),
+            observable_pixels=min_pixels or OBSERVABLE_PIXELS,
+            attitudes=attitudes_of(universal),
         )
     if as_json:
         output.print_json(result.as_dict())
@@ -178,6 +182,12 @@ def _print_scores(result: Evaluation) -> None:
             f"ground: RMSE {100 * ground.rmse_m:.1f} cm, bias {100 * ground.bias_m:+.1f} cm, 95 % "
             f"{100 * ground.p95_m:.1f} cm, largest {100 * ground.max_m:.1f} cm in {ground.cells} "
             f"cells of {ground.cell_m:g} m; {output.percent(ground.within_3_sigma)} within 3 sigma"
+        )
+    if (leaning := result.attitude) is not None:
+        output.print_line(
+            f"roll and pitch: median {leaning.median_deg:.2f}°, 95 % {leaning.p95_deg:.2f}°, "
+            f"largest {leaning.max_deg:.2f}° in {leaning.frames} frames; "
+            f"{output.percent(leaning.within_3_sigma)} within 3 sigma"
         )
     if result.unmatched_frames:
         output.print_line(f"{result.unmatched_frames} frames of the map are not in this truth")

@@ -7,6 +7,7 @@ from fieldgrid.evaluation.against_survey import (
     ThingScore,
     evaluate_survey,
 )
+from fieldgrid.evaluation.attitude import AttitudeScores
 from fieldgrid.evaluation.scores import (
     Evaluation,
     FrameError,
@@ -20,6 +21,7 @@ from fieldgrid.evaluation.terrain import TerrainScores, TrueGround
 from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth
 
 __all__ = [
+    "AttitudeScores",
     "Evaluation",
     "FalseScore",
     "FrameError",

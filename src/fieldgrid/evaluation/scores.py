@@ -18,7 +18,9 @@ from scipy.spatial import cKDTree
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64
+from fieldgrid.attitude import Attitude
 from fieldgrid.errors import TruthError
+from fieldgrid.evaluation.attitude import AttitudeScores, score_attitude
 from fieldgrid.evaluation.terrain import TerrainScores, score_terrain
 from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
@@ -100,7 +102,7 @@ class Evaluation:
 
     Of `unlevelled_frames` nobody knew how the vehicle leaned: their poses are of the point below
     the camera as if it stood level, and the truth's of the camera itself. `terrain` is None where
-    the truth or the map has no ground.
+    the truth or the map has no ground, `attitude` where neither tells roll and pitch.
     """
 
     cell_m: float
@@ -110,6 +112,7 @@ class Evaluation:
     groups: tuple[Group, ...]
     frames: tuple[FrameError, ...]
     terrain: TerrainScores | None = None
+    attitude: AttitudeScores | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists, ready for JSON (NaN and infinity become None)."""
@@ -117,9 +120,16 @@ class Evaluation:
 
 
 def evaluate(
-    universal: MapFile, truth: Truth, *, observable_pixels: int = OBSERVABLE_PIXELS
+    universal: MapFile,
+    truth: Truth,
+    *,
+    observable_pixels: int = OBSERVABLE_PIXELS,
+    attitudes: Mapping[str, Attitude] | None = None,
 ) -> Evaluation:
     """Compare a map with a truth of the same datum.
+
+    A map keeps no roll and pitch, but what they were estimated from: `attitudes` of its sessions,
+    by name, as `fieldgrid.build.repose.attitudes_of` estimates them again, are compared, too.
 
     Raises TruthError when the datums differ, or no frame of the map is in the truth.
     """
@@ -152,6 +162,7 @@ def evaluate(
         ),
         frames=tuple(_frame_error(record, pose) for record, pose in matched),
         terrain=None if truth.ground is None else score_terrain(universal, truth.ground),
+        attitude=score_attitude(attitudes or {}, matched),
     )
 
 

@@ -28,7 +28,11 @@ _MAX_TRUTH_BYTES = 4 * _MAX_TRUTH_CELLS + 4096  # int32, and what stands before 
 
 @dataclass(frozen=True, slots=True)
 class TruthPose:
-    """Where the middle of the stereo baseline really was, and what was being driven."""
+    """Where the middle of the stereo baseline really was, and what was being driven.
+
+    `roll_deg` is positive with the right side down, `pitch_deg` with the nose up; both NaN where
+    the truth does not have them.
+    """
 
     time_ns: int
     east_m: float
@@ -36,6 +40,8 @@ class TruthPose:
     heading_deg: float
     direction: str
     segment: str
+    roll_deg: float = math.nan
+    pitch_deg: float = math.nan
 
     @property
     def forward_on_row(self) -> bool:
@@ -145,7 +151,12 @@ def _truth_pose(row: dict[str, str]) -> TruthPose:
     if not row["direction"] or not row["segment"]:
         raise ValueError(f"the row of {time_s} s lacks its direction or segment")
     time_ns = round(time_s * 1000) * 1_000_000
-    return TruthPose(time_ns, east_m, north_m, heading_deg, row["direction"], row["segment"])
+    leaning = [float(row.get(column) or "nan") for column in ("roll_deg", "pitch_deg")]
+    if math.isfinite(leaning[0]) != math.isfinite(leaning[1]):
+        raise ValueError(f"the row of {time_s} s has only one of roll and pitch")
+    return TruthPose(
+        time_ns, east_m, north_m, heading_deg, row["direction"], row["segment"], *leaning
+    )
 
 
 def _read_datum(folder: Path) -> Datum | None:
