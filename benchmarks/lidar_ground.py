@@ -1,0 +1,112 @@
+"""The terrain of a real lidar drive against the ground raster of its own survey.
+
+python -m benchmarks.lidar_ground LOG
+
+LOG is a drive of Argoverse 2 (sweeps, poses, `map/*ground_height_surface*`). Its sweeps and poses
+become a map; the layer `ground` is compared with the raster, which is interpolated, at the middle
+of cells of 0.25 m. The raster itself lies 7 - 8 cm (RMS) from the points of the sweeps on the road.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.build import build_map
+from fieldgrid.mapfile import open_map
+from fieldgrid.recording import DriveOptions
+from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.settings import resolve
+from tests.test_lidar_drive import EAST_M, NORTH_M, UTM, Drive, read_drive, recorded
+
+CELL_M, EVERY = 0.25, 4
+BANDS_M = ((0.0, 15.0), (15.0, 30.0), (0.0, 30.0))
+SETTINGS = {
+    "grid": {"width_m": 20.0, "length_m": 30.0, "cell_m": 0.1},
+    "density": {"max_range_m": 30.0},
+    "pose": {"cell_budget_m": 0.6},
+}
+
+
+class Ground(NamedTuple):
+    """Cells with a height: map minus raster, its stated sigma, the distance ahead of the nearest
+    sweep, all in metres."""
+
+    error_m: Float64
+    sigma_m: Float64
+    ahead_m: Float64
+
+    def within(self, nearest_m: float, farthest_m: float) -> Bool:
+        return (self.ahead_m >= nearest_m) & (self.ahead_m < farthest_m)
+
+
+def map_of(drive: Drive, folder: Path) -> Path:
+    """A map of the sweeps, placed by the drive's own poses."""
+    recording, poses, out = (
+        recorded(drive, folder / "drive"),
+        folder / "city.tum",
+        folder / "m.gpkg",
+    )
+    quaternions = Rotation.from_matrix(drive.R_city_ego).as_quat()
+    with poses.open("w") as file:
+        for time_ns, place, turn in zip(
+            drive.time_ns[::EVERY], drive.city_m[::EVERY], quaternions[::EVERY], strict=True
+        ):
+            seconds = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+            print(seconds, *(f"{value:.9f}" for value in (*place, *turn)), file=file)
+    source = PoseSource(poses, axes="flu", point_flu_m=(0.0, 0.0, 0.0))
+    build_map([recording], out, resolve(None, SETTINGS), DriveOptions(poses=source))
+    return out
+
+
+def ground_of(drive: Drive, path: Path) -> Ground:
+    """The ground of a map against the raster."""
+    with open_map(path) as universal:
+        view = universal.read(cell_m=CELL_M, layers=("ground", "ground_sigma"))
+        poses = [frame.pose for frame in universal.frames()]
+        up_m, sigma_m = (view.layer(name).astype(float) for name in ("ground", "ground_sigma"))
+        row, column = np.nonzero(np.isfinite(up_m))
+        east, north = view.lattice.centres(view.window)
+        east, north = east[column], north[row]
+        lat, lon, height_m = universal.datum.to_geodetic(east, north, up_m[row, column])
+    x, y = UTM.transform(lon, lat, direction="INVERSE")
+    R = np.array(drive.to_raster["R"]).reshape(2, 2)
+    cells = np.stack([x - EAST_M, y - NORTH_M], axis=1) @ R.T + drive.to_raster["t"]
+    at = cells.T[::-1] * drive.to_raster["s"] - 0.5
+    error_m = height_m - map_coordinates(drive.raster_m, at, order=1, cval=np.nan)
+    ahead_m = [
+        (east - pose.east_m) * np.sin(np.radians(pose.heading_deg))
+        + (north - pose.north_m) * np.cos(np.radians(pose.heading_deg))
+        for pose in poses
+    ]
+    known = np.isfinite(error_m)
+    return Ground(
+        error_m[known], sigma_m[row, column][known], np.min(np.maximum(ahead_m, 0.0), axis=0)[known]
+    )
+
+
+def main() -> None:
+    """Print the errors by the distance ahead."""
+    drive = read_drive(Path(sys.argv[1]))
+    with tempfile.TemporaryDirectory() as folder:
+        ground = ground_of(drive, map_of(drive, Path(folder)))
+    for band in BANDS_M:
+        there = ground.within(*band)
+        error_m, sigma_m = ground.error_m[there], ground.sigma_m[there]
+        rmse_cm = 100 * np.sqrt(np.mean(error_m**2))
+        print(
+            f"{band[0]:2.0f} - {band[1]:2.0f} m ahead: RMSE {rmse_cm:.1f} cm, "
+            f"bias {100 * error_m.mean():+.1f} cm, {there.sum()} cells, "
+            f"{100 * np.mean(np.abs(error_m) <= 3 * sigma_m):.1f} % within 3 sigma"
+        )
+
+
+if __name__ == "__main__":
+    main()
