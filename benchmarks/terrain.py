@@ -149,7 +149,7 @@ def sums_of(frames: Sequence[Frame]) -> Float64:
     for pose, heights_cm in frames:
         block, cell = block_points(SPEC, pose, LATTICE, WINDOW)
         row, column = cell[:, 0] >> COLUMN_BITS, cell[:, 0] & ((1 << COLUMN_BITS) - 1)
-        weight = 2.0 ** halvings(SPEC, pose.position_sigma_m)[row]
+        weight = 2.0 ** halvings(SPEC, pose.up_sigma_m)[row]
         height = pose.up_m + heights_cm[row, column] / 100.0
         sums[:, block] += np.stack([np.ones(block.size), weight, weight * height])
     return np.repeat(np.repeat(sums.reshape(3, *under.shape), side, axis=1), side, axis=2)

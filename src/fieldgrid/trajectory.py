@@ -7,6 +7,7 @@ else than the receiver knew the way. Poses are those of the *grid origin*
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -21,6 +22,9 @@ from fieldgrid.geodesy import Datum
 MAX_GAP_NS = 1_500_000_000
 """Accepted fixes may be this far apart for a pose to be interpolated between them: a receiver of
 1 Hz may be late."""
+
+HEIGHT_SHARE = 2.0
+"""GNSS heights are half as accurate as positions."""
 
 
 class Status(StrEnum):
@@ -39,7 +43,8 @@ class Status(StrEnum):
 class Pose:
     """The grid origin at one instant: LTP metres, heading in degrees, 1-sigma errors.
 
-    A rejected pose keeps its best estimate and says why in `reason`.
+    A rejected pose keeps its best estimate and says why in `reason`. `up_sigma_m` is the 1-sigma
+    error of `up_m`; by default that of GNSS heights, which are half as accurate as positions.
     """
 
     time_ns: int
@@ -52,6 +57,11 @@ class Pose:
     speed_mps: float
     status: Status = Status.OK
     reason: str = ""
+    up_sigma_m: float = math.nan
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.up_sigma_m):
+            object.__setattr__(self, "up_sigma_m", HEIGHT_SHARE * self.position_sigma_m)
 
 
 @dataclass(frozen=True, slots=True)

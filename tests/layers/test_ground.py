@@ -25,8 +25,9 @@ from fieldgrid.layers.ground import (
 )
 from fieldgrid.layers.robust import BIN_CM, BINS, MOST_HEIGHTS, WIDEST_SIGMA_M, Heights
 from fieldgrid.layers.window import with_overviews
-from fieldgrid.mapfile import MapView, create_map, open_map
-from fieldgrid.trajectory import Pose
+from fieldgrid.mapfile import MapView, Transform, create_map, open_map
+from fieldgrid.mapfile.transform import Aligned
+from fieldgrid.trajectory import HEIGHT_SHARE, Pose
 from fieldgrid.transfer import Transfer
 from tests.mapfile.maps import DATUM
 
@@ -311,8 +312,21 @@ def test_larger_cells_are_the_mean_of_their_base_cells(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sigma_m", [0.01, 0.02, 0.3, 1.0, 7.0, math.inf])
 def test_weights_say_how_sure_a_height_is(sigma_m: float) -> None:
-    found = WIDEST_SIGMA_M / np.sqrt(2.0 ** halvings(SPEC, sigma_m))
+    found = WIDEST_SIGMA_M / np.sqrt(2.0 ** halvings(SPEC, HEIGHT_SHARE * sigma_m))
     y = SPEC.centres_m()[1]
     true = np.sqrt((2.0 * sigma_m) ** 2 + 0.02**2 + (0.004 * y) ** 2)
     np.testing.assert_array_less(np.abs(np.log2(found / np.clip(true, 0.032, 4.0))), 0.51)
     assert np.all(np.diff(found) >= 0.0)
+
+
+def test_the_height_of_an_aligned_drive_is_no_surer_than_before(tmp_path: Path) -> None:
+    pose = seen_from(0.0, sigma_m=0.3)
+    path = tmp_path / "map.gpkg"
+    before = read(path, [[(pose, hillside(pose, 0.0, 0.0))]]).layer("ground_sigma")
+    with open_map(path, writable=True) as universal:
+        aligned = Aligned(0.02, 0.1, ("other",))
+        universal.set_transforms({"0": Transform(0.2, aligned=aligned)})
+        assert next(iter(universal.frames())).pose.position_sigma_m == 0.02
+        after = universal.read(cell_m=0.2, layers=LAYERS).layer("ground_sigma")
+    assert np.nanmin(before) > 0.5
+    assert np.nanmin(after) == pytest.approx(np.nanmin(before))

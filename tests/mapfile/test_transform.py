@@ -167,8 +167,13 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     assert replace(transform_of(json.dumps(old)), aligned=transform.aligned) == transform
     # A place that was aligned is as sure as that, and no less sure than it was.
     for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.01), (math.nan, 0.02)):
-        driven = replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m)
+        driven = replace(
+            pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m, up_sigma_m=2.0 * driven_m
+        )
         assert transform.pose(driven).position_sigma_m == placed_m
+        # Heights are not aligned.
+        placed_up_m = transform.pose(driven).up_sigma_m
+        assert placed_up_m == pytest.approx(2.0 * max(driven_m, placed_m)) or math.isnan(driven_m)
         by_hand = replace(transform, aligned=None)
         assert by_hand.pose(driven).position_sigma_m == pytest.approx(driven_m, nan_ok=True)
     for change in (

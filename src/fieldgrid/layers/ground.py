@@ -57,7 +57,7 @@ from fieldgrid.layers.robust import (
     read_bins,
 )
 
-HEIGHT_SHARE, LEAST_SIGMA_M, SIGMA_SHARE = 2.0, 0.02, 0.004
+LEAST_SIGMA_M, SIGMA_SHARE = 0.02, 0.004
 
 HIGHEST_M = 1e7
 """Poses that are farther above or below the datum tell no heights."""
@@ -94,7 +94,7 @@ class _Terrain:
             np.ascontiguousarray(ground_cm, dtype=np.int16),
             block,
             cell,
-            halvings(spec, float(pose.position_sigma_m)),
+            halvings(spec, float(pose.up_sigma_m)),
             round(100.0 * pose.up_m),
             reach,
             math.cos(phi) * scale,
@@ -131,10 +131,10 @@ def _unfold(said: Sequence[UInt64]) -> list[UInt64]:
     return [seen, *sums, *slopes]
 
 
-def halvings(spec: GridSpec, position_sigma_m: float) -> Int64:
+def halvings(spec: GridSpec, up_sigma_m: float) -> Int64:
     """How often the square of `WIDEST_SIGMA_M` was halved, for a height in each row of a local
     grid, int64 [n_y]: the weight is 2 to the power of it."""
-    return _row_halvings(spec, _halvings(HEIGHT_SHARE * position_sigma_m))
+    return _row_halvings(spec, _halvings(up_sigma_m))
 
 
 @lru_cache(maxsize=256)

@@ -98,6 +98,7 @@ def pose_now(
             pose,
             time_ns=newest_ns,
             position_sigma_m=math.hypot(pose.position_sigma_m, speed_mps * since_s),
+            up_sigma_m=math.hypot(pose.up_sigma_m, speed_mps * since_s),
             heading_sigma_deg=math.hypot(pose.heading_sigma_deg, turned_deg),
         )
     if since_s > POSELESS_S:

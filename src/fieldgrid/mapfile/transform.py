@@ -132,7 +132,8 @@ class Transform:
         return is_rigid and self.wander is None
 
     def pose(self, driven: Pose) -> Pose:
-        """A pose as it is placed in the map."""
+        """A pose as it is placed in the map. Only its place is surer after an alignment: heights
+        are not aligned."""
         if self.is_identity:
             return driven
         east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
