@@ -663,3 +663,21 @@ def test_the_truth_of_the_example() -> None:
     with np.load(TWO_LANES / "truth" / "obstacle_raster_5cm.npz") as raster:
         assert bounds.west_m == pytest.approx(float(raster["east0"]), abs=1e-6)
         assert bounds.south_m == pytest.approx(float(raster["north0"]), abs=1e-6)
+
+
+def test_errors_are_compared_with_what_poses_state(tmp_path: Path) -> None:
+    def sure(position_m: float, heading_deg: float) -> Callable[[Pose], Pose]:
+        return lambda pose: dataclasses.replace(
+            pose,
+            east_m=pose.east_m + 0.1,
+            heading_deg=pose.heading_deg + 1.0,
+            position_sigma_m=position_m,
+            heading_sigma_deg=heading_deg,
+        )
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    honest = scored(tmp_path / "a", posts(), sure(0.034, 0.34)).poses
+    assert (honest.position_within_3_sigma, honest.heading_within_3_sigma) == (1.0, 1.0)
+    lying = scored(tmp_path / "b", posts(), sure(0.033, 0.33)).poses
+    assert (lying.position_within_3_sigma, lying.heading_within_3_sigma) == (0.0, 0.0)

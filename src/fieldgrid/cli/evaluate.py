@@ -217,9 +217,19 @@ def _error_rows(groups: tuple[Group, ...]) -> list[tuple[str, ...]]:
         ("position error, median", "position_median_m", 3, "m"),
         ("position error, largest", "position_max_m", 3, "m"),
     )
+    within = (
+        ("heading within 3 sigma", "heading_within_3_sigma"),
+        ("position within 3 sigma", "position_within_3_sigma"),
+    )
     return [
-        (label, *(output.number(getattr(g.poses, name), digits, unit) for g in groups))
-        for label, name, digits, unit in labels
+        *(
+            (label, *(output.number(getattr(g.poses, name), digits, unit) for g in groups))
+            for label, name, digits, unit in labels
+        ),
+        *(
+            (label, *(output.percent(getattr(g.poses, name)) for g in groups))
+            for label, name in within
+        ),
     ]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,15 +44,21 @@ MATCH_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class PoseErrors:
-    """Errors of the accepted frames' poses: absolute values, metres and degrees."""
+    """Errors of the accepted frames' poses: absolute values, metres and degrees.
+
+    `position_within_3_sigma` is the share whose distance from the truth is at most three times the
+    stated error along one axis, `heading_within_3_sigma` that of headings.
+    """
 
     frames: int
     rejected: int
     position_median_m: float | None
     position_max_m: float | None
+    position_within_3_sigma: float | None
     heading_median_deg: float | None
     heading_p95_deg: float | None
     heading_max_deg: float | None
+    heading_within_3_sigma: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,7 @@ class FrameError:
     status: str
     east_error_m: float
     north_error_m: float
+    position_sigma_m: float
     heading_error_deg: float
     heading_sigma_deg: float
 
@@ -191,9 +198,11 @@ def _score_poses(pairs: list[tuple[FrameRecord, TruthPose]]) -> PoseErrors:
         rejected=len(errors) - len(accepted),
         position_median_m=_quantile(position, 0.5),
         position_max_m=_quantile(position, 1.0),
+        position_within_3_sigma=_within(position, [e.position_sigma_m for e in accepted]),
         heading_median_deg=_quantile(heading, 0.5),
         heading_p95_deg=_quantile(heading, 0.95),
         heading_max_deg=_quantile(heading, 1.0),
+        heading_within_3_sigma=_within(heading, [e.heading_sigma_deg for e in accepted]),
     )
 
 
@@ -206,6 +215,7 @@ def _frame_error(record: FrameRecord, truth: TruthPose) -> FrameError:
         status=pose.status.value,
         east_error_m=pose.east_m - truth.east_m,
         north_error_m=pose.north_m - truth.north_m,
+        position_sigma_m=pose.position_sigma_m,
         heading_error_deg=float(wrap_deg(pose.heading_deg - truth.heading_deg)),
         heading_sigma_deg=pose.heading_sigma_deg,
     )
@@ -355,6 +365,11 @@ def _by_tolerance(distances: Float64 | None) -> dict[str, float | None]:
         f"{tolerance:.2f}": float(np.mean(distances <= tolerance + 1e-6))
         for tolerance in TOLERANCES_M
     }
+
+
+def _within(errors: Float64, sigmas: Sequence[float]) -> float | None:
+    """Share of the errors of at most three sigmas; None of nothing."""
+    return float(np.mean(errors <= 3.0 * np.asarray(sigmas))) if errors.size else None
 
 
 def _quantile(values: Float64, share: float) -> float | None:
