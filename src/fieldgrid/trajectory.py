@@ -44,7 +44,8 @@ class Pose:
     """The grid origin at one instant: LTP metres, heading in degrees, 1-sigma errors.
 
     A rejected pose keeps its best estimate and says why in `reason`. `up_sigma_m` is the 1-sigma
-    error of `up_m`; by default that of GNSS heights, which are half as accurate as positions.
+    error of `up_m`; by default that of GNSS heights, which are half as accurate as positions, and
+    infinite where nothing is stated.
     """
 
     time_ns: int
@@ -61,7 +62,10 @@ class Pose:
 
     def __post_init__(self) -> None:
         if math.isnan(self.up_sigma_m):
-            object.__setattr__(self, "up_sigma_m", HEIGHT_SHARE * self.position_sigma_m)
+            up_sigma_m = HEIGHT_SHARE * self.position_sigma_m
+            object.__setattr__(
+                self, "up_sigma_m", math.inf if math.isnan(up_sigma_m) else up_sigma_m
+            )
 
 
 @dataclass(frozen=True, slots=True)

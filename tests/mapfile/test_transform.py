@@ -19,7 +19,13 @@ from fieldgrid.errors import ConfigError, DatumError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import LAYERS, Transform, evidence, merge_maps, open_map
 from fieldgrid.mapfile.records import frame_record
-from fieldgrid.mapfile.transform import Aligned, Beside, Wander, transform_of
+from fieldgrid.mapfile.transform import (
+    Aligned,
+    Beside,
+    HeightCorrection,
+    Wander,
+    transform_of,
+)
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
 
@@ -107,7 +113,7 @@ def test_it_reads_back_and_what_is_unknown_is_refused() -> None:
     transform = Transform(0.1, -0.2, 0.3, 1 / 3, 2e9 / 7)
     assert transform_of(transform.to_text()) == transform
     assert Transform(pivot_east_m=5.0).to_text() is None
-    with pytest.raises(MapError, match="has knots, and this fieldgrid knows rigid, wander and"):
+    with pytest.raises(MapError, match="has knots, and this fieldgrid knows rigid, wander, heights"):
         transform_of(json.dumps({"rigid": {}, "knots": []}))
     with pytest.raises(MapError, match="has no rigid part"):
         transform_of("{}")
@@ -150,6 +156,21 @@ def test_a_wander_that_cannot_be(bad: Any) -> None:
         Wander(*bad)
 
 
+def test_heights_are_moved_by_what_holds_at_their_time() -> None:
+    transform = Transform(heights=HeightCorrection((100, 300), (0.5, -0.5), 0.04))
+    assert not transform.is_identity
+    times = (0, 100, 150, 200, 300, 900)
+    for time_ns, up_m in zip(times, (0.5, 0.5, 0.25, 0.0, -0.5, -0.5), strict=True):
+        driven = replace(pose_at(1.0, 2.0, 3.0), time_ns=time_ns, up_m=7.0)
+        placed = transform.pose(driven)
+        assert placed.up_m == pytest.approx(7.0 + up_m)
+        assert replace(placed, up_m=7.0, up_sigma_m=driven.up_sigma_m) == driven
+    driven_track = replace(track(4), time_ns=100 * np.arange(4))
+    placed_track = transform.trajectory(driven_track)
+    assert placed_track.up_m - driven_track.up_m == pytest.approx([0.5, 0.5, 0.0, -0.5])
+    assert (placed_track.east_m == driven_track.east_m).all()
+
+
 def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     transform = Transform(
         0.1, -0.2, 0.3, 4.0, 5.0, Wander((5, 7), (0.1, 0.2), (0.0, -0.1)),
@@ -157,6 +178,7 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
             0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text(),
             (Beside("june", 0.01, "12ab"), Beside("july", 0.03, "34cd")),
         ),
+        HeightCorrection((5, 9), (0.5, -0.3), 0.04),
     )  # fmt: skip
     text = transform.to_text()
     assert text is not None
@@ -167,19 +189,28 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     assert replace(transform_of(json.dumps(old)), aligned=transform.aligned) == transform
     # A place that was aligned is as sure as that, and no less sure than it was.
     for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.01), (math.nan, 0.02)):
-        driven = replace(
-            pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m, up_sigma_m=2.0 * driven_m
-        )
+        driven = replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m, up_sigma_m=math.nan)
+        driven_up_m = math.inf if math.isnan(driven_m) else 2.0 * driven_m
+        assert driven.up_sigma_m == driven_up_m
         assert transform.pose(driven).position_sigma_m == placed_m
-        # Heights are not aligned.
-        placed_up_m = transform.pose(driven).up_sigma_m
-        assert placed_up_m == pytest.approx(2.0 * max(driven_m, placed_m)) or math.isnan(driven_m)
+        assert transform.pose(driven).up_sigma_m == pytest.approx(min(0.04, driven_up_m))
+        # Where heights were not aligned, they are as sure as the receiver's.
+        for heights in (None, HeightCorrection((5,), (0.0,), None)):
+            places_alone = replace(transform, heights=heights).pose(driven)
+            assert places_alone.up_sigma_m == driven_up_m
         by_hand = replace(transform, aligned=None)
         assert by_hand.pose(driven).position_sigma_m == pytest.approx(driven_m, nan_ok=True)
     for change in (
         {"wander": {"time_ns": [5], "east_m": [0.1]}},
         {"wander": {"time_ns": [5.5], "east_m": [0.1], "north_m": [0.0]}},
         {"wander": {"time_ns": [7, 5], "east_m": [0.1, 0.1], "north_m": [0.0, 0.0]}},
+        {"heights": {"time_ns": [5.5], "up_m": [0.0], "sigma_m": 0.1}},
+        {"heights": {"time_ns": [5, 5], "up_m": [0.0, 0.0], "sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0, 0.0], "sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [1e9], "sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0], "sigma_m": -0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0], "sigma_m": "x"}},
+        {"heights": {"time_ns": [5], "up_m": [0.0]}},
         {"aligned": {"sigma_m": "x", "turn_sigma_deg": 0.0, "to": [], "before": None}},
         {"aligned": {"sigma_m": -1.0, "turn_sigma_deg": 0.0, "to": [], "before": None}},
         {"aligned": {"sigma_m": 1.0, "turn_sigma_deg": 0.0, "to": [], "before": 7}},

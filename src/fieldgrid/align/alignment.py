@@ -4,6 +4,7 @@
 2. As wholes, every two drives that saw the same ground are compared over all shifts in reach:
    where rows repeat there are several answers, and then these two are not compared further.
 3. Pairs of submaps are compared finely, and all drives are placed at once (`network`), twice.
+4. Their heights follow from the ground that they saw, as it lies then (`heights`).
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
+from fieldgrid.align.heights import level
 from fieldgrid.align.matches import Match
-from fieldgrid.align.network import left_between, solve, turn_sigma_deg
+from fieldgrid.align.network import Solution, left_between, solve, turn_sigma_deg
 from fieldgrid.align.pairs import (
     Overlap,
     Pair,
@@ -38,7 +40,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
-from fieldgrid.mapfile.transform import transform_of
+from fieldgrid.mapfile.transform import HeightCorrection, transform_of
 from fieldgrid.workers.order import in_order
 
 COARSE_M, FINE_M = 0.2, 0.1
@@ -119,8 +121,19 @@ def align_map(
             drives = poorer
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
+    doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
+    solution = with_heights(solution, level(drives, solution.transforms, doubtful))
     found = summed_up(drives, before, agreements, matches, solution, rough_m)
     return with_beside(universal, found)
+
+
+def with_heights(solution: Solution, corrections: Sequence[HeightCorrection | None]) -> Solution:
+    """A solution whose transforms carry the heights that were found for them."""
+    transforms = (
+        transform if heights is None else replace(transform, heights=heights)
+        for transform, heights in zip(solution.transforms, corrections, strict=True)
+    )
+    return solution._replace(transforms=tuple(transforms))
 
 
 MOST_REACH_M = 20.0

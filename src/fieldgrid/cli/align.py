@@ -128,7 +128,7 @@ def command(
 
 def _print(found: MapAlignment) -> None:
     output.print_table(
-        ("session", "east", "north", "sigma", "turn", "wander", "matches", ""),
+        ("session", "east", "north", "sigma", "turn", "wander", "up", "matches", ""),
         [_drive_row(drive) for drive in found.drives],
     )
     if found.pairs:
@@ -159,7 +159,9 @@ def _drive_row(drive: DriveAlignment) -> tuple[str, ...]:
     after = drive.after
     if not drive.moved:
         why = drive.role.value if drive.matches else "nothing to compare with"
-        return (drive.name, "", "", "", "", "", str(drive.matches), why)
+        return (drive.name, "", "", "", "", "", "", str(drive.matches), why)
+    heights = after.heights
+    up = "" if heights is None else f"{heights.mean_m:+.3f} ± {heights.sigma_m:.3f} m"
     return (
         drive.name,
         f"{after.shift_east_m:+.3f} m",
@@ -167,6 +169,7 @@ def _drive_row(drive: DriveAlignment) -> tuple[str, ...]:
         f"{drive.sigma_m:.3f} m",
         f"{after.turn_deg:+.2f} ± {drive.turn_sigma_deg:.2f}°",
         f"{_wander_m(after):.3f} m",
+        up,
         str(drive.matches),
         "",
     )

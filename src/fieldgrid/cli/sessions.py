@@ -124,7 +124,9 @@ def _shifted(transform: Transform) -> str:
         place = f"aligned: {east_m:+.3f} m east, {north_m:+.3f} m north"
         if aligned.sigma_m is None:
             return f"{place}, for poses that have changed since; align it again"
-        return f"{place} ± {aligned.sigma_m:.3f} m, {turn_deg:+.2f}°"
+        heights = transform.heights
+        up = "" if heights is None else f", {heights.mean_m:+.3f} m up"
+        return f"{place} ± {aligned.sigma_m:.3f} m, {turn_deg:+.2f}°{up}"
     turn = f", turned {turn_deg:+g}°" if turn_deg else ""
     return f"shifted {east_m:+g} m east, {north_m:+g} m north{turn}"
 

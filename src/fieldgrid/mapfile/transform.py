@@ -21,7 +21,7 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.trajectory import Pose, Trajectory
 
-_RIGID, _WANDER, _ALIGNED = "rigid", "wander", "aligned"
+_RIGID, _WANDER, _HEIGHTS, _ALIGNED = "rigid", "wander", "heights", "aligned"
 
 MOST_M, MOST_DEG = 1000.0, 180.0
 
@@ -53,13 +53,54 @@ class Wander:
 
     def at(self, time_ns: int | Int64) -> tuple[Float64, Float64]:
         """Metres east and north at times."""
-        # Whole numbers of nanoseconds since 1970 are more than a float can tell.
-        after_s = (np.asarray(time_ns, np.int64) - self.time_ns[0]) / 1e9
-        knots_s = (np.asarray(self.time_ns, np.int64) - self.time_ns[0]) / 1e9
         return (
-            np.interp(after_s, knots_s, np.asarray(self.east_m)),
-            np.interp(after_s, knots_s, np.asarray(self.north_m)),
+            _at(time_ns, self.time_ns, self.east_m),
+            _at(time_ns, self.time_ns, self.north_m),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class HeightCorrection:
+    """What is added to heights at times: metres up, linear between the times and the same before
+    the first and after the last. The times increase. `sigma_m` is the 1-sigma error of the heights
+    then; None where the poses have been estimated anew since."""
+
+    time_ns: tuple[int, ...]
+    up_m: tuple[float, ...]
+    sigma_m: float | None
+
+    def __post_init__(self) -> None:
+        n = len(self.time_ns)
+        if not 0 < n <= MOST_KNOTS or len(self.up_m) != n:
+            raise ConfigError(
+                f"Heights of {n} times and {len(self.up_m)} values cannot be; give as many of "
+                f"each, 1 to {MOST_KNOTS}."
+            )
+        if any(b <= a for a, b in itertools.pairwise(self.time_ns)):
+            raise ConfigError("The times of heights must increase.")
+        if not all(math.isfinite(value) and abs(value) <= MOST_M for value in self.up_m):
+            raise ConfigError(
+                f"Heights are moved by up to {MOST_M:.0f} m; {max(self.up_m)} m cannot be."
+            )
+        if not (self.sigma_m is None or self.sigma_m >= 0.0):
+            raise ConfigError(f"Heights with an error of {self.sigma_m} m cannot be.")
+
+    @property
+    def mean_m(self) -> float:
+        """What is added in the mean of the times."""
+        return math.fsum(self.up_m) / len(self.up_m)
+
+    def at(self, time_ns: int | Int64) -> Float64:
+        """Metres up at times."""
+        return _at(time_ns, self.time_ns, self.up_m)
+
+
+def _at(time_ns: int | Int64, knots_ns: tuple[int, ...], values: tuple[float, ...]) -> Float64:
+    """Linear between the values of knots, the same before the first and after the last."""
+    # Whole numbers of nanoseconds since 1970 are more than a float can tell.
+    after_s = (np.asarray(time_ns, np.int64) - knots_ns[0]) / 1e9
+    knots_s = (np.asarray(knots_ns, np.int64) - knots_ns[0]) / 1e9
+    return np.asarray(np.interp(after_s, knots_s, np.asarray(values)))
 
 
 class Beside(NamedTuple):
@@ -101,7 +142,7 @@ class Transform:
 
     Shifts are metres east and north. The turn is in degrees, clockwise seen from above like a
     heading, to which it is added. The pivot is in metres of the map, as driven. `aligned` is
-    None where it was set by hand.
+    None where it was set by hand. `heights` is what is added to heights.
     """
 
     shift_east_m: float = 0.0
@@ -111,6 +152,7 @@ class Transform:
     pivot_north_m: float = 0.0
     wander: Wander | None = None
     aligned: Aligned | None = None
+    heights: HeightCorrection | None = None
 
     def __post_init__(self) -> None:
         for name, value in self._rigid().items():
@@ -129,13 +171,18 @@ class Transform:
     def is_identity(self) -> bool:
         """Whether it leaves every pose as it is, bit for bit."""
         is_rigid = self.shift_east_m == self.shift_north_m == self.turn_deg == 0.0
-        return is_rigid and self.wander is None
+        return is_rigid and self.wander is None and self.heights is None
 
     def pose(self, driven: Pose) -> Pose:
-        """A pose as it is placed in the map. Only its place is surer after an alignment: heights
-        are not aligned."""
+        """A pose as it is placed in the map. Its height is surer only where heights were aligned,
+        too."""
         if self.is_identity:
             return driven
+        up_m, up_sigma_m = driven.up_m, driven.up_sigma_m
+        if self.heights is not None:
+            up_m += float(self.heights.at(driven.time_ns))
+            if self.heights.sigma_m is not None:
+                up_sigma_m = float(np.fmin(up_sigma_m, self.heights.sigma_m))
         east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
         heading_deg = driven.heading_deg
         if self.turn_deg:
@@ -144,6 +191,8 @@ class Transform:
             driven,
             east_m=float(east_m),
             north_m=float(north_m),
+            up_m=up_m,
+            up_sigma_m=up_sigma_m,
             heading_deg=heading_deg,
             position_sigma_m=float(self._sigma_m(driven.position_sigma_m)),
         )
@@ -153,13 +202,16 @@ class Transform:
         if self.is_identity:
             return driven
         east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
-        heading_deg = driven.heading_deg
+        heading_deg, up_m = driven.heading_deg, driven.up_m
         if self.turn_deg:
             heading_deg = wrap_deg(heading_deg + self.turn_deg)
+        if self.heights is not None:
+            up_m = up_m + self.heights.at(driven.time_ns)
         return replace(
             driven,
             east_m=east_m,
             north_m=north_m,
+            up_m=up_m,
             heading_deg=heading_deg,
             position_sigma_m=self._sigma_m(driven.position_sigma_m),
         )
@@ -236,6 +288,8 @@ class Transform:
         kinds: dict[str, object] = {_RIGID: self._rigid()}
         if self.wander is not None:
             kinds[_WANDER] = asdict(self.wander)
+        if self.heights is not None:
+            kinds[_HEIGHTS] = asdict(self.heights)
         if self.aligned is not None:
             beside = [one._asdict() for one in self.aligned.beside]
             kinds[_ALIGNED] = asdict(self.aligned) | {"beside": beside}
@@ -265,18 +319,21 @@ def transform_of(text: str | None) -> Transform:
         return IDENTITY
     try:
         kinds = json.loads(text)
-        unknown = sorted(set(kinds) - {_RIGID, _WANDER, _ALIGNED})
+        unknown = sorted(set(kinds) - {_RIGID, _WANDER, _HEIGHTS, _ALIGNED})
         if unknown or _RIGID not in kinds:
             raise MapError(
                 f"A session's transform has {', '.join(unknown) or 'no rigid part'}, and this "
-                f"fieldgrid knows {_RIGID}, {_WANDER} and {_ALIGNED}; update fieldgrid to read "
-                "it."
+                f"fieldgrid knows {_RIGID}, {_WANDER}, {_HEIGHTS} and {_ALIGNED}; update fieldgrid "
+                "to read it."
             )
         rigid = kinds[_RIGID]
         if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
             raise TypeError(f"it says {rigid}")
         return Transform(
-            **rigid, wander=_wander(kinds.get(_WANDER)), aligned=_aligned(kinds.get(_ALIGNED))
+            **rigid,
+            wander=_wander(kinds.get(_WANDER)),
+            aligned=_aligned(kinds.get(_ALIGNED)),
+            heights=_heights(kinds.get(_HEIGHTS)),
         )
     except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
@@ -295,6 +352,17 @@ def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:
     if not (all(type(t) is int for t in times) and all(map(_is_number, (*east, *north)))):
         raise TypeError("its wander is not of numbers")
     return Wander(times, east, north)
+
+
+def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
+    if stored is None:
+        return None
+    times, up_m, sigma_m = tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["sigma_m"]
+    if not (all(type(t) is int for t in times) and all(map(_is_number, up_m))):
+        raise TypeError("its heights are not of numbers")
+    if not (sigma_m is None or _is_number(sigma_m)):
+        raise TypeError("the error of its heights is no number")
+    return HeightCorrection(times, up_m, sigma_m)
 
 
 def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:

@@ -1,0 +1,186 @@
+"""How drives lie above each other, from the ground that they saw.
+
+A receiver's height wanders as its position does, by twice as much. Each submap has one height to
+be found; where two submaps saw the ground of one place, of the same drive or of two, these differ
+by what the ground seen from them does. The ground itself is an unknown of each place, which is
+eliminated; the receiver's stated error is the prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from fieldgrid.align.drives import UNKNOWN_SIGMA_M, WANDER_SHARE, Drive, Role
+from fieldgrid.align.network import HELD_M, WANDER_S
+from fieldgrid.align.submaps import Submap
+from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM
+from fieldgrid.lattice import Lattice
+from fieldgrid.mapfile import Transform
+from fieldgrid.mapfile.transform import HeightCorrection
+from fieldgrid.trajectory import HEIGHT_SHARE
+from fieldgrid.transfer import to_universal
+
+PLACE_M = 0.5
+"""Heights are compared in cells of this side: the ground is followed in patches of it."""
+
+PLACE_SIGMA_M = 0.2
+"""What the height of one place counts for. A frame's heights err together, by its tilt and plane:
+a hundred of them are good to 2 cm."""
+
+LEAST_SIGMA_M = 0.02
+"""Heights of the ground are no surer than that beside each other."""
+
+FREEDOM, SCATTER_M = 2.0, 0.05
+"""Of Student's distribution of what places differ by: a canopy taken for ground counts little."""
+
+ROUNDS, SETTLED_M = 20, 0.001
+
+MOST_SUBMAPS = 2000
+"""The equations of more are not solved."""
+
+
+class _Seen(NamedTuple):
+    """Heights of places, metres as driven: by which submap, of all drives in order, and where."""
+
+    submap: Int64
+    place: Int64
+    up_m: Float64
+
+
+def level(
+    drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
+) -> list[HeightCorrection | None]:
+    """What to add to the heights of each drive that moves, placed by its transform; None for one
+    that saw no ground which another submap saw, too, and for the `doubtful`, which may lie
+    elsewhere."""
+    corrections: list[HeightCorrection | None] = [None] * len(drives)
+    chosen = [n for n in range(len(drives)) if n not in doubtful]
+    own = [drives[n] for n in chosen]
+    seen = _ground(own, [transforms[n] for n in chosen])
+    count = sum(len(drive.submaps) for drive in own)
+    if not len(seen.place) or count > MOST_SUBMAPS:
+        return corrections
+    parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
+    stated_m = np.array([_stated_m(drives[n], transforms[n]) for n in chosen])
+    up_m, sigma_m, met = _solve(seen, own, stated_m, count)
+    # A receiver that is farther off than it states is less sure than it states.
+    found_m = np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts])
+    if (found_m > stated_m).any():
+        up_m, sigma_m, met = _solve(seen, own, np.maximum(found_m, stated_m), count)
+    for n, drive, part in zip(chosen, own, parts, strict=True):
+        if drive.role is Role.MOVES and met[part].any():
+            error_m = float(np.hypot(sigma_m[part].max(), LEAST_SIGMA_M))
+            corrections[n] = HeightCorrection(
+                tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), error_m
+            )
+    return corrections
+
+
+def _stated_m(drive: Drive, transform: Transform) -> float:
+    """What is open of the heights of a drive: what its receiver states, or, of one that was aligned
+    and stays so, what that left."""
+    if drive.role is Role.MOVES:
+        return HEIGHT_SHARE * drive.sigma_m
+    poses = [transform.pose(frame.driven) for submap in drive.submaps for frame in submap.frames]
+    known = [pose.up_sigma_m for pose in poses if np.isfinite(pose.up_sigma_m)]
+    return max(float(np.median(known)), LEAST_SIGMA_M) if known else HEIGHT_SHARE * UNKNOWN_SIGMA_M
+
+
+def _solve(
+    seen: _Seen, drives: Sequence[Drive], stated_m: Float64, count: int
+) -> tuple[Float64, Float64, Bool]:
+    """The heights of submaps [count], their 1-sigma errors, and which share a place with others."""
+    prior = _prior(drives, stated_m, count)
+    up_m: Float64 = np.zeros(count)
+    weights: Float64 = np.full(len(seen.place), PLACE_SIGMA_M**-2.0)
+    for _ in range(ROUNDS):
+        normal, side = _without_places(seen, weights, count)
+        before, up_m = up_m, np.linalg.solve(prior + normal, side)
+        if np.abs(up_m - before).max() < SETTLED_M:
+            break
+        misfit = _left_m(seen, weights, up_m) / SCATTER_M
+        weights = PLACE_SIGMA_M**-2.0 * (FREEDOM + 1.0) / (FREEDOM + misfit**2)
+    variance = np.diagonal(np.linalg.inv(prior + normal))
+    return up_m, np.sqrt(variance), normal.diagonal() > 0.0
+
+
+def _ground(drives: Sequence[Drive], transforms: Sequence[Transform]) -> _Seen:
+    """The ground of places that more than one submap saw; submaps are counted over all drives."""
+    submaps, places, heights = [], [], []
+    for drive, transform in zip(drives, transforms, strict=True):
+        for submap in drive.submaps:
+            place, up_m = _ground_of(submap, transform, placed=drive.role is not Role.MOVES)
+            places.append(place)
+            heights.append(up_m)
+            submaps.append(len(place))
+    numbers = np.repeat(np.arange(len(submaps)), submaps)
+    _, place_of, times = np.unique(np.concatenate(places), return_inverse=True, return_counts=True)
+    shared = times[place_of] > 1
+    _, place_of = np.unique(place_of[shared], return_inverse=True)
+    return _Seen(numbers[shared], place_of.astype(np.int64), np.concatenate(heights)[shared])
+
+
+def _ground_of(submap: Submap, transform: Transform, *, placed: bool) -> tuple[Int64, Float64]:
+    """The places that the frames of a submap saw the ground of, each once, and its height, as
+    driven or as it is placed: the mean of what falls there."""
+    lattice = Lattice(PLACE_M)
+    places, heights = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for frame in submap.frames:
+        ground_cm = frame.cells().channels.get(GROUND_CHANNEL)
+        if ground_cm is None or not np.isfinite(frame.driven.up_m):
+            continue
+        step = max(round(PLACE_M / 2.0 / frame.spec.cell_m), 1)
+        some = slice(step // 2, None, step)
+        x, y = np.meshgrid(*(at[some] for at in frame.spec.centres_m()))
+        known = ground_cm[some, some] != NO_GROUND_CM
+        pose = transform.pose(frame.driven)
+        east, north = to_universal(x[known], y[known], pose)
+        i, j = lattice.index(east, north)
+        places.append((np.asarray(i, np.int64) << 32) + j)
+        up_m = pose.up_m if placed else frame.driven.up_m
+        heights.append(up_m + ground_cm[some, some][known] / 100.0)
+    place, inverse, times = np.unique(
+        np.concatenate(places), return_inverse=True, return_counts=True
+    )
+    return place, np.bincount(inverse, np.concatenate(heights), len(place)) / times
+
+
+def _prior(drives: Sequence[Drive], stated_m: Float64, count: int) -> Float64:
+    """The inverse of the covariance [count, count] of what receivers err in height, by `stated_m`:
+    a part that stays for a drive, and one that wanders over some minutes."""
+    prior, first = np.zeros((count, count)), 0
+    for drive, stated in zip(drives, stated_m.tolist(), strict=True):
+        sigma_m = HELD_M if drive.role is Role.HOLDS else stated
+        apart_s = np.abs(np.subtract.outer(drive.time_ns, drive.time_ns)) / 1e9
+        wander = WANDER_SHARE**2 * np.exp(-apart_s / WANDER_S)
+        covariance = sigma_m**2 * (1.0 - WANDER_SHARE**2 + wander)
+        covariance += np.eye(len(apart_s)) * (1e-3 * sigma_m) ** 2
+        own = slice(first, first + len(apart_s))
+        prior[own, own] = np.linalg.inv(covariance)
+        first = own.stop
+    return prior
+
+
+def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[Float64, Float64]:
+    """The normal equations [count, count], [count] of the heights of submaps; those of the places
+    are eliminated."""
+    places = int(seen.place.max()) + 1
+    each = coo_array((weights, (seen.submap, seen.place)), shape=(count, places)).tocsr()
+    of_place = np.bincount(seen.place, weights, places)
+    normal = np.diag(np.asarray(each.sum(axis=1))) - ((each / of_place) @ each.T).toarray()
+    off_m = (
+        seen.up_m - (np.bincount(seen.place, weights * seen.up_m, places) / of_place)[seen.place]
+    )
+    return normal, np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
+
+
+def _left_m(seen: _Seen, weights: Float64, up_m: Float64) -> Float64:
+    """By how much each observation departs from the mean of its place."""
+    moved = seen.up_m + up_m[seen.submap]
+    mean = np.bincount(seen.place, weights * moved) / np.bincount(seen.place, weights)
+    return np.asarray(moved - mean[seen.place])

@@ -1,0 +1,200 @@
+"""Heights of drives, from the ground that they saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldgrid.align import align_map, undo_alignment
+from fieldgrid.align.drives import Role, read_drives
+from fieldgrid.align.heights import level
+from fieldgrid.array_types import Float64
+from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM
+from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.mapfile.transform import HeightCorrection
+from fieldgrid.trajectory import Pose
+from fieldgrid.transfer import to_universal
+from tests.align.field import DATUM, SPEC, Field
+
+Error = Callable[[float], float]
+"""What a receiver adds to heights, by the seconds since the start of the drive."""
+
+LANES = (-1.3, 1.3)
+
+
+def hill_m(east_m: Float64, north_m: Float64) -> Float64:
+    return np.asarray(0.06 * east_m + 0.8 * np.sin(north_m / 17.0))
+
+
+def rises(constant_m: float, wander_m: float = 0.0) -> Error:
+    return lambda time_s: constant_m + wander_m * float(np.sin(time_s / 15.0))
+
+
+def write(
+    path: Path,
+    drives: Mapping[str, tuple[float, Error]],
+    *,
+    ground: bool = True,
+    canopy: float = 0.0,
+    lanes: Mapping[str, tuple[float, ...]] | None = None,
+) -> Path:
+    """A map of drives through one field on a hill: the error that each states, and what its heights
+    are off by. The last one takes a `canopy` of 1.2 m for ground in a share of the places."""
+    field = Field()
+    with create_map(path, DATUM, cell_m=0.25) as universal:
+        for number, (name, (sigma_m, error)) in enumerate(drives.items()):
+            own = (lanes or {}).get(name, LANES)
+            frames = field.drive(own, sigma_m=sigma_m, seed=number, start_s=1000.0 * number)
+            random = np.random.default_rng(number)
+            with universal.add_session(name) as session:
+                for grid, pose in frames:
+                    up_m = float(hill_m(np.array(pose.east_m), np.array(pose.north_m)))
+                    x, y = np.meshgrid(*SPEC.centres_m())
+                    heights = hill_m(*to_universal(x, y, pose)) + random.normal(0.0, 0.03, x.shape)
+                    if number == len(drives) - 1:
+                        heights += 1.2 * (np.sin(np.floor(y) * 7.7) > 1.0 - 2.0 * canopy)
+                    heights_cm = np.rint(100.0 * (heights - up_m)).astype(np.int16)
+                    heights_cm[~grid.observed] = NO_GROUND_CM
+                    late_s = pose.time_ns / 1e9 - 1000.0 * number
+                    off = Pose(
+                        pose.time_ns, pose.east_m, pose.north_m, up_m + error(late_s),
+                        pose.heading_deg, sigma_m, 0.3, 1.5,
+                    )  # fmt: skip
+                    channels = {GROUND_CHANNEL: heights_cm} if ground else {}
+                    session.add(grid, off, channels=channels)
+    return path
+
+
+def levelled(
+    path: Path, roles: Mapping[str, Role] | None = None, doubtful: tuple[int, ...] = ()
+) -> dict[str, HeightCorrection | None]:
+    with open_map(path) as universal:
+        every = {info.name: Role.MOVES for info in universal.sessions()}
+        drives = read_drives(universal, every | dict(roles or {}))
+        found = level(drives, [drive.transform for drive in drives], doubtful)
+        return {drive.name: one for drive, one in zip(drives, found, strict=True)}
+
+
+def left_m(path: Path, name: str, correction: HeightCorrection, error: Error) -> Float64:
+    """What is left of the error of each frame."""
+    with open_map(path) as universal:
+        times = [frame.driven.time_ns for frame in universal.frames(name)]
+    first = times[0] - times[0] % 1_000_000_000_000
+    return np.array([correction.at(t) + error((t - first) / 1e9) for t in times])
+
+
+def test_a_poor_receiver_comes_to_the_better_one(tmp_path: Path) -> None:
+    poor, good = rises(0.6, 0.2), rises(0.01)
+    path = write(tmp_path / "m.gpkg", {"good": (0.02, good), "poor": (0.3, poor)})
+    found = levelled(path)
+    assert found["good"] is not None
+    assert found["poor"] is not None
+    assert np.abs(left_m(path, "good", found["good"], good)).max() < 0.04
+    left = np.abs(left_m(path, "poor", found["poor"], poor))
+    assert left.max() < 0.08
+    assert found["poor"].sigma_m is not None
+    assert left.max() < 3.0 * found["poor"].sigma_m
+    assert found["poor"].sigma_m < 0.08
+
+
+def test_two_equal_ones_meet_half_way_and_neither_is_sure(tmp_path: Path) -> None:
+    high, low = rises(0.5), rises(-0.3)
+    path = write(tmp_path / "m.gpkg", {"high": (0.3, high), "low": (0.3, low)})
+    found = levelled(path)
+    assert found["high"] is not None
+    assert found["low"] is not None
+    of_high, of_low = (
+        left_m(path, "high", found["high"], high),
+        left_m(path, "low", found["low"], low),
+    )
+    assert of_high.mean() == pytest.approx(0.1, abs=0.03)
+    assert of_low.mean() == pytest.approx(of_high.mean(), abs=0.02)
+    assert found["high"].sigma_m is not None
+    assert found["high"].sigma_m > 0.3
+
+
+def test_the_lanes_of_one_drive_straighten_it(tmp_path: Path) -> None:
+    """What both lanes saw differs by what the receiver wandered meanwhile."""
+    jump: Error = lambda time_s: 0.0 if time_s < 30.0 else 0.4  # noqa: E731
+    path = write(tmp_path / "m.gpkg", {"alone": (0.3, jump)})
+    correction = levelled(path)["alone"]
+    assert correction is not None
+    left = left_m(path, "alone", correction, jump)
+    assert abs(left[:20].mean() - left[-20:].mean()) < 0.1
+
+
+def test_a_canopy_taken_for_ground_counts_little(tmp_path: Path) -> None:
+    drives = {"good": (0.02, rises(0.0)), "poor": (0.3, rises(0.5))}
+    path = write(tmp_path / "m.gpkg", drives, canopy=0.2)
+    correction = levelled(path)["poor"]
+    assert correction is not None
+    assert np.abs(left_m(path, "poor", correction, rises(0.5))).mean() < 0.1
+
+
+def test_a_receiver_that_is_farther_off_than_it_states(tmp_path: Path) -> None:
+    drives = {"good": (0.05, rises(0.0)), "wrong": (0.05, rises(4.0))}
+    path = write(tmp_path / "m.gpkg", drives)
+    found = levelled(path)
+    for name, error in (("good", rises(0.0)), ("wrong", rises(4.0))):
+        correction = found[name]
+        assert correction is not None
+        assert correction.sigma_m is not None
+        left = left_m(path, name, correction, error)
+        assert np.abs(left).max() < 3.0 * correction.sigma_m
+
+
+def test_who_has_nothing_to_be_compared_with_stays(tmp_path: Path) -> None:
+    drives = {"good": (0.02, rises(0.0)), "poor": (0.3, rises(0.6))}
+    path = write(tmp_path / "m.gpkg", drives)
+    held = levelled(path, {"good": Role.HOLDS})
+    assert held["good"] is None
+    assert held["poor"] is not None
+    assert np.abs(left_m(path, "poor", held["poor"], rises(0.6))).max() < 0.06
+    assert levelled(path, {"poor": Role.STAYS})["poor"] is None
+    in_doubt = levelled(path, doubtful=(1,))
+    assert in_doubt["poor"] is None
+    assert in_doubt["good"] is not None  # its own lanes
+    without = write(tmp_path / "no.gpkg", drives, ground=False)
+    assert levelled(without) == {"good": None, "poor": None}
+    lanes = {"poor": (60.0,), "good": (0.0,)}
+    apart = levelled(write(tmp_path / "far.gpkg", drives, lanes=lanes))["poor"]
+    assert apart is not None  # with itself
+    assert np.abs(apart.up_m).max() < 0.02
+    assert apart.sigma_m == pytest.approx(0.6, abs=0.05)
+
+
+def test_the_ground_of_an_aligned_map_and_back_bit_for_bit(tmp_path: Path) -> None:
+    drives = {"good": (0.02, rises(0.0)), "poor": (0.3, rises(0.6, 0.15))}
+    path = write(tmp_path / "m.gpkg", drives)
+    with open_map(path, writable=True) as universal:
+        before, root = error_m(path), universal.root_sha256
+        universal.set_transforms(align_map(universal).transforms)
+        assert universal.verify(deep=True).problems == ()
+        assert universal.transform("poor").heights is not None
+        placed = [frame.pose.up_m - frame.driven.up_m for frame in universal.frames("poor")]
+        assert np.mean(placed) == pytest.approx(-0.6, abs=0.15)
+        after = error_m(path)
+        assert before > 0.2
+        assert after < 0.06
+        # Another drive comes to what stays, as that is placed now.
+        kept = universal.transform("poor")
+        again = align_map(universal, ["good"]).transforms
+        assert set(again) == {"good"}
+        assert again["good"].heights is not None
+        assert np.abs(again["good"].heights.up_m).max() < 0.05
+        assert universal.transform("poor") == kept
+        undo_alignment(universal)
+        assert universal.root_sha256 == root
+
+
+def error_m(path: Path) -> float:
+    """The root mean square of the error of the ground that the last drive alone gives."""
+    with open_map(path) as universal:
+        view = universal.read(cell_m=0.5, layers=["ground"], at="poor..poor")
+        found = view.layer("ground").astype(np.float64)
+        east, north = np.meshgrid(*view.lattice.centres(view.window))
+    off = (found - hill_m(east, north))[np.isfinite(found)]
+    return float(np.sqrt(np.mean(off**2)))
