@@ -157,6 +157,7 @@ def test_who_has_nothing_to_be_compared_with_stays(tmp_path: Path) -> None:
     in_doubt = levelled(path, doubtful=(1,))
     assert in_doubt["poor"] is None
     assert in_doubt["good"] is not None  # its own lanes
+    assert levelled(path, doubtful=(0, 1)) == {"good": None, "poor": None}
     without = write(tmp_path / "no.gpkg", drives, ground=False)
     assert levelled(without) == {"good": None, "poor": None}
     lanes = {"poor": (60.0,), "good": (0.0,)}

@@ -51,7 +51,16 @@ def test_a_dry_run_reports_and_draws_and_changes_nothing(fieldgrid: Run, path: P
     text = fieldgrid("align", path, "--dry-run", "--figure", figure).output()
     assert path.read_bytes() == before
     lines = text.splitlines()
-    assert lines[0].split() == ["session", "east", "north", "sigma", "turn", "wander", "matches"]
+    assert lines[0].split() == [
+        "session",
+        "east",
+        "north",
+        "sigma",
+        "turn",
+        "wander",
+        "up",
+        "matches",
+    ]
     rows = {line.split()[0]: line for line in lines[1:4]}
     assert float(rows["july"].split()[1]) == pytest.approx(-0.9, abs=0.1)
     assert "nothing to compare with" in rows["far"]

@@ -113,7 +113,9 @@ def test_it_reads_back_and_what_is_unknown_is_refused() -> None:
     transform = Transform(0.1, -0.2, 0.3, 1 / 3, 2e9 / 7)
     assert transform_of(transform.to_text()) == transform
     assert Transform(pivot_east_m=5.0).to_text() is None
-    with pytest.raises(MapError, match="has knots, and this fieldgrid knows rigid, wander, heights"):
+    with pytest.raises(
+        MapError, match="has knots, and this fieldgrid knows rigid, wander, heights"
+    ):
         transform_of(json.dumps({"rigid": {}, "knots": []}))
     with pytest.raises(MapError, match="has no rigid part"):
         transform_of("{}")

@@ -61,9 +61,11 @@ def level(
     corrections: list[HeightCorrection | None] = [None] * len(drives)
     chosen = [n for n in range(len(drives)) if n not in doubtful]
     own = [drives[n] for n in chosen]
-    seen = _ground(own, [transforms[n] for n in chosen])
     count = sum(len(drive.submaps) for drive in own)
-    if not len(seen.place) or count > MOST_SUBMAPS:
+    if not 0 < count <= MOST_SUBMAPS:
+        return corrections
+    seen = _ground(own, [transforms[n] for n in chosen])
+    if not len(seen.place):
         return corrections
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
     stated_m = np.array([_stated_m(drives[n], transforms[n]) for n in chosen])
@@ -100,7 +102,7 @@ def _solve(
     weights: Float64 = np.full(len(seen.place), PLACE_SIGMA_M**-2.0)
     for _ in range(ROUNDS):
         normal, side = _without_places(seen, weights, count)
-        before, up_m = up_m, np.linalg.solve(prior + normal, side)
+        before, up_m = up_m, np.asarray(np.linalg.solve(prior + normal, side), np.float64)
         if np.abs(up_m - before).max() < SETTLED_M:
             break
         misfit = _left_m(seen, weights, up_m) / SCATTER_M
