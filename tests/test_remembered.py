@@ -88,6 +88,12 @@ def test_processes_with_one_folder_work_it_out_once(tmp_path: Path) -> None:
     assert asked == [1000, 1001, 1002, 1002]  # the last is more than the first may leave there
 
 
+def test_what_cannot_be_shared_is_remembered_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    recall = Memory(folder=tmp_path / "file" / "folder").remembered(bytes)
+    assert recall(3) == recall(3) == bytes(3)
+
+
 def test_what_fails_is_not_remembered() -> None:
     tried: list[int] = []
 
