@@ -19,7 +19,7 @@ import pytest
 from hypothesis import settings
 
 from fieldgrid.recording import DriveOptions
-from tests.once import made_once
+from tests.once import RUN_FOLDER, made_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -78,6 +78,7 @@ if (
 ):
     os.environ["PYTEST_DEBUG_TEMPROOT"] = str(IN_MEMORY)  # where folders of failed tests stay
     os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="fieldgrid-tests-", dir=IN_MEMORY)
+    os.environ[RUN_FOLDER] = os.environ["TMPDIR"]
     tempfile.tempdir = None  # asked for again
     # Programs that tests kill leave their folders. Processes of the run have inherited both.
     atexit.register(_remove, os.environ["TMPDIR"], os.getpid())

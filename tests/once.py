@@ -16,6 +16,9 @@ T = TypeVar("T")
 
 _WAIT_S = 600.0
 
+RUN_FOLDER = "FIELDGRID_TESTS_FOLDER"
+"""The variable that names the folder in memory of a run, which is removed at its end."""
+
 
 def made_once(
     factory: pytest.TempPathFactory, name: str, make: Callable[[Path], T]

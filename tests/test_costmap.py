@@ -279,8 +279,15 @@ def test_marks_count_and_are_evidence_of_nothing(tmp_path: Path) -> None:
         np.testing.assert_array_equal(Costmap.from_map(universal).costs, plain.costs)
 
 
-@pytest.mark.parametrize("layer", ["density", "max"])
-@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize(
+    ("times", "layer"),
+    [
+        (1, "density"),
+        (3, "max"),
+        pytest.param(1, "max", marks=pytest.mark.long),
+        pytest.param(3, "density", marks=pytest.mark.long),
+    ],
+)
 def test_the_costs_are_those_of_the_whole_however_it_is_cut(
     times: int, layer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

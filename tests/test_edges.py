@@ -25,8 +25,22 @@ def falls(cm: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     return np.asarray((cm > 0) & (cm < BEYOND_DROP))
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
-@pytest.mark.parametrize("name", ["down", "bank", "ditch", "terrace", "wall"])
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [
+        *(("down", "y"), ("bank", "x"), ("ditch", "x"), ("terrace", "y"), ("wall", "x")),
+        *(
+            pytest.param(*one, marks=pytest.mark.long)
+            for one in (
+                ("down", "x"),
+                ("bank", "y"),
+                ("ditch", "y"),
+                ("terrace", "x"),
+                ("wall", "y"),
+            )
+        ),
+    ],
+)
 def test_most_frames_mark_the_edge_of_a_drop_and_nothing_else(name: str, axis: str) -> None:
     edges_m, heights_m = (FIELD | DEEP)[name]
     marked, elsewhere, behind = [], [], []

@@ -348,8 +348,15 @@ def test_every_layer_is_drawn_whatever_its_values_are(layer: str, seen: bool) ->
     assert low < high
 
 
-@pytest.mark.parametrize("zoom", [1, 40])  # more and fewer pixels than cells
-@pytest.mark.parametrize("layer", ["density", "variance"])
+@pytest.mark.parametrize(
+    ("layer", "zoom"),  # more and fewer pixels than cells
+    [
+        ("density", 1),
+        ("variance", 40),
+        pytest.param("density", 40, marks=pytest.mark.long),
+        pytest.param("variance", 1, marks=pytest.mark.long),
+    ],
+)
 def test_the_picture_is_that_of_the_colours_of_the_cells(
     layer: str, zoom: int, tmp_path: Path
 ) -> None:

@@ -90,8 +90,22 @@ FIELD = {
 }
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
-@pytest.mark.parametrize("name", FIELD)
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [
+        *(("kerb", "x"), ("down", "y"), ("bank", "x"), ("ditch", "y"), ("terrace", "x")),
+        *(
+            pytest.param(*one, marks=pytest.mark.long)
+            for one in (
+                ("kerb", "y"),
+                ("down", "x"),
+                ("bank", "y"),
+                ("ditch", "x"),
+                ("terrace", "y"),
+            )
+        ),
+    ],
+)
 def test_most_frames_mark_a_step_that_they_see(name: str, axis: str) -> None:
     """By the votes of frames that have the edge at different places, as cells of a map do."""
     marked, elsewhere = [], []

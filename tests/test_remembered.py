@@ -15,7 +15,7 @@ from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings, StereoSettings
 from fieldgrid.stereo import StereoMatcher, whole_image
 from tests.build.making import content
-from tests.remembered import USES, Matcher, Memory, worked_out_once
+from tests.remembered import READERS, USES, Matcher, Memory, worked_out_once
 
 CAMERA = StereoCamera(96, 64, 80.0, 48.0, 32.0, 0.2)
 LEFT = np.random.default_rng(1).integers(0, 256, (64, 96), dtype=np.uint8)
@@ -74,6 +74,26 @@ def test_the_oldest_is_forgotten_when_it_gets_too_much() -> None:
     assert asked == [1000, 1001, 1002, 1000]
 
 
+def test_processes_with_one_folder_work_it_out_once(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def zeros(count: int) -> bytes:
+        asked.append(count)
+        return bytes(count)
+
+    for memory in (Memory(2500, tmp_path / "shared"), Memory(2500, tmp_path / "shared")):
+        recall = memory.remembered(zeros)
+        for count in (1000, 1001, 1002):
+            assert recall(count) == bytes(count)
+    assert asked == [1000, 1001, 1002, 1002]  # the last is more than the first may leave there
+
+
+def test_what_cannot_be_shared_is_remembered_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    recall = Memory(folder=tmp_path / "file" / "folder").remembered(bytes)
+    assert recall(3) == recall(3) == bytes(3)
+
+
 def test_what_fails_is_not_remembered() -> None:
     tried: list[int] = []
 
@@ -88,13 +108,31 @@ def test_what_fails_is_not_remembered() -> None:
     assert tried == [7, 7]
 
 
+def test_a_file_is_read_again_when_it_has_another_content_or_name(tmp_path: Path) -> None:
+    read: list[Path] = []
+
+    def text_of(path: Path) -> str:
+        read.append(path)
+        return f"{path.name}: {path.read_text()}"
+
+    recall = Memory().remembered_of_file(text_of)
+    for folder, name, text in (("a", "x", "1"), ("b", "x", "1"), ("a", "x", "2"), ("a", "y", "1")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / name).write_text(text)
+        assert recall(tmp_path / folder / name) == f"{name}: {text}"
+    assert read == [tmp_path / "a" / "x", tmp_path / "a" / "x", tmp_path / "a" / "y"]
+    with pytest.raises(FileNotFoundError):
+        recall(tmp_path / "z")
+
+
 def test_each_function_is_where_it_is_used() -> None:
     """Else a function that has moved would be worked out each time, and nobody would notice."""
-    for work, users in USES:
+    every = (*USES, *READERS)
+    for work, users in every:
         for user in users:
             assert getattr(user, work.__name__) is work, (work.__name__, user)
     with worked_out_once():
-        for work, users in USES:
+        for work, users in every:
             for user in users:
                 assert getattr(user, work.__name__) is not work
     assert perception.features is USES[0][0]

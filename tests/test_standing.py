@@ -108,7 +108,7 @@ Said = tuple[int, int, int]
 """Density, top and foot of all cells of a frame; no top is that of a session of before."""
 
 
-def read(path: Path, drives: list[list[Said]], without: str = "", cell_m: float = 0.1) -> MapView:
+def write(path: Path, drives: list[list[Said]], without: str = "") -> Path:
     with create_map(path, DATUM, cell_m=0.1, transfer=Transfer.AREA) as universal:
         for number, frames in enumerate(drives):
             with universal.add_session(str(number)) as session:
@@ -129,6 +129,10 @@ def read(path: Path, drives: list[list[Said]], without: str = "", cell_m: float 
         if without:
             universal.remove_session(without)
         assert universal.verify(deep=True).problems == ()
+    return path
+
+
+def read(path: Path, cell_m: float = 0.1) -> MapView:
     with open_map(path) as universal:
         return universal.read(cell_m=cell_m, layers=("max_height", "clearance"))
 
@@ -156,16 +160,16 @@ def test_the_highest_top_and_the_lowest_foot_count(
 ) -> None:
     for number, order in enumerate(list(permutations(drives))[:2]):
         frames = [list(reversed(one)) if number else one for one in order]
+        path = write(tmp_path / f"{number}.gpkg", frames)
         for cell_m in (0.1, 0.2, 0.25):
-            path = tmp_path / f"{number}-{cell_m}.gpkg"
-            found = read(path, frames, cell_m=cell_m)
+            found = read(path, cell_m)
             for name, value in (("max_height", height_m), ("clearance", clearance_m)):
                 inside = np.unique(found.layer(name)[4:-4, 4:-4])
                 np.testing.assert_allclose(inside, [value], atol=1e-6)
 
 
 def test_a_drive_that_leaves_takes_its_heights_along(tmp_path: Path) -> None:
-    left = read(tmp_path / "left.gpkg", [[HANGS], [STANDS]], without="1")
-    never = read(tmp_path / "never.gpkg", [[HANGS]])
+    left = read(write(tmp_path / "left.gpkg", [[HANGS], [STANDS]], without="1"))
+    never = read(write(tmp_path / "never.gpkg", [[HANGS]]))
     for name in ("max_height", "clearance"):
         np.testing.assert_array_equal(left.layer(name), never.layer(name))

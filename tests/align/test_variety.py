@@ -102,9 +102,14 @@ SEEN = {
     "growth": lambda d: d, "weeds": weeds, "a trailer and a person": trailer,
     "growth, weeds, a trailer and a person": lambda d: trailer(weeds(d)),
 }  # fmt: skip
+ALONE = {"cells of 20 cm", "lidar", "growth", "weeds", "a trailer and a person"}
+"""Other cases have them in combination."""
 
 
-@pytest.mark.parametrize("differs", SEEN)
+@pytest.mark.parametrize(
+    "differs",
+    [pytest.param(one, marks=pytest.mark.long) if one in ALONE else one for one in SEEN],
+)
 def test_drives_come_together_though_they_differ(tmp_path: Path, differs: str) -> None:
     field, later = Field(), Field(wide_m=0.8 if "growth" in differs else 0.5)
     true = {"good": field.drive([0.0], sigma_m=0.02, seed=1), "poor": later.drive([0.0], seed=2)}

@@ -42,10 +42,17 @@ def swap_sides(drive: Path) -> None:
     (drive / "other").rename(right)
 
 
-@pytest.mark.parametrize("settings", [DEFAULTS, COURSE])
-@pytest.mark.parametrize("frames", [range(3, 6), range(20, 36)])
+@pytest.mark.parametrize(
+    ("frames", "settings"),
+    [
+        (range(3, 6), COURSE),
+        (range(20, 36), DEFAULTS),
+        pytest.param(range(3, 6), DEFAULTS, marks=pytest.mark.long),
+        pytest.param(range(20, 36), COURSE, marks=pytest.mark.long),
+    ],
+)
 def test_swapped_sides_are_refused_and_named(
-    settings: BuildSettings, frames: range, make_drive: MakeDrive, tmp_path: Path
+    frames: range, settings: BuildSettings, make_drive: MakeDrive, tmp_path: Path
 ) -> None:
     drive = make_drive(frames=frames)
     swap_sides(drive)

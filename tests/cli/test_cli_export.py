@@ -157,13 +157,18 @@ def test_the_map_itself_is_safe(fieldgrid: Run, f_map: Path) -> None:
     assert f_map.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["x.tif", "x.png", "x.kmz"])
 @pytest.mark.parametrize(
-    "limit",
+    ("name", "limit"),
     [
-        500,
-        524_600,
-        *(pytest.param(n, marks=pytest.mark.long) for n in (0, 5_000, 100_000, 600_000)),
+        ("x.tif", 524_600),
+        ("x.png", 500),
+        ("x.kmz", 500),
+        *(
+            pytest.param(name, limit, marks=pytest.mark.long)
+            for name in ("x.tif", "x.png", "x.kmz")
+            for limit in (0, 500, 5_000, 100_000, 524_600, 600_000)
+            if (name, limit) not in (("x.tif", 524_600), ("x.png", 500), ("x.kmz", 500))
+        ),
     ],
 )
 def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(

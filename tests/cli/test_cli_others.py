@@ -432,6 +432,16 @@ def test_wrong_use_of_evaluate(fieldgrid: Run, two_lanes_map: Path) -> None:
     )
 
 
+@pytest.fixture(scope="module")
+def aligned_map(tmp_path_factory: pytest.TempPathFactory, two_lanes_map: Path) -> Path:
+    """The map of the example with an alignment to be undone; copy it."""
+    path = Path(shutil.copy(two_lanes_map, tmp_path_factory.mktemp("aligned")))
+    with open_map(path, writable=True) as universal:
+        aligned = Aligned(0.1, 0.1, ("another",))
+        universal.set_transforms({"two_lanes": Transform(0.1, aligned=aligned)})
+    return path
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -442,13 +452,10 @@ def test_wrong_use_of_evaluate(fieldgrid: Run, two_lanes_map: Path) -> None:
     ],
 )
 def test_another_writer_is_waited_for_as_long_as_is_said(
-    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path, change: tuple[str, ...]
+    fieldgrid: Run, aligned_map: Path, tmp_path: Path, change: tuple[str, ...]
 ) -> None:
-    path = Path(shutil.copy(two_lanes_map, tmp_path / "m.gpkg"))
+    path = Path(shutil.copy(aligned_map, tmp_path / "m.gpkg"))
     command, *flags = change
-    with open_map(path, writable=True) as universal:
-        aligned = Aligned(0.1, 0.1, ("another",))  # to be undone
-        universal.set_transforms({"two_lanes": Transform(0.1, aligned=aligned)})
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         result = fieldgrid(command, path, *flags, "--wait", 0.1)

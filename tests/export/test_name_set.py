@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ from fieldgrid.errors import MapExistsError, MapWriteError
 from fieldgrid.export import name_set, together
 from fieldgrid.export.name_set import held_set, show
 from fieldgrid.export.together import write_together
-from tests.export.test_together import killed_at, seen, text, write, write_set
+from tests.export.killing import KilledAt, text, write_set
+from tests.export.test_together import seen, write
 
 
 def written(folder: Path) -> dict[str, str]:
@@ -82,17 +84,27 @@ def test_what_comes_into_the_folder_meanwhile_stays(tmp_path: Path) -> None:
     assert written(tmp_path) == {".a.main.set/notes.txt": "mine"}
 
 
-def crashed(folder: Path) -> None:
-    """Leave a set whose names are links, as a program that was killed does."""
-    for number in range(200):
-        write_set(folder, "old", ("a.side",))
-        assert killed_at(number, folder, "new", ("a.side",))
-        if (folder / "a.main").is_symlink():
-            return
+Leave = Callable[[Path], None]
+
+
+@pytest.fixture
+def crashed(killed_at: KilledAt) -> Leave:
+    """Leaves a set whose names are links, as a program that was killed does."""
+
+    def leave(folder: Path) -> None:
+        for number in range(200):
+            write_set(folder, "old", ("a.side",))
+            assert killed_at(number, folder, "new", ("a.side",))
+            if (folder / "a.main").is_symlink():
+                return
+
+    return leave
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_names_whose_set_somebody_has_deleted_are_free(tmp_path: Path, overwrite: bool) -> None:
+def test_names_whose_set_somebody_has_deleted_are_free(
+    tmp_path: Path, crashed: Leave, overwrite: bool
+) -> None:
     crashed(tmp_path)
     shutil.rmtree(tmp_path / ".a.main.set")
     assert (tmp_path / "a.main").is_symlink()
@@ -107,7 +119,7 @@ def test_names_whose_set_somebody_has_deleted_are_free(tmp_path: Path, overwrite
 
 
 def test_a_set_that_another_user_left_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, crashed: Leave, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     crashed(tmp_path)
     old, user = seen(tmp_path), os.geteuid()
@@ -119,7 +131,7 @@ def test_a_set_that_another_user_left_is_named(
 
 
 def test_a_set_that_may_not_be_settled_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, crashed: Leave, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its links are another user's, in a folder whose files only their owners may replace."""
     crashed(tmp_path)
@@ -188,7 +200,7 @@ def test_a_program_that_hangs_is_not_waited_for_without_end(
 
 
 def test_links_by_another_case_of_the_name_are_settled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, crashed: Leave, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a folder where `A.main` and `a.main` are one file."""
     crashed(tmp_path)

@@ -16,13 +16,7 @@ from fieldgrid.export import name_set
 from fieldgrid.export.name_set import held_set
 from fieldgrid.export.together import write_together
 from fieldgrid.file_locks import lock
-
-
-def text(words: str) -> Callable[[Path], None]:
-    def write(file: Path) -> None:
-        file.write_text(words)
-
-    return write
+from tests.export.killing import KilledAt, text, write_set
 
 
 def write(folder: Path, side: str, main: str) -> None:
@@ -128,46 +122,6 @@ def test_without_links_the_folder_is_synced_once_before_the_main_one_gets_its_na
     assert missing == [tmp_path.name]
 
 
-CHANGES = ("link", "symlink", "replace", "unlink", "mkdir", "rmdir", "fsync")
-"""What a program that is killed may have been about to do."""
-
-
-def killed_at(number: int, folder: Path, words: str, names: tuple[str, ...]) -> bool:
-    """Write a set in a copy of this process, which ends at a change of a file; False where all is
-    done before."""
-    child = os.fork()
-    if child:
-        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
-    left = number
-
-    def counted(change: Callable[..., None]) -> Callable[..., None]:
-        def instead(*arguments: Any, **options: Any) -> None:
-            nonlocal left
-            left -= 1
-            if left < 0:
-                os._exit(9)
-            change(*arguments, **options)
-
-        return instead
-
-    for name in CHANGES:
-        setattr(os, name, counted(getattr(os, name)))
-    try:
-        write_set(folder, words, names)
-    finally:
-        os._exit(0)
-
-
-def write_set(folder: Path, words: str, names: tuple[str, ...]) -> None:
-    write_together(
-        {folder / name: text(f"{words} {name}") for name in (*names, "a.main")},
-        overwrite=True,
-        ours=lambda _: True,
-        what="a test",
-        gone=[] if "a.mask" in names else [folder / "a.mask"],
-    )
-
-
 def seen(folder: Path) -> dict[str, str]:
     """What programs can open in a folder."""
     return {
@@ -186,7 +140,7 @@ def seen(folder: Path) -> dict[str, str]:
     ],
 )
 def test_a_kill_at_any_change_leaves_all_old_or_all_new(
-    before: tuple[str, ...], after: tuple[str, ...], tmp_path: Path
+    before: tuple[str, ...], after: tuple[str, ...], tmp_path: Path, killed_at: KilledAt
 ) -> None:
     found: list[str] = []
     while True:

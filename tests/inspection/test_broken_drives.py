@@ -177,7 +177,7 @@ def test_fixes_alone_in_gps_time(drive: Make) -> None:
 @pytest.mark.parametrize(
     ("moved_s", "why"),
     [
-        (7200.0, "2 h is that of a time zone"),
+        pytest.param(7200.0, "2 h is that of a time zone", marks=pytest.mark.long),
         (-19800.0, "5.5 h is that of a time zone"),
         (86400.0, "1 day: one of the two has a wrong date"),
     ],
@@ -263,7 +263,9 @@ def test_a_calibration_of_turned_images(drive: Make) -> None:
         (lambda image: (image * 0.05).astype(np.uint8), "images-dark"),
         (lambda image: np.minimum(image * 3.0, 255.0).astype(np.uint8), "images-saturated"),
         (lambda image: cv2.GaussianBlur(image, (0, 0), 2.5), "images-blurred"),
-        (lambda image: cv2.blur(image, (15, 1)), "images-blurred"),
+        pytest.param(
+            lambda image: cv2.blur(image, (15, 1)), "images-blurred", marks=pytest.mark.long
+        ),
         (lambda image: np.full_like(image, 128), "images-plain"),
     ],
 )
@@ -408,7 +410,7 @@ FAULTS = [
     "zone",
     "truncated",
     "height",
-    "gps",
+    pytest.param("gps", marks=pytest.mark.long),
     pytest.param("clock", marks=pytest.mark.long),
     "rows",
 ]

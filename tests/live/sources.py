@@ -18,7 +18,7 @@ from fieldgrid.rig import Rig
 from tests.live.making import Told
 from tests.scenes import paper_rig
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 
 QUICK = Pauses(first_s=0.01, most_s=0.02, silent_s=60.0, dead_s=60.0, no_fix_s=60.0)
 """Nothing is silent for so long here that it counts."""

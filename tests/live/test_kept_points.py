@@ -170,7 +170,9 @@ def lose(points: Path, how: str) -> None:
         points.write_bytes(bytes(512) + data[512:])
 
 
-@pytest.mark.parametrize("how", ["missing", "empty", "head"])
+@pytest.mark.parametrize(
+    "how", ["missing", *(pytest.param(how, marks=pytest.mark.long) for how in ("empty", "head"))]
+)
 def test_level_frames_whose_points_are_lost_are_in_the_map_as_driven(
     how: str, leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,8 +41,17 @@ def off_and_sigma(found: Estimate, drive: Drive) -> tuple[np.ndarray, np.ndarray
     return off_m[one.accepted], one.position_sigma_m[one.accepted]
 
 
-@pytest.mark.parametrize(("leap_m", "hole_s"), [(0.25, 0.0), (0.6, 5.0), (-0.6, 5.0)])
-@pytest.mark.parametrize("at_share", [0.25, 0.7])
+@pytest.mark.parametrize(
+    ("leap_m", "hole_s", "at_share"),
+    [
+        (0.25, 0.0, 0.25),
+        (-0.6, 5.0, 0.7),
+        *(
+            pytest.param(*one, marks=pytest.mark.long)
+            for one in ((0.25, 0.0, 0.7), (0.6, 5.0, 0.25), (0.6, 5.0, 0.7), (-0.6, 5.0, 0.25))
+        ),
+    ],
+)
 def test_positions_know_of_a_leap_that_the_camera_sees(
     leap_m: float, hole_s: float, at_share: float
 ) -> None:

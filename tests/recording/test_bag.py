@@ -97,8 +97,14 @@ def content(path: Path) -> tuple[list[Any], Any]:
         return frames, inputs
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.parametrize(
+    ("container", "compressed"),
+    [
+        *((container, False) for container in CONTAINERS),
+        ("mcap", True),
+        *(pytest.param(c, True, marks=pytest.mark.long) for c in CONTAINERS if c != "mcap"),
+    ],
+)
 def test_every_container_tells_what_the_folder_tells(
     container: Container, compressed: bool, drive: Path, tmp_path: Path
 ) -> None:

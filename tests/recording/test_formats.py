@@ -230,8 +230,8 @@ def images_of(source: FrameSource, start: int, stop: int) -> list[tuple[str, byt
 @pytest.mark.parametrize(
     "container",
     [
-        None,
-        *(c if c == "mcap" else pytest.param(c, marks=pytest.mark.long) for c in bags.CONTAINERS),
+        "mcap",
+        *(pytest.param(c, marks=pytest.mark.long) for c in (None, *bags.CONTAINERS) if c != "mcap"),
     ],
 )
 def test_another_process_reads_its_share(

@@ -30,8 +30,6 @@ def noise(per_m2: float, heap_m: float, seed: int, side_m: float = 35.0) -> MapV
     ("per_m2", "heap_m", "crop"),
     [
         (3.0, 0.0, "vineyard"),
-        (40.0, 0.0, "vineyard"),
-        (0.5, 0.3, "vineyard"),
         (0.2, 0.8, "vineyard"),
         (5.0, 0.0, "orchard"),
         (20.0, 0.0, "bushes"),
@@ -41,7 +39,9 @@ def noise(per_m2: float, heap_m: float, seed: int, side_m: float = 35.0) -> MapV
                 (1, 0.0),
                 (5, 0.0),
                 (10, 0.0),
+                (40, 0.0),
                 (0.1, 0.3),
+                (0.5, 0.3),
                 (0.05, 0.8),
                 (0.5, 0.8),
             )
