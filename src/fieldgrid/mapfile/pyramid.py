@@ -275,7 +275,7 @@ class Pyramid:
         )
 
     def window_at_the_edges(self) -> Window | None:
-        """The observed cells' extent: only the outermost tiles are looked into."""
+        """The observed cells' extent, by the heads of the outermost tiles."""
         corners = self._tables.corners()
         if not corners:
             return None
@@ -283,9 +283,7 @@ class Pyramid:
         window: Window | None = None
         for tile in self._tables.tiles(self._base):
             if tile.ty in (south, north) or tile.tx in (west, east):
-                cells = self._tables.cells(self._base, tile, self._groups[:1])
-                assert cells is not None
-                window = union(window, _placed(tile, box_of(cells["weight"])))
+                window = union(window, _placed(tile, self._tables.observed(tile)))
         return window
 
 

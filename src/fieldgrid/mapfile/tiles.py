@@ -17,7 +17,7 @@ from fieldgrid.layers import Cells, ChannelGroup, is_nothing
 from fieldgrid.layers.blocks import block_side
 from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
-from fieldgrid.mapfile.tile_codec import stored_channels
+from fieldgrid.mapfile.tile_codec import Box, stored_box, stored_channels
 from fieldgrid.mapfile.tiling import TileMatrixSet, children
 
 _FARTHEST = 1 << 31
@@ -107,6 +107,15 @@ class TileTables:
             later = [group for group in wanted if group not in stored]
             found.update(self.above(zoom, tile, later))
         return Cells(found, 1 << 2 * levels, block)
+
+    def observed(self, tile: TileIndex) -> Box:
+        """The part of a base tile that was observed; MapError when its density is damaged."""
+        density = self.groups[0]
+        ((blob,),) = self.rows(
+            "SELECT data FROM fieldgrid_tile WHERE (zoom, ty, tx, channels) = (?, ?, ?, ?)",
+            (self.matrices.base_zoom, *tile, density.name),
+        ) or [(None,)]
+        return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
 
     def block(self, levels: int) -> int:
         """Cells along the side of a block, so many levels above the base."""
