@@ -16,9 +16,11 @@ from fieldgrid.errors import MapError
 from fieldgrid.mapfile.digest import as_json
 from fieldgrid.mapfile.marks import has_marks
 from fieldgrid.mapfile.schema import SRS_ID
+from fieldgrid.mapfile.stored_features import FOUND_KEY
 
 _KEY = "root_sha256"
-_DERIVED = ("data_window", _KEY)
+_OTHERS = ("data_window", FOUND_KEY, _KEY)
+"""Settings that it does not cover: what follows from the tiles, and what has its own digest."""
 
 _DRIVES = "The drives in this map"
 
@@ -46,7 +48,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
     hashed = hashlib.sha256()
     for query in (
         "SELECT key, value FROM fieldgrid_meta "
-        f"WHERE key NOT IN ({', '.join(repr(key) for key in _DERIVED)}) ORDER BY key",
+        f"WHERE key NOT IN ({', '.join(repr(key) for key in _OTHERS)}) ORDER BY key",
         "SELECT srs_name, srs_id, organization, organization_coordsys_id, definition, description "
         f"FROM gpkg_spatial_ref_sys WHERE srs_id = {SRS_ID}",
         "SELECT id, name, created, removed, transform, first_time_ns, last_time_ns, frames, "

@@ -40,6 +40,7 @@ from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
 from fieldgrid.mapfile.root import check_root, read_root, seal
 from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
+from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
@@ -95,7 +96,7 @@ def verify(
         notes += _why_deep(connection)
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
     checks = (
-        *(check_file, check_layout, check_types, _root, check_marks),
+        *(check_file, check_layout, check_types, _root, check_marks, _stored),
         *(() if rebuilt else (_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
@@ -179,6 +180,10 @@ def _root(subject: Subject) -> Iterator[str]:
         )
     elif not root.sound:
         yield "One of the two copies of the root digest is damaged; repair the map."
+
+
+def _stored(subject: Subject) -> Iterator[str]:
+    return check_stored(subject.connection)
 
 
 def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
@@ -285,7 +290,7 @@ def _frame_problem(record: FrameRecord) -> str:
 
 class Repaired(NamedTuple):
     """The channel groups that the tiles hold now, and what is still wrong with the evidence of
-    sessions that were taken out, of which nothing is read."""
+    sessions that were taken out, of which nothing is read, and with features that were found."""
 
     groups: tuple[str, ...]
     problems: tuple[str, ...]
@@ -329,7 +334,7 @@ def repair(
     left = _left(subject._replace(header=_with_stored(header)))
     if left:  # which sums would call sound
         drop_sums(connection)
-    return Repaired(stored_groups(), left)
+    return Repaired(stored_groups(), (*left, *check_stored(connection)))
 
 
 def _with_stored(header: Header) -> Header:
@@ -342,8 +347,10 @@ def _left(subject: Subject) -> tuple[str, ...]:
     removed = islice(_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
     known = dict.fromkeys(shortened(one, _LONGEST_PROBLEM) for one in removed)
     grids = {shortened(one, _LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
+    stored = {shortened(one, _LONGEST_PROBLEM) for one in check_stored(connection)}
     assert runner is not None
-    found = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
+    problems = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
+    found = [problem for problem in problems if problem not in stored]
     for problem in found:
         if problem not in known and problem not in grids:
             raise MapError(
