@@ -21,6 +21,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray
 from fieldgrid.closing import Closing
 from fieldgrid.depth import CodedDepth
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
@@ -154,7 +155,7 @@ def packed(seen: Seen, reach_m: float) -> bytes:
 
 
 def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
-    is_coded, row_start, kinds = json.loads(header)
+    is_coded, row_start, kinds = parse_json(header)
     raw, arrays = zlib.decompress(data), list[AnyArray]()
     for dtype, shape, by_column in kinds:
         count = math.prod(shape) * np.dtype(dtype).itemsize

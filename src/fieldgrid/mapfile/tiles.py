@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import UInt64
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
 from fieldgrid.layers import Cells, ChannelGroup, is_nothing
@@ -179,7 +180,7 @@ class TileTables:
             "ORDER BY 1 DESC, 2, 3",
             (base, base - whole, len(self.kept(1)), len(self.groups)),
         )
-        return [(zoom, _index(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
+        return [(zoom, _index(ty, tx), set(parse_json(has))) for zoom, ty, tx, has in rows]
 
     def tiles(self, zoom: int) -> list[TileIndex]:
         """The observed tiles of a zoom level, in order."""

@@ -319,7 +319,8 @@ def repair(
     )
     if damaged is not None:
         raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: {damaged} Take "
+            f"{path} cannot be repaired, because its evidence is damaged: "
+            f"{shortened(damaged, _LONGEST_PROBLEM)} Take "
             "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.

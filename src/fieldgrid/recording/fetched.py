@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeGuard
 
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
 from fieldgrid.file_locks import lock
 from fieldgrid.limits import check_rows
@@ -250,8 +251,8 @@ def _manifest_file(copy: Path) -> Path:
 
 def _read_manifest(copy: Path) -> _Manifest:
     """What is known of a copy; nothing where its manifest is missing or damaged."""
-    with suppress(FieldgridError, ValueError, RecursionError):
-        found = json.loads(read_text(_manifest_file(copy)))
+    with suppress(FieldgridError, ValueError):
+        found = parse_json(read_text(_manifest_file(copy)))
         if isinstance(found, dict) and isinstance(found.get("files"), dict):
             return _Manifest(str(found.get("url", "")), found["files"])
     return _Manifest("", {})
