@@ -305,7 +305,7 @@ def test_an_archive_that_unfolds_to_too_much_is_not_fetched(cache: Path, tmp_pat
     with ZipFile(tmp_path / "2026.zip", "w", ZIP_DEFLATED) as archive:
         for k in range(5):
             archive.writestr(f"june-03/{k}.png", bytes(20 << 20))
-    with pytest.raises(LimitError, match="unfolds to more than 64 MiB.*LIMIT_FACTOR=800"):
+    with pytest.raises(LimitError, match=r"unfolds to more than 64 MiB.*LIMIT_FACTOR=800"):
         fetch(f"zip://june-03::{tmp_path / '2026.zip'}")
     assert not [file for file in cache.rglob("*") if file.is_file()]
     with limited(factor=2000):
