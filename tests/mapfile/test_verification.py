@@ -14,7 +14,7 @@ from fieldgrid.errors import MapError
 from fieldgrid.mapfile import MapFile, merge_maps, open_map, verification
 from fieldgrid.mapfile.placing import Squares
 from tests.mapfile.content import content
-from tests.mapfile.maps import drive, track, write_map
+from tests.mapfile.maps import drive, track, write_map, write_session
 
 
 @pytest.fixture(scope="module")
@@ -165,8 +165,14 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
         (
             "CREATE TRIGGER gone AFTER UPDATE ON fieldgrid_session BEGIN DELETE FROM "
             "fieldgrid_frame; END",
-            "trigger gone changes fieldgrid_session",
+            "trigger gone of fieldgrid_session changes the map",
         ),
+        (
+            'CREATE TRIGGER gone AFTER INSERT ON layer_styles BEGIN DELETE FROM "FIELDGRID_FRAME"; '
+            "END",
+            "trigger gone of layer_styles changes the map",
+        ),
+        ("CREATE UNIQUE INDEX one ON layer_styles (f_table_name)", "index one of layer_styles"),
         ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
@@ -181,6 +187,30 @@ def test_the_layout_of_the_tables_is_checked(
         database.execute(statement)
         database.commit()
     assert problem in problems(path)[0]
+
+
+def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
+    sound: Path, tmp_path: Path
+) -> None:
+    """Also where the trigger is one of another program's own table, or of a view."""
+    for setting_off in ("UPDATE ON gpkg_contents", "INSERT ON more"):
+        path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.execute("CREATE TABLE more (a)")
+            database.execute(
+                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM fieldgrid_frame; END"
+            )
+        before = path.read_bytes()
+        with open_map(path, writable=True) as universal:
+            for change in (
+                lambda universal: universal.remove_session("0"),
+                lambda universal: write_session(universal, "more", drive(1)),
+                MapFile.repair,
+            ):
+                with pytest.raises(MapError, match="gone"):
+                    change(universal)
+        assert path.read_bytes()[100:] == before[100:]
+        assert "trigger gone" in problems(path)[0]
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.marks import create_marks, has_marks
+from fieldgrid.mapfile.root import meddling_triggers
 from fieldgrid.mapfile.row_sums import create_sums, has_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -60,12 +61,13 @@ def check_layout(subject: Subject) -> Iterator[str]:
             "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
         )
     )
-    tables = {row[2] for row in known}
+    tables = {*(row[2] for row in known), "layer_styles"}
+    meddling = set(meddling_triggers(connection))
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
     for kind, name, table, sql in sorted(ours - known):
-        if kind == "trigger" and table in tables:
-            yield f"A trigger {name} changes {table} behind the map's back; drop it."
+        if kind == "trigger" and (table in tables or shortened(name, 60) in meddling):
+            yield f"A trigger {name} of {table} changes the map behind its back; drop it."
         if kind == "index" and table in tables and _UNIQUE.match(str(sql)):
             yield f"The index {name} of {table} may refuse new rows; drop it."
     for (table,) in connection.execute(

@@ -12,7 +12,7 @@ import sqlite3
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.digest import as_json
 from fieldgrid.mapfile.marks import has_marks
 from fieldgrid.mapfile.schema import SRS_ID
@@ -88,8 +88,22 @@ def seal(connection: sqlite3.Connection) -> None:
     )
 
 
+def meddling_triggers(connection: sqlite3.Connection) -> list[str]:
+    """The triggers of a map that name a table of our own, whatever sets them off. None is ours."""
+    rows = connection.execute(
+        "SELECT name FROM sqlite_schema WHERE type = 'trigger' AND instr(lower(sql), 'fieldgrid_')"
+    )
+    return [shortened(name, 60) for (name,) in rows]
+
+
 def check_root(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise MapError when a map is not as it was left: a change would hide that for good."""
+    """Raise MapError when a map is not as it was left: a change would hide that for good. So would
+    a trigger that the change sets off."""
+    if names := meddling_triggers(connection):
+        raise MapError(
+            f"{path} has triggers that change its tables behind its back ({', '.join(names)}). "
+            "Nothing was written; drop them with another program, or restore a copy of the map."
+        )
     if not read_root(connection).trusted:
         raise MapError(
             f"{path} is not as it was written: its settings, its plane, its list of sessions "
