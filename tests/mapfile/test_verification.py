@@ -174,6 +174,8 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
         ),
         ("CREATE UNIQUE INDEX one ON layer_styles (f_table_name)", "index one of layer_styles"),
         ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
+        ("CREATE INDEX one ON fieldgrid_frame (abs(east_m))", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON fieldgrid_frame (id) WHERE abs(id)", "index one of fieldgrid_frame"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
     ],
@@ -187,6 +189,15 @@ def test_the_layout_of_the_tables_is_checked(
         database.execute(statement)
         database.commit()
     assert problem in problems(path)[0]
+
+
+def test_an_index_of_another_program_that_takes_any_row_is_none_of_ours(
+    sound: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute('CREATE INDEX one ON fieldgrid_frame ("east_m", north_m DESC)')
+    assert problems(path) == ()
 
 
 def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(

@@ -30,7 +30,12 @@ _STORED = {
 }
 """What SQLite holds in a column of a type, and how that is called; a blob in all others."""
 
-_UNIQUE = re.compile(r"\s*CREATE\s+UNIQUE\b", re.IGNORECASE)
+_OF_COLUMNS = re.compile(
+    r"""\s*CREATE\s+INDEX\s+[^()]+\(\s*[\w"]+(\s+ASC|\s+DESC)?(\s*,\s*[\w"]+(\s+ASC|\s+DESC)?)*\s*\)\s*""",
+    re.IGNORECASE,
+)
+"""An index that takes any row: not unique, without expressions, which may fail, and conditions."""
+
 _LARGEST_ID = 1 << 53
 """SQLite takes no row behind the largest number that it has; some programs count no further."""
 
@@ -68,7 +73,7 @@ def check_layout(subject: Subject) -> Iterator[str]:
     for kind, name, table, sql in sorted(ours - known):
         if kind == "trigger" and (table in tables or shortened(name, 60) in meddling):
             yield f"A trigger {name} of {table} changes the map behind its back; drop it."
-        if kind == "index" and table in tables and _UNIQUE.match(str(sql)):
+        if kind == "index" and table in tables and not _OF_COLUMNS.fullmatch(str(sql)):
             yield f"The index {name} of {table} may refuse new rows; drop it."
     for (table,) in connection.execute(
         "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
