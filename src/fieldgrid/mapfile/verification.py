@@ -38,7 +38,7 @@ from fieldgrid.mapfile.marks import announce_marks, check_marks, has_marks, read
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import check_root, read_root, seal
+from fieldgrid.mapfile.root import read_root, seal
 from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
@@ -307,7 +307,12 @@ def repair(
     subject = Subject(connection, path, header, Threads(jobs))
     if not read_root(connection).trusted:
         _renew_rows(connection, header)
-        check_root(connection, path)
+        if not read_root(connection).trusted:
+            raise MapError(
+                f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
+                "list of sessions or marks have changed since, and nothing tells what they were. "
+                "Nothing was written; restore a copy of the map."
+            )
     damaged = next(
         chain(
             damaged_pages(connection),
