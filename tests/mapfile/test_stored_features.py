@@ -176,3 +176,12 @@ def test_what_is_found_again_takes_the_place_of_damaged_layers(field: Path) -> N
         assert (health.sound, health.deep) == (True, False)
         universal.keep_features([], universal.root_sha256)
         assert universal.verify().sound
+
+
+def test_an_index_that_a_gis_adds_to_a_layer_is_no_damage(field: Path) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute("CREATE INDEX lanes ON found_lane (id)")
+    with open_map(field) as universal:
+        assert universal.verify().sound

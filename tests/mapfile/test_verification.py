@@ -200,6 +200,21 @@ def test_an_index_of_another_program_that_takes_any_row_is_none_of_ours(
     assert problems(path) == ()
 
 
+def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("CREATE TABLE gpkg_ogr_contents (table_name TEXT, feature_count INTEGER)")
+        database.execute(
+            'CREATE TRIGGER "trigger_insert_feature_count_fieldgrid_session" AFTER INSERT ON '
+            '"fieldgrid_session" BEGIN UPDATE gpkg_ogr_contents SET feature_count = feature_count '
+            "+ 1 WHERE lower(table_name) = lower('fieldgrid_session'); END"
+        )
+    with open_map(path, writable=True) as universal:
+        before = len(universal.sessions())
+        write_session(universal, "more", drive(1))
+        assert len(universal.sessions()) == before + 1
+
+
 def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
     sound: Path, tmp_path: Path
 ) -> None:

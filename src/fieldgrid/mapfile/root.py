@@ -8,6 +8,7 @@ is still the one that was noted.
 from __future__ import annotations
 
 import hashlib
+import re
 import sqlite3
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +22,11 @@ from fieldgrid.mapfile.stored_features import FOUND_KEY
 _KEY = "root_sha256"
 _OTHERS = ("data_window", FOUND_KEY, _KEY)
 """Settings that it does not cover: what follows from the tiles, and what has its own digest."""
+
+_COUNTS_ROWS = re.compile(
+    r"""CREATE TRIGGER "?\w+"? AFTER (INSERT|DELETE) ON "?\w+"? BEGIN UPDATE gpkg_ogr_contents """
+    r"""SET feature_count = feature_count [+-] 1 WHERE lower\(table_name\) = lower\('\w+'\); ?END"""
+)
 
 _DRIVES = "The drives in this map"
 
@@ -89,11 +95,17 @@ def seal(connection: sqlite3.Connection) -> None:
 
 
 def meddling_triggers(connection: sqlite3.Connection) -> list[str]:
-    """The triggers of a map that name a table of our own, whatever sets them off. None is ours."""
+    """The triggers of a map that name a table of our own, whatever sets them off. None is ours,
+    and those by which GDAL counts the rows of a layer do no harm."""
     rows = connection.execute(
-        "SELECT name FROM sqlite_schema WHERE type = 'trigger' AND instr(lower(sql), 'fieldgrid_')"
+        "SELECT name, sql FROM sqlite_schema "
+        "WHERE type = 'trigger' AND instr(lower(sql), 'fieldgrid_')"
     )
-    return [shortened(name, 60) for (name,) in rows]
+    return [
+        shortened(name, 60)
+        for name, sql in rows
+        if not _COUNTS_ROWS.fullmatch(" ".join(str(sql).split()))
+    ]
 
 
 def check_root(connection: sqlite3.Connection, path: Path) -> None:

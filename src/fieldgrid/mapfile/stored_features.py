@@ -111,7 +111,7 @@ def _digest(connection: sqlite3.Connection) -> str:
         of = f"table_name = {_literal(table)}"
         for rows in (
             _quoted(table),
-            f"(SELECT type, sql FROM sqlite_schema WHERE tbl_name = {_literal(table)})",
+            f"(SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = {_literal(table)})",
             "(SELECT table_name, data_type, identifier, description, min_x, min_y, max_x, max_y, "
             f"srs_id FROM gpkg_contents WHERE {of})",
             f"(SELECT * FROM gpkg_geometry_columns WHERE {of})",
