@@ -116,10 +116,23 @@ def record_seeds() -> list[bytes]:
     return [2 * _RECORD, *real_starts("gnss/isoxml_harvester/raw/*/*.bin")]
 
 
+_SOLUTIONS = (
+    b"%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+    b"2316 561618.250  41.651234567  -4.721234567  800.1234  1  12  0.0080  0.0060  0.0190\n",
+    b"%  UTC  latitude(d'\")  longitude(d'\")  height(m)  Q  ns  sdn(m)  sde(m)  sdu(m)  age(s)\n"
+    b"2024/06/01 12:00:18.250  41 39 04.4444  -4 43 16.4444  800.1  2  9  0.3  0.2  0.5  1.20\n",
+)
+
+
+def fuzz_solution(data: bytes) -> None:
+    _open(data, "drive.pos")
+
+
 TARGETS = [
     Target("ubx", fuzz_ubx, ubx_seeds, mend_ubx),
     Target("table", fuzz_table, table_seeds),
     Target("iso-header", fuzz_iso_header, lambda: [_HEADER]),
     Target("iso-records", fuzz_iso_records, record_seeds),
+    Target("solution", fuzz_solution, lambda: list(_SOLUTIONS)),
     Target("log", fuzz_log, lambda: [*ubx_seeds(), *table_seeds()]),
 ]

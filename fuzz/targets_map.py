@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,12 +17,14 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import GROUPS
 from fieldgrid.live.journal import Journal, read_journal
-from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.live.points_file import _MARK, _RECORD, PointsFile
+from fieldgrid.mapfile import create_map, journal_file, open_map
 from fieldgrid.mapfile.codec import BITS, decode_channel
 from fieldgrid.mapfile.geometry import decode_rings, encode_point, encode_polygon
 from fieldgrid.mapfile.png import decode_png, encode_png
 from fieldgrid.mapfile.tile_codec import Expectation, decode_tile, stored_channels
 from fieldgrid.mapfile.transform import transform_of
+from fieldgrid.sweep import Sweep
 from fieldgrid.trajectory import Pose, Status
 from fuzz.target import Target, check_sentence, written
 
@@ -165,6 +169,45 @@ def _small_map() -> bytes:
     return path.read_bytes()
 
 
+def _points(data: bytes) -> None:
+    """A record of points whose sum fits, whatever is in it."""
+    header, _, body = data.partition(b"#")
+    with PointsFile(written(b"", "points")) as file:
+        for packed_body in (body, zlib.compress(body)):
+            check = zlib.crc32(packed_body, zlib.crc32(header))
+            sizes = len(header), len(packed_body)
+            place = file.append(_RECORD.pack(_MARK, *sizes, check) + header + packed_body)
+            assert file.has(place)
+            found = file.read(place, None)  # type: ignore[arg-type] - a sweep asks for none
+            assert found is None or isinstance(found, Sweep)
+
+
+def _points_seeds() -> list[bytes]:
+    return [
+        b'[false, 0, [["float32", [2, 3], false]]]#' + bytes(24),
+        b'[false, 0, [["int16", [2, 3], false], ["float64", [2], true]]]#' + bytes(28),
+    ]
+
+
+_PAGE = bytes(range(256)) * 2
+_JOURNAL_SUM = 7 + sum(_PAGE[312:0:-200])
+
+
+def _map_journal(data: bytes) -> None:
+    """A journal of a map of 512-byte pages: whole, or refused in a few words."""
+    now = bytearray(100)
+    now[16:20], now[31] = b"\2\0\1\1", 9
+    said = journal_file.damage(io.BytesIO(data), len(data), bytes(now))
+    assert said == said.strip()
+    assert len(said) < 60
+
+
+def _map_journal_seeds() -> list[bytes]:
+    head = struct.pack(">8sIIIII", journal_file.MAGIC, 2, 7, 9, 512, 512).ljust(512, b"\0")
+    page = _PAGE + struct.pack(">I", _JOURNAL_SUM)
+    return [head + b"\0\0\0\2" + page + b"\0\0\0\3" + page]
+
+
 TARGETS = [
     Target("tile", _tile, _tile_seeds),
     Target("channel", _channel, _channel_seeds),
@@ -172,5 +215,7 @@ TARGETS = [
     Target("transform", _transform, _transform_seeds),
     Target("picture", _png, _png_seeds),
     Target("live journal", _journal, _journal_seeds),
+    Target("points", _points, _points_seeds),
+    Target("journal of a map", _map_journal, _map_journal_seeds),
     Target("map", _map, lambda: [bytes(range(4)), bytes(range(40)), bytes([0, 16, 0, 9] * 3)]),
 ]

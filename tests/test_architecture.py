@@ -239,6 +239,18 @@ def test_colours_are_those_of_the_palette() -> None:
     assert elsewhere == []
 
 
+def test_json_of_others_is_parsed_within_bounds() -> None:
+    """By `documents`: `json.loads` fails with RecursionError where a document is deep."""
+    elsewhere = [
+        path.name
+        for _, path in modules(ROOT / "src")
+        if "json.load" in path.read_text(encoding="utf-8")
+        # What shapely has just written.
+        and path.name not in {"documents.py", "vectors.py"}
+    ]
+    assert elsewhere == []
+
+
 def test_every_folder_of_tests_is_collected(request: pytest.FixtureRequest) -> None:
     """pytest leaves out folders of some names by itself, `build` among them."""
     left_out = request.config.getini("norecursedirs")

@@ -6,7 +6,6 @@ called as their maps, as far as a name can be a part of an address; what they re
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -17,6 +16,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
 from fieldgrid.export import Selection, export_geotiff
 from fieldgrid.farm import Block, Farm
@@ -246,7 +246,7 @@ def _is_ours(folder: Path) -> bool:
     if not collection.is_file():
         return False
     try:
-        found = json.loads(collection.read_text(encoding="utf-8"))
+        found = parse_json(collection.read_text(encoding="utf-8"))
         items = [str(link["href"]) for link in found["links"] if link["rel"] == "item"]
     except (OSError, ValueError, KeyError, TypeError):
         return False

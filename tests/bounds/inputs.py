@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import shutil
 import sqlite3
 import struct
@@ -29,13 +30,16 @@ from fieldgrid.evaluation.truth import read_truth
 from fieldgrid.export.speed import _turning_poses
 from fieldgrid.figures.route import read_route
 from fieldgrid.geodesy import Datum
+from fieldgrid.gnss.nmea_framing import unicore_crc
 from fieldgrid.live.journal import _MARK, _RECORD, MAGIC, read_journal
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import journal_file, open_map
 from fieldgrid.mapfile.marks import marks_of_geojson
 from fieldgrid.recording.calibration_kalibr import read_kalibr
+from fieldgrid.recording.calibration_opencv import read_opencv
 from fieldgrid.recording.cloud_files import CloudFile
 from fieldgrid.recording.depth_files import decode_depth_image
 from fieldgrid.recording.euroc import _images
+from fieldgrid.recording.fetched import CACHE, fetch
 from fieldgrid.recording.frame_table import read_frames
 from fieldgrid.recording.gear_file import read_gear_spans
 from fieldgrid.recording.growing import open_growing
@@ -204,6 +208,32 @@ def sentences(folder: Path) -> Read:
 
 
 @case
+def solution_of_rtklib(folder: Path) -> Read:
+    head = "%  GPST latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+    row = "2316 %d.%03d   41.650378950   -4.720236430   737.9211   1  12   0.0100   0.0100   0.0200"
+    path = put(
+        folder / "drive.pos",
+        lambda: head + "\n".join(row % (100_000 + k // 5, 200 * (k % 5)) for k in range(MILLION)),
+    )
+    return lambda: read_fix_log(path)
+
+
+@case
+def logs_of_novatel(folder: Path) -> Read:
+    def make() -> bytes:
+        form = (
+            "BESTPOSA,COM1,0,60.5,FINESTEERING,2166,%d.%03d,02000000,b1f6,16248;SOL_COMPUTED,"
+            "NARROW_INT,51.15043724,-114.03067851,1064.9554,-17.0,WGS84,0.0105,0.0100,0.0197,"
+            '"",1.0,0.0,25,25,25,25,00,06,39,33'
+        )
+        bodies = [(form % (100_000 + k // 5, 200 * (k % 5))).encode() for k in range(300_000)]
+        return b"".join(b"#%b*%08x\r\n" % (body, unicore_crc(body)) for body in bodies)
+
+    path = put(folder / "log.nmea", make)
+    return lambda: read_fix_log(path)
+
+
+@case
 def ubx_messages(folder: Path) -> Read:
     path = put(
         folder / "log.ubx",
@@ -317,6 +347,17 @@ def yaml_of_aliases(folder: Path) -> Read:
     one += "  distortion_model: radtan\n  distortion_coeffs: *a9\n  T_cn_cnm1: *a9\n"
     path = put(folder / "camchain.yaml", lambda: text + "cam0:\n" + one + "cam1:\n" + one)
     return lambda: read_kalibr(path, None)
+
+
+@case
+def opencv_of_aliases(folder: Path) -> Read:
+    """In two files."""
+    text = "%YAML:1.0\n---\na0: &a0 [0,0,0,0,0,0,0,0,0,0]\n" + "".join(
+        f"a{k}: &a{k} [{','.join(10 * [f'*a{k - 1}'])}]\n" for k in range(1, 10)
+    )
+    lenses = put(folder / "intrinsics.yml", lambda: text + "M1: *a9\nD1: *a9\nM2: *a9\nD2: *a9\n")
+    rest = put(folder / "extrinsics.yml", lambda: text + "R: *a9\nT: *a9\nR1: *a9\nP1: *a9\n")
+    return lambda: read_opencv(lenses, None, extrinsics=rest)
 
 
 @case
@@ -454,6 +495,16 @@ def database_of_zeros(folder: Path) -> Read:
     return read
 
 
+@case
+def archive_at_a_url(folder: Path) -> Read:
+    """Of 100 MiB of zeros: what is fetched is a limit of its own."""
+    if not (folder / "a.zip").exists():
+        with zipfile.ZipFile(folder / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("drive/0.png", bytes(100 << 20))
+    os.environ[CACHE] = str(folder / "cache")
+    return lambda: fetch(f"zip://drive::{folder / 'a.zip'}")
+
+
 # --- truth, surveys, marks and routes
 
 
@@ -585,6 +636,21 @@ def route_figure(folder: Path) -> Read:
 def live_journal(folder: Path) -> Read:
     path = put(folder / "a.journal", lambda: MAGIC + 100_000 * _RECORD.pack(_MARK, 100_000, 0))
     return lambda: sum(1 for _ in read_journal(path))
+
+
+@case
+def journal_of_a_map(folder: Path) -> Read:
+    """A long one of nothing but the map's last page, again and again under other numbers."""
+    path = folder / "field.gpkg"
+    if not path.exists():
+        write_map(path, [drive(1)])
+        head = struct.pack(">8sIIIII", journal_file.MAGIC, 50_000, 0, 60_000, 512, 4096)
+        data = path.read_bytes()[-4096:]
+        total = sum(data[4096 - 200 : 0 : -200])
+        page = b"%b" + data + struct.pack(">I", total)
+        pages = (page.replace(b"%b", struct.pack(">I", k + 2), 1) for k in range(50_000))
+        Path(f"{path}-journal").write_bytes(head.ljust(512, b"\0") + b"".join(pages))
+    return lambda: open_map(path)
 
 
 @case

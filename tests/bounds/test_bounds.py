@@ -17,13 +17,15 @@ ROOT = Path(__file__).parents[2]
 QUICK = (
     "frames_of_one_line", "time_log_of_entities", "keys_of_dots", "keys_of_dots_of_a_vehicle",
     "keys_of_dots_of_a_build", "deep_documents", "yaml_of_aliases", "array", "pcd", "las",
+    "archive_at_a_url", "opencv_of_aliases", "journal_of_a_map",
     "bag_of_zstd", "database_of_zeros", "truth_origin", "survey_of_lists",
     "map_of_many_sessions",
 )  # fmt: skip
 """Refused at once; they run with each change. The others are a million rows and the like."""
 
 READ = {
-    "stamps_of_kitti", "table_of_fixes", "sentences", "ubx_messages", "ubx_heads", "taskdata",
+    "stamps_of_kitti", "table_of_fixes", "sentences", "solution_of_rtklib", "logs_of_novatel",
+    "ubx_messages", "ubx_heads", "taskdata",
     "gyro_and_wheels", "poses_with_times", "poses_without_times", "ply", "pcd_as_text",
     "database_of_zeros", "truth_poses", "survey_features", "marks", "route_poses", "route_figure",
     "live_journal", "growing_table",

@@ -285,11 +285,12 @@ def test_the_module_is_the_command() -> None:
     assert ended.stderr.startswith("fieldgrid: There is no map none.gpkg")
 
 
-def test_sessions_compiles_nothing(two_lanes_map: Path) -> None:
+@pytest.mark.parametrize("command", ["sessions", "verify"])
+def test_looking_at_a_map_compiles_nothing(two_lanes_map: Path, command: str) -> None:
     loaded = shell(
         sys.executable,
         "-c",
-        f"import sys; sys.argv = ['fieldgrid', 'sessions', {str(two_lanes_map)!r}]\n"
+        f"import sys; sys.argv = ['fieldgrid', {command!r}, {str(two_lanes_map)!r}]\n"
         "from fieldgrid.cli import main\nmain()\nprint([m for m in sys.modules if '.' not in m])",
     )
     assert "two_lanes" in loaded

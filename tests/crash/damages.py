@@ -21,15 +21,26 @@ import traceback
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
+from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 
+from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import FieldgridError
-from fieldgrid.grids import GridSpec
+from fieldgrid.grids import (
+    DROP_CHANNEL,
+    FOOT_CHANNEL,
+    GROUND_CHANNEL,
+    STEP_CHANNEL,
+    TOP_CHANNEL,
+    GridSpec,
+)
 from fieldgrid.mapfile import Mark, MarkKind, create_map, open_map
+from fieldgrid.vectors import Feature
 from tests.crash.outputs import outputs
 from tests.mapfile.maps import DATUM, grid_of, pose_at, track
 
@@ -52,13 +63,16 @@ class Damaged(NamedTuple):
 
 
 def make(path: Path) -> None:
-    """A small map with two drives, one that was removed, marks, and a drive that was shifted."""
-    grid = grid_of(1, GridSpec(width_m=1.0, length_m=1.5, cell_m=0.1))
+    """A small map with two drives, one that was removed, marks, a drive that was shifted, frames
+    with all channels of terrain, and features that were found in it."""
+    spec = GridSpec(width_m=1.0, length_m=1.5, cell_m=0.1)
+    grid = grid_of(1, spec)
     with create_map(path, DATUM, cell_m=0.1) as universal:
         for k, name in enumerate("abc"):
             fixes = {"fix": track(3).east_m}
             with universal.add_session(name, trajectory=track(3), inputs=fixes) as session:
-                session.add(grid, pose_at(2.043 + 0.3 * k, 3.017, 37.3, time_ns=k))
+                pose = replace(pose_at(2.043 + 0.3 * k, 3.017, 37.3, time_ns=k), up_m=0.4)
+                session.add(grid, pose, channels=terrain(spec))
     with open_map(path, writable=True) as universal:
         universal.set_transform("b", 0.25, -0.5, 3.0)
         universal.remove_session("c")
@@ -66,6 +80,21 @@ def make(path: Path) -> None:
         universal.add_marks(
             [Mark(MarkKind.KEEPOUT, corners, "pond", created="2026-01-01T00:00:00Z")]
         )
+        row = Feature("row", shapely.LineString([(1.0, 1.0), (4.0, 2.0)]), {"id": "R1", "cells": 9})
+        universal.keep_features([row], universal.root_sha256)
+
+
+def terrain(spec: GridSpec) -> dict[str, AnyArray]:
+    """Channels of a frame over rising ground, with a step, a drop and something that hangs."""
+    rise = np.broadcast_to(np.arange(spec.n_y)[:, None], spec.shape)
+    seen = np.arange(spec.n_x) % 3
+    return {
+        GROUND_CHANNEL: (2 * rise + seen).astype(np.int16),
+        STEP_CHANNEL: (10 * seen + rise).astype(np.uint8),
+        DROP_CHANNEL: (8 * seen + rise).astype(np.uint8),
+        TOP_CHANNEL: np.full(spec.shape, 12, np.uint8) + seen.astype(np.uint8),
+        FOOT_CHANNEL: np.full(spec.shape, 4, np.uint8) + seen.astype(np.uint8),
+    }
 
 
 class Trial:

@@ -26,6 +26,7 @@ def outputs(universal: MapFile, folder: Path | None = None) -> dict[str, str]:
     reads: dict[str, Callable[[], Any]] = {
         "sessions": universal.sessions,
         "marks": lambda: universal.marks(removed=True),
+        "found": universal.kept_features,
         "query": lambda: universal.query(2.1, 3.5),
         "diff": lambda: universal.diff("a", "b"),
         "trajectory": lambda: [universal.trajectory(name) for name in _names(universal)],

@@ -78,9 +78,9 @@ def test_an_export_that_is_refused_makes_no_folder(
 
 
 def test_what_comes_into_the_folder_meanwhile_stays(tmp_path: Path) -> None:
-    with held_set(tmp_path / "a.main") as folder:
-        assert folder
-        (folder / "notes.txt").write_text("mine")
+    with held_set(tmp_path / "a.main") as held:
+        assert held
+        (held.name / "notes.txt").write_text("mine")
     assert written(tmp_path) == {".a.main.set/notes.txt": "mine"}
 
 
@@ -212,8 +212,8 @@ def test_links_by_another_case_of_the_name_are_settled(
     monkeypatch.setattr(
         Path, "lstat", lambda path: real(path.with_name(path.name.replace(".A.", ".a.")))
     )
-    with held_set(tmp_path / "a.main") as folder:
-        assert folder
+    with held_set(tmp_path / "a.main") as held:
+        assert held
     assert seen(tmp_path) == old
     assert not any(path.is_symlink() for path in tmp_path.iterdir())
 
@@ -222,10 +222,10 @@ def test_no_other_user_can_change_a_set(tmp_path: Path) -> None:
     (tmp_path / "a.new").write_text("new")
     usual = os.umask(0)
     try:
-        with held_set(tmp_path / "a.main") as folder:
-            assert folder
-            assert show(folder, {"a.main": tmp_path / "a.new"}, [])
-            modes = {path.stat().st_mode & 0o777 for path in (folder, *folder.iterdir())}
+        with held_set(tmp_path / "a.main") as held:
+            assert held
+            assert show(held, {"a.main": tmp_path / "a.new"}, [])
+            modes = {path.stat().st_mode & 0o777 for path in (held.name, *held.name.iterdir())}
     finally:
         os.umask(usual)
     assert modes == {0o755}
@@ -234,9 +234,30 @@ def test_no_other_user_can_change_a_set(tmp_path: Path) -> None:
 def test_a_link_of_the_user_into_the_folder_stays(tmp_path: Path) -> None:
     write_set(tmp_path, "old", ("a.side",))
     (tmp_path / "mine").symlink_to(".a.main.set/now/a.side")
-    with held_set(tmp_path / "a.main") as folder:
-        assert folder
+    with held_set(tmp_path / "a.main") as held:
+        assert held
         for name in ("a.side", "a.main"):
             (tmp_path / f"{name}.new").write_text("new")
-        assert show(folder, {n: tmp_path / f"{n}.new" for n in ("a.side", "a.main")}, [])
+        assert show(held, {n: tmp_path / f"{n}.new" for n in ("a.side", "a.main")}, [])
     assert (tmp_path / "mine").is_symlink()
+
+
+def test_a_folder_that_takes_the_place_of_the_set_meanwhile_is_left_alone(tmp_path: Path) -> None:
+    """Who may rename things in a folder that several users share can do that."""
+    write_set(tmp_path, "old", ("a.side",))
+    victim = tmp_path / "victim"
+    for part in ("old", "new"):
+        (victim / part).mkdir(parents=True)
+        (victim / part / "a.side").write_text("mine")
+    new = {name: tmp_path / f"{name}.new" for name in ("a.side", "a.main")}
+    for file in new.values():
+        file.write_text("new")
+    with held_set(tmp_path / "a.main") as held:
+        assert held
+        held.name.rename(tmp_path / "aside")
+        held.name.symlink_to("victim")
+        assert show(held, new, [])
+    assert [(victim / part / "a.side").read_text() for part in ("old", "new")] == ["mine", "mine"]
+    assert [(tmp_path / name).read_text() for name in new] == ["new", "new"]
+    assert not any((tmp_path / name).is_symlink() for name in new)
+    assert list((tmp_path / "aside").iterdir()) == []

@@ -211,8 +211,11 @@ def test_the_disk_has_each_step_before_the_next(
     def noted(what: str, change: Callable[..., None]) -> Callable[..., None]:
         def instead(*arguments: Any, **options: Any) -> None:
             change(*arguments, **options)
-            if not (place := Path(arguments[-1]).name).endswith(".partial"):
-                steps.append(f"{what} {place}")
+            place = Path(arguments[-1])
+            if place.parent == Path("/proc/self/fd"):  # a folder by its descriptor
+                place = place.resolve()
+            if not place.name.endswith(".partial"):
+                steps.append(f"{what} {place.name}")
 
         return instead
 
@@ -228,9 +231,9 @@ def test_the_disk_has_each_step_before_the_next(
 
 
 def test_a_second_writer_of_the_same_set_waits(tmp_path: Path) -> None:
-    with held_set(tmp_path / "a.main") as folder:
-        assert folder
-        descriptor = os.open(folder, os.O_RDONLY)
+    with held_set(tmp_path / "a.main") as held:
+        assert held
+        descriptor = os.open(held.name, os.O_RDONLY)
         with pytest.raises(BlockingIOError):
             lock(descriptor, wait=False)
         os.close(descriptor)
@@ -250,9 +253,9 @@ def test_a_set_whose_folder_is_gone_when_its_turn_comes_is_taken_anew(
         return real(descriptor, folder)
 
     monkeypatch.setattr(name_set, "hold", late)
-    with held_set(tmp_path / "a.main") as folder:
-        assert folder
-        assert folder.is_dir()
+    with held_set(tmp_path / "a.main") as held:
+        assert held
+        assert held.name.is_dir()
     assert len(waited) == 2
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import zlib
 from collections import namedtuple
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from fieldgrid.live import discard_session, finish_from, finish_session, live_fo
 from fieldgrid.live.finish import NOT_LEVELLED
 from fieldgrid.live.kept_drive import POINTS
 from fieldgrid.live.kept_points import LOST, RESERVE_BYTES, KeptPoints
-from fieldgrid.live.points_file import MAGIC, PointsFile, packed
+from fieldgrid.live.points_file import _MARK, _RECORD, MAGIC, PointsFile, packed
 from fieldgrid.live.running_tilt import RunningTilt
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.session_folder import SessionFolder
@@ -114,6 +115,37 @@ def test_points_of_any_numbers_are_kept(dtype: str, tmp_path: Path) -> None:
     assert isinstance(found, Sweep)
     assert np.array_equal(found.points_m[0], points[0])
     assert np.isnan(found.points_m[1]).all()
+
+
+BOMB = zlib.compress(bytes(80 << 20))
+
+
+@pytest.mark.parametrize(
+    ("header", "data"),
+    [
+        ('[false, 0, [["float32", [7000000, 3], false]]]', BOMB),
+        ('[false, 0, [["float32", [2, 3], false]]]', BOMB),
+        ('[false, 0, [["float32", [2, 3], false]]]', zlib.compress(bytes(23))),
+        ('[false, 0, [["float32", [-2, 3], false]]]', zlib.compress(b"")),
+        ('[false, 0, [["O", [1], false]]]', zlib.compress(bytes(8))),
+        ('[false, 0, [["i4,i4", [1], false]]]', zlib.compress(bytes(8))),
+        ('[false, 0, [[1, [1], false]]]', zlib.compress(bytes(8))),
+        ("[false, 0, []]", zlib.compress(b"")),
+        ("[false, 0, 5]", zlib.compress(b"")),
+        (100_000 * "[", b""),
+        ("[false, 0, []]", b"none"),
+    ],
+)  # fmt: skip
+def test_a_record_of_another_program_is_a_lost_one(
+    header: str, data: bytes, tmp_path: Path
+) -> None:
+    head = header.encode()
+    check = zlib.crc32(data, zlib.crc32(head))
+    record = _RECORD.pack(_MARK, len(head), len(data), check) + head + data
+    with PointsFile(tmp_path / POINTS) as file:
+        place = file.append(record)
+        assert file.has(place)
+        assert file.read(place, None) is None  # type: ignore[arg-type]
 
 
 def test_points_that_cannot_be_packed_cost_no_frame(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 from contextlib import closing, suppress
@@ -17,6 +18,7 @@ from fieldgrid.mapfile.row_sums import SUMMED_TABLES
 from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOMETRIES, OWN_TABLES
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, grid_of, pose_at, track, write_map
+from tests.mapfile.terrain import write_drives
 
 VALUES = ("NULL", "1e300", "'x'", "x'00ff'", "4611686018427387904")
 FREE = {
@@ -251,6 +253,60 @@ def test_settings_and_texts_that_cannot_be_are_sentences(
             said = [str(error)]
         assert all(one.endswith(".") and one.isprintable() for one in said)
         assert said or action is MapFile.read
+
+
+DEEP = "printf('%.*c', 100000, '[')"
+NO_NUMBERS = "'[1e999, 1e999, 1e999, 1e999]'"
+RIGID = dict.fromkeys(
+    ("shift_east_m", "shift_north_m", "turn_deg", "pivot_east_m", "pivot_north_m"), int("1" * 400)
+)
+HUGE = f"'{json.dumps({'rigid': RIGID})}'"
+
+
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        *(("fieldgrid_session", f"{name} = {DEEP}") for name in ("config", "transform")),
+        ("fieldgrid_session", f"transform = {HUGE}"),
+        *(("fieldgrid_frame", f"{name} = {DEEP}") for name in ("images", "images_sha256")),
+        *(("fieldgrid_frame", f"{name} = {DEEP}") for name in ("frame_id", "status")),
+        *(("fieldgrid_array", f"shape = {value}") for value in (DEEP, NO_NUMBERS)),
+        *(
+            ("fieldgrid_meta", f"value = {value} WHERE key = '{key}'")
+            for key in ("channel_groups", "data_window")
+            for value in (DEEP, NO_NUMBERS)
+        ),
+        ("fieldgrid_grid", "channel = x'00ff' WHERE channel = 'ground_cm'"),
+    ],
+)
+def test_documents_that_cannot_be_are_short_sentences(
+    sound: Path, tmp_path: Path, table: str, change: str
+) -> None:
+    """Nested deeply, with numbers that are none, or long."""
+    path = tmp_path / "map.gpkg"
+    if table == "fieldgrid_grid":
+        write_drives(path, {"a": 10.0})
+    else:
+        shutil.copy(sound, path)
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        assert database.execute(f"UPDATE {table} SET {change}").rowcount
+    for action in (MapFile.verify, MapFile.repair, use, _with_another_session):
+        try:
+            with open_map(path, writable=True) as universal:
+                found = action(universal)
+                said = list(getattr(found, "problems", ()))
+                assert said or action is not MapFile.verify
+        except FieldgridError as error:
+            said = [str(error)]
+        for one in said:
+            assert one.endswith(".")
+            assert one.isprintable()
+            assert len(one) < 1500
+
+
+def _with_another_session(universal: MapFile) -> None:
+    with universal.add_session("z") as session:
+        session.add(grid_of(1, GridSpec(width_m=1.0, length_m=1.5, cell_m=0.1)), pose_at(2, 3, 37))
 
 
 def test_a_session_that_an_index_has_lost_is_a_sentence(sound: Path, tmp_path: Path) -> None:

@@ -217,6 +217,21 @@ def test_what_cannot_be_removed_or_restored_is_said(tmp_path: Path) -> None:
         universal.remove_session("1")
 
 
+def test_a_name_of_bytes_that_are_no_text_is_that_of_no_session(tmp_path: Path) -> None:
+    """As a command line gives them to Python."""
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    with open_map(path, writable=True) as universal:
+        for change in (
+            universal.remove_session,
+            universal.restore_session,
+            universal.metadata,
+            lambda name: universal.rename_session(name, "more"),
+            lambda name: universal.set_transform(name, 1.0, 1.0),
+        ):
+            with pytest.raises(ConfigError, match=r"has no session '0\\udcff'; it has '0'"):
+                change("0\udcff")
+
+
 def test_the_evidence_of_a_removed_session_stays(tmp_path: Path) -> None:
     path = write_map(tmp_path / "map.gpkg", [drive(2), drive(3, heading_deg=80.0)])
     with open_map(path, writable=True) as universal:

@@ -1,9 +1,10 @@
-"""Layers that are kept in a map: features beside the evidence, which no digest covers."""
+"""Layers that are kept in a map: features beside the evidence, under a digest of their own."""
 
 from __future__ import annotations
 
 import math
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pyogrio
@@ -131,3 +132,56 @@ def test_no_other_table_is_dropped_whatever_a_map_says_of_it(field: Path) -> Non
         assert [one.kind for one in kept.features] == ["headland"]
         assert [f.frame_id for f in universal.frames(universal.sessions()[0].name)] == before
     assert "footprint" in dict(pyogrio.list_layers(field).tolist())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE found_lane SET geom = (SELECT geom FROM found_headland)",
+        "UPDATE found_lane SET cells = 13",
+        "DELETE FROM found_lane",
+        "DROP TABLE found_lane",
+        "ALTER TABLE found_lane ADD COLUMN more",
+        "UPDATE gpkg_contents SET srs_id = 4326 WHERE table_name = 'found_lane'",
+        "UPDATE gpkg_contents SET max_x = 9 WHERE table_name = 'found_lane'",
+        "UPDATE gpkg_contents SET description = 'f' || description WHERE table_name = 'found_lane'",
+        "UPDATE gpkg_geometry_columns SET srs_id = 4326 WHERE table_name = 'found_lane'",
+        "UPDATE fieldgrid_meta SET value = 'ab' WHERE key = 'found_sha256'",
+        "UPDATE fieldgrid_meta SET key = 'found_sha255' WHERE key = 'found_sha256'",
+        "CREATE TRIGGER t AFTER INSERT ON found_lane BEGIN DELETE FROM fieldgrid_frame; END",
+    ],
+)
+def test_layers_that_are_not_as_they_were_stored_are_found(field: Path, change: str) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute(change)
+    with open_map(field) as universal:
+        for deep in (False, True):
+            assert not universal.verify(deep=deep).sound
+
+
+def test_what_is_found_again_takes_the_place_of_damaged_layers(field: Path) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute("UPDATE found_lane SET cells = 13")
+    with open_map(field, writable=True) as universal:
+        (problem,) = universal.repair()
+        assert "found_headland, found_lane" in problem
+        assert "rows --keep" in problem
+        assert universal.verify().problems == (problem,)
+        universal.keep_features(FOUND, universal.root_sha256)
+        health = universal.verify()
+        assert (health.sound, health.deep) == (True, False)
+        universal.keep_features([], universal.root_sha256)
+        assert universal.verify().sound
+
+
+def test_an_index_that_a_gis_adds_to_a_layer_is_no_damage(field: Path) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute("CREATE INDEX lanes ON found_lane (id)")
+    with open_map(field) as universal:
+        assert universal.verify().sound

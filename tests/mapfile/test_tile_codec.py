@@ -16,6 +16,7 @@ from fieldgrid.mapfile.tile_codec import (
     box_of,
     decode_tile,
     encode_tile,
+    stored_box,
     stored_channels,
 )
 
@@ -126,6 +127,13 @@ def test_only_the_box_that_was_observed_is_stored() -> None:
     )
     assert tuple(blob[:9]) == (2, 250, 3, 251, 3, 4, 1, 4, 1)
     assert zlib.decompress(blob[9:]) == bytes([1, 1, 1, 1])
+    assert stored_box(DENSITY, blob, "tile") == (250, 3, 251, 3)
+
+
+@pytest.mark.parametrize("blob", [None, b"", bytes([2, 1, 0, 0, 1, 0, 1, 0, 1]), bytes([3]) * 9])
+def test_a_box_is_read_of_no_blob_that_is_none(blob: object) -> None:
+    with pytest.raises(MapError, match="tile is damaged"):
+        stored_box(DENSITY, blob, "tile")
 
 
 NONE = Expectation({}, base=True)

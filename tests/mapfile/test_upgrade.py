@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -149,9 +150,47 @@ def test_a_map_whose_frames_cannot_be_read_stays_as_it_is(path: Path) -> None:
     with closing(sqlite3.connect(path)) as database, database:
         database.execute("UPDATE fieldgrid_frame SET density = zeroblob(3) WHERE id = 2")
     before = path.read_bytes()
-    with open_map(path, writable=True) as universal, pytest.raises(MapError, match="is damaged"):
-        universal.upgrade()
+    told = "frame '000001' of session '0' is damaged.*sessions --remove"
+    for change in (
+        MapFile.upgrade,
+        MapFile.repair,
+        lambda universal: universal.remove_session("1"),
+        lambda universal: universal.rename_session("0", "more"),
+    ):
+        with open_map(path, writable=True) as universal, pytest.raises(MapError, match=told):
+            change(universal)
+    with open_map(path) as universal:
+        (problem,) = universal.verify().problems
+    assert re.search(told, problem)
     assert path.read_bytes() == before
+
+
+def test_a_session_whose_frames_cannot_be_read_can_be_removed(path: Path, tmp_path: Path) -> None:
+    """The map is that of which it was removed when it was whole; the frames are kept."""
+    whole = Path(shutil.copy(path, tmp_path / "whole.gpkg"))
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE fieldgrid_frame SET density = zeroblob(3) WHERE id = 2")
+    for one in (path, whole):
+        with open_map(one, writable=True) as universal:
+            universal.remove_session("0")
+            assert [info.name for info in universal.sessions() if not info.active] == ["0", "2"]
+    queries = (
+        "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile ORDER BY 1, 2, 3, 4",
+        "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
+        "SELECT frame_id, digest FROM fieldgrid_frame WHERE session_id = 1 AND id <> 2 ORDER BY 1",
+    )
+    for query in queries:
+        found, expected = rows(path, query), rows(whole, query)
+        assert found == expected != []
+    with open_map(path, writable=True) as universal:
+        damaged, *more = universal.repair()
+    assert "000001" in damaged
+    assert all("Session '0' is not as it was stored" in problem for problem in more)
+
+
+def rows(path: Path, query: str) -> list[object]:
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(query).fetchall()
 
 
 def test_a_handle_of_before_changes_what_another_one_upgraded(path: Path) -> None:

@@ -14,7 +14,7 @@ from fieldgrid.errors import MapError
 from fieldgrid.mapfile import MapFile, merge_maps, open_map, verification
 from fieldgrid.mapfile.placing import Squares
 from tests.mapfile.content import content
-from tests.mapfile.maps import drive, track, write_map
+from tests.mapfile.maps import drive, track, write_map, write_session
 
 
 @pytest.fixture(scope="module")
@@ -165,9 +165,17 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
         (
             "CREATE TRIGGER gone AFTER UPDATE ON fieldgrid_session BEGIN DELETE FROM "
             "fieldgrid_frame; END",
-            "trigger gone changes fieldgrid_session",
+            "trigger gone of fieldgrid_session changes the map",
         ),
+        (
+            'CREATE TRIGGER gone AFTER INSERT ON layer_styles BEGIN DELETE FROM "FIELDGRID_FRAME"; '
+            "END",
+            "trigger gone of layer_styles changes the map",
+        ),
+        ("CREATE UNIQUE INDEX one ON layer_styles (f_table_name)", "index one of layer_styles"),
         ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
+        ("CREATE INDEX one ON fieldgrid_frame (abs(east_m))", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON fieldgrid_frame (id) WHERE abs(id)", "index one of fieldgrid_frame"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
     ],
@@ -181,6 +189,54 @@ def test_the_layout_of_the_tables_is_checked(
         database.execute(statement)
         database.commit()
     assert problem in problems(path)[0]
+
+
+def test_an_index_of_another_program_that_takes_any_row_is_none_of_ours(
+    sound: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute('CREATE INDEX one ON fieldgrid_frame ("east_m", north_m DESC)')
+    assert problems(path) == ()
+
+
+def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("CREATE TABLE gpkg_ogr_contents (table_name TEXT, feature_count INTEGER)")
+        database.execute(
+            'CREATE TRIGGER "trigger_insert_feature_count_fieldgrid_session" AFTER INSERT ON '
+            '"fieldgrid_session" BEGIN UPDATE gpkg_ogr_contents SET feature_count = feature_count '
+            "+ 1 WHERE lower(table_name) = lower('fieldgrid_session'); END"
+        )
+    with open_map(path, writable=True) as universal:
+        before = len(universal.sessions())
+        write_session(universal, "more", drive(1))
+        assert len(universal.sessions()) == before + 1
+
+
+def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
+    sound: Path, tmp_path: Path
+) -> None:
+    """Also where the trigger is one of another program's own table, or of a view."""
+    for setting_off in ("UPDATE ON gpkg_contents", "INSERT ON more"):
+        path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.execute("CREATE TABLE more (a)")
+            database.execute(
+                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM fieldgrid_frame; END"
+            )
+        before = path.read_bytes()
+        with open_map(path, writable=True) as universal:
+            for change in (
+                lambda universal: universal.remove_session("0"),
+                lambda universal: write_session(universal, "more", drive(1)),
+                MapFile.repair,
+            ):
+                with pytest.raises(MapError, match="gone"):
+                    change(universal)
+        assert path.read_bytes()[100:] == before[100:]
+        assert "trigger gone" in problems(path)[0]
 
 
 @pytest.mark.parametrize(

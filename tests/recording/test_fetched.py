@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from zipfile import ZipFile
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import fsspec
 import pytest
@@ -299,6 +299,17 @@ def zipped(drive: Path, tmp_path: Path) -> str:
             if file.is_file():
                 archive.write(file, f"june-03/{file.relative_to(drive)}")
     return f"zip://june-03::{tmp_path / '2026.zip'}"
+
+
+def test_an_archive_that_unfolds_to_too_much_is_not_fetched(cache: Path, tmp_path: Path) -> None:
+    with ZipFile(tmp_path / "2026.zip", "w", ZIP_DEFLATED) as archive:
+        for k in range(5):
+            archive.writestr(f"june-03/{k}.png", bytes(20 << 20))
+    with pytest.raises(LimitError, match=r"unfolds to more than 64 MiB.*LIMIT_FACTOR=800"):
+        fetch(f"zip://june-03::{tmp_path / '2026.zip'}")
+    assert not [file for file in cache.rglob("*") if file.is_file()]
+    with limited(factor=2000):
+        assert len(list(fetch(f"zip://june-03::{tmp_path / '2026.zip'}").iterdir())) == 5
 
 
 def test_a_drive_at_a_url_gives_the_map_of_the_drive(

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from fieldgrid.build.report import BadFrame, StageTimes
 from fieldgrid.build.staging import Found, Looked, Staged, Tell, collect
 from fieldgrid.closing import Closing
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, RecordingError
 from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile, read_staged
 from fieldgrid.odometry import Refusal, Step
@@ -71,7 +72,7 @@ def left_behind(out: Path) -> list[About]:
     for drive in sorted(folder.iterdir()) if folder.is_dir() else ():
         try:
             with holding(drive / _ABOUT) as free:
-                about = json.loads((drive / _ABOUT).read_text(encoding="utf-8"))
+                about = parse_json((drive / _ABOUT).read_text(encoding="utf-8"))
                 done = sum(1 for _ in drive.glob("????????-????????.json"))
                 if free and done:
                     found.append(About(drive.name, str(about["name"]), about["recording"], done))
@@ -305,7 +306,7 @@ def read_part(folder: Path, share: Share) -> Staged | None:
         digest, _, body = info.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(body):
             return None
-        said: dict[str, Any] = json.loads(body)
+        said: dict[str, Any] = parse_json(body)
         with StageFile(grids) as file:
             entries = list(file.entries)
         if len(entries) != said["frames"] or len(said["found"]) != len(entries):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -156,15 +155,16 @@ def _corners(flag: str, text: str) -> tuple[tuple[float, float], ...]:
 
 def _read(path: Path) -> Any:
     """A GeoJSON as Python has it."""
+    from fieldgrid.documents import parse_json
     from fieldgrid.errors import ConfigError
     from fieldgrid.limits import check_document, file_bytes
 
     try:
         check_document(file_bytes(path), path, ConfigError)
-        return json.loads(path.read_bytes())
+        return parse_json(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path} is no GeoJSON ({error}); check the file.") from error
 
 

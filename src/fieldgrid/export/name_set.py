@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import os
 import stat
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from fieldgrid.errors import MapWriteError
-from fieldgrid.file_locks import lock
+from fieldgrid.file_locks import lock_within
 from fieldgrid.publish import NO_HARD_LINKS, hold, sync, writing
 
 WAIT_S = 30.0
@@ -26,8 +26,20 @@ _MODE = 0o755  # of folders that no other user changes while this program works 
 _OLD, _NEW, _NOW, _SPARE = "old", "new", "now", "spare"
 
 
+class NameSet(NamedTuple):
+    """The folder of a set that is held: its name, and a path to the folder itself.
+
+    Who may rename things in a shared folder can put another folder in its place meanwhile. Then
+    `inside` still leads to the one that is held, where the system has /proc, so that nothing is
+    written or removed elsewhere. What names lead to is up to whoever may rename them, always.
+    """
+
+    name: Path
+    inside: Path
+
+
 @contextmanager
-def held_set(main: Path) -> Iterator[Path | None]:
+def held_set(main: Path) -> Iterator[NameSet | None]:
     """Holds the set of files of which programs open `main`: its folder for links, in which
     :func:`show` works. Another program that writes the same set waits.
 
@@ -42,30 +54,31 @@ def held_set(main: Path) -> Iterator[Path | None]:
         _refuse_links(folder, main)
         yield None
         return
+    held = NameSet(folder, _inside(descriptor, folder))
     try:
-        if not _is_ours(folder):
+        if not _is_ours(held.inside):
             _refuse_links(folder, main)
             yield None
             return
-        _settle_left(folder, main)
+        _settle_left(held, main)
         try:
-            yield folder
+            yield held
         finally:
             with writing(main):
-                _settle(folder)
+                _settle(held)
     finally:
         with suppress(OSError):  # what another program has put there stays
             folder.rmdir()
         os.close(descriptor)
 
 
-def show(folder: Path, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
+def show(held: NameSet, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
     """Give files their names beside the folder of a set, and take names away, all at once.
 
     `new` has the file of each name, in the same folder and on the disk for good. False where the
     file system has no links: then nothing has changed.
     """
-    beside, names = folder.parent, (*new, *gone)
+    folder, beside, names = held.inside, held.name.parent, (*new, *gone)
     try:
         for part in (_OLD, _NEW):
             (folder / part).mkdir(_MODE)
@@ -83,7 +96,7 @@ def show(folder: Path, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
     for made in (folder / _OLD, folder / _NEW, folder):
         sync(made)
     for name in names:
-        _replace_by_link(beside / name, f"{folder.name}/{_NOW}/{name}", folder)
+        _replace_by_link(beside / name, f"{held.name.name}/{_NOW}/{name}", folder)
     sync(beside)
     _replace_by_link(folder / _NOW, _NEW, folder)
     sync(folder)
@@ -96,13 +109,13 @@ def _replace_by_link(place: Path, to: str, folder: Path) -> None:
     spare.replace(place)
 
 
-def _settle(folder: Path) -> None:
+def _settle(held: NameSet) -> None:
     """Put the files that links of a set lead to in their places, and empty its folder.
 
     A link that leads to nothing goes: its name is only in the other half of the set, or somebody
     has deleted the folder.
     """
-    links = _links_into(folder)
+    folder, links = held.inside, _links_into(held.name)
     for link in links:
         name = Path(os.readlink(link)).name
         if (folder / _NOW / name).is_file():
@@ -112,7 +125,7 @@ def _settle(folder: Path) -> None:
         else:
             link.unlink()
     if links:
-        sync(folder.parent)
+        sync(held.name.parent)
     for part in [path for path in folder.iterdir() if path.name in (_OLD, _NEW, _NOW, _SPARE)]:
         if part.is_symlink() or not part.is_dir():
             part.unlink()
@@ -122,13 +135,13 @@ def _settle(folder: Path) -> None:
         part.rmdir()
 
 
-def _settle_left(folder: Path, main: Path) -> None:
+def _settle_left(held: NameSet, main: Path) -> None:
     """The same of what a killed program left, in whose place another user cannot put files."""
     with writing(main):
         try:
-            _settle(folder)
+            _settle(held)
         except PermissionError as error:
-            raise _left(folder, main) from error
+            raise _left(held.name, main) from error
 
 
 def _links_into(folder: Path) -> list[Path]:
@@ -221,18 +234,22 @@ def _held(folder: Path) -> int | None:
 
 def _wait(descriptor: int, folder: Path) -> None:
     """Wait for another program to let go of the folder. MapWriteError where it does not."""
-    until = time.monotonic() + WAIT_S
-    while True:
-        try:
-            lock(descriptor, wait=False)
-        except BlockingIOError:
-            if time.monotonic() > until:
-                raise MapWriteError(
-                    f"{folder} is in use: another program has been exporting to the same name for "
-                    f"over {WAIT_S:.0f} s; wait for it or end it, or give another name."
-                ) from None
-            time.sleep(0.05)
-        except OSError:  # a file system without locks
-            return
-        else:
-            return
+    try:
+        is_ours = lock_within(descriptor, WAIT_S)
+    except OSError:  # a file system without locks
+        return
+    if not is_ours:
+        raise MapWriteError(
+            f"{folder} is in use: another program has been exporting to the same name for over "
+            f"{WAIT_S:.0f} s; wait for it or end it, or give another name."
+        )
+
+
+def _inside(descriptor: int, folder: Path) -> Path:
+    """A path to an open folder that stays its own when the folder is renamed, where there is one;
+    else its name."""
+    own = Path(f"/proc/self/fd/{descriptor}")
+    with suppress(OSError):
+        if os.path.samestat(own.stat(), os.fstat(descriptor)):
+            return own
+    return folder

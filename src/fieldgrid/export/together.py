@@ -9,7 +9,7 @@ from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 
 from fieldgrid.errors import MapWriteError
-from fieldgrid.export.name_set import held_set, show
+from fieldgrid.export.name_set import NameSet, held_set, show
 from fieldgrid.publish import Draft, writing
 
 
@@ -36,7 +36,7 @@ def write_together(
     # Without overwriting no name changes, but a killed program may have left links.
     is_set = overwrite or any(map(os.path.islink, targets))
     holding = held_set(targets[-1]) if is_set else nullcontext()
-    with holding as folder, ExitStack() as stack:
+    with holding as held, ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
             check = ours if target == targets[-1] else None
@@ -58,11 +58,11 @@ def write_together(
         else:
             # A link of the user's own making stays.
             there = [path for path in gone if path.is_file() and not path.is_symlink()]
-            _replace(drafts, there, folder)
+            _replace(drafts, there, held)
     return targets
 
 
-def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None) -> None:
+def _replace(drafts: Sequence[Draft], gone: Sequence[Path], held: NameSet | None) -> None:
     main = drafts[-1].target
     changed = [draft for draft in drafts if not _is_there(draft)]
     if not gone and len(changed) <= 1:
@@ -73,10 +73,10 @@ def _replace(drafts: Sequence[Draft], gone: Sequence[Path], folder: Path | None)
     places = [draft.place for draft in drafts] + [
         Path(os.path.realpath(path.parent)) / path.name for path in gone
     ]
-    if folder and main.exists() and all(place.parent == folder.parent for place in places):
+    if held and main.exists() and all(place.parent == held.name.parent for place in places):
         with writing(main):
             files = {draft.place.name: draft.file for draft in drafts}
-            if show(folder, files, [path.name for path in gone]):
+            if show(held, files, [path.name for path in gone]):
                 return
     # The file that programs open is missing while the others change.
     for old in (drafts[-1].place, *gone):

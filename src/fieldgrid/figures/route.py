@@ -40,7 +40,6 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
         KeyError,
         IndexError,
         AttributeError,
-        RecursionError,
         csv.Error,
     ) as error:
         kind = "table of poses" if path.suffix.lower() == ".csv" else "GeoJSON with lines in it"

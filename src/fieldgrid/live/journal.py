@@ -16,6 +16,7 @@ from struct import Struct
 from typing import Any
 
 from fieldgrid.closing import Closing
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
 
 MAGIC = b"fieldgrid journal 1\n"
@@ -151,7 +152,7 @@ def _next_mark(data: bytes) -> int | None:
 
 def _record(body: bytes) -> Record | None:
     try:
-        kind, value = json.loads(body)
-    except (ValueError, TypeError, RecursionError):
+        kind, value = parse_json(body)
+    except (ValueError, TypeError):
         return None
     return (kind, value) if isinstance(kind, str) else None

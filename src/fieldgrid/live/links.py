@@ -7,7 +7,6 @@ they came is known to nobody behind it, so no time of arrival can be taken for G
 from __future__ import annotations
 
 import errno
-import json
 import os
 import select
 import socket
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
 
 from fieldgrid.closing import Closing
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError
 
 CONNECT_S = 5.0
@@ -240,8 +240,8 @@ def _open_gpsd(address: Address) -> _Socket:
 
 def _is_gpsd(line: bytes) -> bool:
     try:
-        said = json.loads(line)
-    except (ValueError, RecursionError):
+        said = parse_json(line)
+    except ValueError:
         return False
     return isinstance(said, dict) and said.get("class") == "VERSION"
 

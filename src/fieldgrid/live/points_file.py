@@ -14,14 +14,16 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 from struct import Struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.closing import Closing
 from fieldgrid.depth import CodedDepth
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
+from fieldgrid.limits import Budget
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
@@ -91,7 +93,12 @@ class PointsFile(Closing):
     def read(self, place: Place, gridder: LocalGridder) -> Seen | None:
         """The points of the record there; None where it is cut off or damaged."""
         parts = self._parts(place)
-        return None if parts is None else _unpacked(*parts, gridder)
+        if parts is None:
+            return None
+        try:
+            return _unpacked(*parts, gridder)
+        except (ValueError, TypeError, AttributeError, IndexError, OverflowError, zlib.error):
+            return None  # its sum fits, but it is no record of this program
 
     def has(self, place: Place) -> bool:
         """Whether the record there is whole."""
@@ -154,10 +161,13 @@ def packed(seen: Seen, reach_m: float) -> bytes:
 
 
 def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
-    is_coded, row_start, kinds = json.loads(header)
-    raw, arrays = zlib.decompress(data), list[AnyArray]()
-    for dtype, shape, by_column in kinds:
-        count = math.prod(shape) * np.dtype(dtype).itemsize
+    is_coded, row_start, kinds = parse_json(header)
+    counts = [math.prod(shape) * _dtype(dtype).itemsize for dtype, shape, _ in kinds]
+    Budget("a record of points", len(data)).spend(sum(counts))
+    raw, arrays = zlib.decompressobj().decompress(data, sum(counts) + 1), list[AnyArray]()
+    if len(raw) != sum(counts):
+        raise ValueError("it unfolds to another size than it says")
+    for (dtype, shape, by_column), count in zip(kinds, counts, strict=True):
         part, raw = raw[:count], raw[count:]
         if dtype == "int16":
             codes = np.frombuffer(part, np.int16).reshape(shape)
@@ -169,6 +179,13 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
     if is_coded:
         return gridder.coded(arrays[0], row_start)
     return Sweep(arrays[0], arrays[1] if len(arrays) > 1 else None)
+
+
+def _dtype(name: str) -> np.dtype[Any]:
+    """A type by its name. ValueError for another text, which NumPy would parse as Python."""
+    if not name.isalnum():
+        raise ValueError(f"{name!r} is no type of numbers")
+    return np.dtype(name)
 
 
 def _near(points_m: AnyArray, reach_m: float) -> AnyArray:

@@ -22,6 +22,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldgrid.closing import Closing
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import foxglove_messages as messages
 from fieldgrid.live import LiveEvent, LiveGrid, LivePose, LiveResult, LiveWindow, What
@@ -280,7 +281,7 @@ class FoxgloveServer(Closing):
     def _asked(self, client: _Client, text: str | bytes) -> str:
         """Do what a client asks for; returns why it is not done, or nothing."""
         try:
-            asked = json.loads(text)
+            asked = parse_json(text)
             op = asked["op"]
             if op == "subscribe":
                 for one in asked["subscriptions"]:
@@ -295,7 +296,7 @@ class FoxgloveServer(Closing):
                 client.wants = {c: n for c, n in client.wants.items() if n not in gone}
             else:
                 return "This server takes subscribe and unsubscribe alone."
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError):
             return "That was no message of the protocol."
         return ""
 

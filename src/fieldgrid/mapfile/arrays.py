@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, FieldgridError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile.codec import deflate, inflate, stored_dtype
@@ -88,7 +89,7 @@ def read_arrays(connection: sqlite3.Connection, session_id: int, kind: Kind) -> 
 def _array(name: str, parts: list[ArrayRow]) -> Array:
     what = f"array {name!r}"
     try:
-        dtype, shape = stored_dtype(parts[0].dtype), tuple(map(int, json.loads(parts[0].shape)))
+        dtype, shape = stored_dtype(parts[0].dtype), tuple(map(int, parse_json(parts[0].shape)))
         if dtype.kind not in _KINDS or min(shape, default=0) < 0:
             raise ValueError(f"its type is {dtype}, its shape {shape}")
         size = int(np.prod(shape, dtype=np.int64))
@@ -106,7 +107,7 @@ def _array(name: str, parts: list[ArrayRow]) -> Array:
                 planes = np.frombuffer(octets, dtype=np.uint8).reshape(dtype.itemsize, -1)
                 place[:] = np.frombuffer(planes.T.tobytes(), dtype=dtype)
         return flat.astype(dtype.newbyteorder("="), copy=False).reshape(shape)
-    except (TypeError, ValueError, MemoryError, zlib.error) as error:
+    except (TypeError, ValueError, OverflowError, MemoryError, zlib.error) as error:
         if isinstance(error, FieldgridError):
             raise
         raise MapError(
@@ -132,7 +133,7 @@ def trajectory_of(columns: Mapping[str, Array], datum: Datum, heading_source: st
     values: dict[str, Any] = {**columns}
     try:
         for name in ("status", "reason"):
-            values[name] = tuple(json.loads(columns[name].tobytes()))
+            values[name] = tuple(parse_json(columns[name].tobytes()))
         values["status"] = tuple(Status(value) for value in values["status"])
         return Trajectory(datum=datum, heading_source=heading_source, **values)
     except (KeyError, TypeError, ValueError, FieldgridError) as error:

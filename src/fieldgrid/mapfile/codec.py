@@ -126,9 +126,11 @@ def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> An
 
 def decode_cells(spec: GridSpec, stored: Iterable[EncodedChannel], what: str) -> FrameCells:
     """The cells of a frame from its stored channels; `what` names it when they are damaged."""
-    arrays = {
-        name: decode_channel(spec, dtype, data, f"{name} of {what}") for name, dtype, data in stored
-    }
+    arrays = dict[str, AnyArray]()
+    for name, dtype, data in stored:
+        if not isinstance(name, str):  # of a map that was damaged
+            raise damaged(what, f"the name of a channel is {quoted(name)}")
+        arrays[name] = decode_channel(spec, dtype, data, f"{name} of {what}")
     density, observed = arrays.pop("density", None), arrays.pop("observed", None)
     if density is None or observed is None or density.dtype != np.uint8 or observed.dtype != bool:
         raise damaged(what, "it has no density, or does not say what was observed")

@@ -24,7 +24,7 @@ from fieldgrid.mapfile.records import (
     frame_record,
     session_info,
 )
-from fieldgrid.mapfile.tiling import TileMatrixSet
+from fieldgrid.mapfile.tiling import TileMatrixSet, window_of
 from fieldgrid.mapfile.transform import Transform, transform_of
 from fieldgrid.trajectory import Trajectory
 
@@ -44,12 +44,9 @@ class Evidence:
         if row is None:
             raise MapError(self._why_empty())
         try:
-            i0, j0, width, height = (int(value) for value in json.loads(row[0]))
-            if min(width, height) < 1:
-                raise ValueError(f"it has {width} x {height} cells")
-        except (TypeError, ValueError) as error:
+            return window_of(row[0])
+        except ValueError as error:
             raise MapError(f"The extent of {self._path} is damaged: {error}.") from error
-        return Window(i0, j0, width, height)
 
     def sessions(self) -> list[SessionInfo]:
         """The sessions in the order in which they were added, removed ones included."""

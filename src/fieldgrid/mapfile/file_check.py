@@ -13,6 +13,7 @@ from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.marks import create_marks, has_marks
+from fieldgrid.mapfile.root import meddling_triggers
 from fieldgrid.mapfile.row_sums import create_sums, has_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -29,7 +30,12 @@ _STORED = {
 }
 """What SQLite holds in a column of a type, and how that is called; a blob in all others."""
 
-_UNIQUE = re.compile(r"\s*CREATE\s+UNIQUE\b", re.IGNORECASE)
+_OF_COLUMNS = re.compile(
+    r"""\s*CREATE\s+INDEX\s+[^()]+\(\s*[\w"]+(\s+ASC|\s+DESC)?(\s*,\s*[\w"]+(\s+ASC|\s+DESC)?)*\s*\)\s*""",
+    re.IGNORECASE,
+)
+"""An index that takes any row: not unique, without expressions, which may fail, and conditions."""
+
 _LARGEST_ID = 1 << 53
 """SQLite takes no row behind the largest number that it has; some programs count no further."""
 
@@ -60,13 +66,14 @@ def check_layout(subject: Subject) -> Iterator[str]:
             "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
         )
     )
-    tables = {row[2] for row in known}
+    tables = {*(row[2] for row in known), "layer_styles"}
+    meddling = set(meddling_triggers(connection))
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
     for kind, name, table, sql in sorted(ours - known):
-        if kind == "trigger" and table in tables:
-            yield f"A trigger {name} changes {table} behind the map's back; drop it."
-        if kind == "index" and table in tables and _UNIQUE.match(str(sql)):
+        if kind == "trigger" and (table in tables or shortened(name, 60) in meddling):
+            yield f"A trigger {name} of {table} changes the map behind its back; drop it."
+        if kind == "index" and table in tables and not _OF_COLUMNS.fullmatch(str(sql)):
             yield f"The index {name} of {table} may refuse new rows; drop it."
     for (table,) in connection.execute(
         "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"

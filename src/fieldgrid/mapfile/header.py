@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import (
     ConfigError,
     DatumError,
@@ -154,7 +154,7 @@ def _format_of(meta: Mapping[str, str], path: Path) -> tuple[int, tuple[str, ...
             f"{path} has format version {version}, of before the first release; build it again "
             "from its recordings."
         )
-    return version, tuple(str(name) for name in json.loads(meta.get("channel_groups", "[]")))
+    return version, tuple(str(name) for name in parse_json(meta.get("channel_groups", "[]")))
 
 
 @contextmanager

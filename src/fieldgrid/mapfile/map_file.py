@@ -171,7 +171,7 @@ class MapFile(MapReader):
 
         Raises ConfigError when there is none of that name, or it is removed already.
         """
-        with self._changing():
+        with self._changing(without=name):
             revision.remove(self._connection, self.path, self._header, name)
 
     def restore_session(self, name: str) -> None:
@@ -298,24 +298,28 @@ class MapFile(MapReader):
         return is_old
 
     @contextmanager
-    def _changing(
-        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
-    ) -> Iterator[None]:
+    def _changing(self, **how: Any) -> Iterator[None]:
         """A change of what the map has already; see `_transaction`."""
         self._require_writable()
-        with self._transaction(trusting=trusting, strict=strict, keep=keep):
+        with self._transaction(**how):
             yield
         self._unsettled = True
 
     @contextmanager
     def _transaction(
-        self, *, trusting: bool = True, strict: bool = False, keep: Path | None = None
+        self,
+        *,
+        trusting: bool = True,
+        strict: bool = False,
+        keep: Path | None = None,
+        without: str | None = None,
     ) -> Iterator[Header]:
         """One transaction in which the map is changed, with its settings as they are in it;
         `trusting` what its root digest covers. `keep` is where it is copied to before.
 
         An older map is brought up to date in it: where the change is refused, it stays old.
         Retired channel groups that cannot be replaced are left out, or, with `strict`, refuse it.
+        The frames of a session that it will be `without` need not be readable.
         """
         before = self._header
         try:
@@ -324,7 +328,7 @@ class MapFile(MapReader):
                     copy_to(self.path, keep)
                 self._header = as_it_is_now(self._connection, self.path, before)
                 if self._header.version < FORMAT_VERSION:
-                    upgrade(self._connection, self.path, self._header)
+                    upgrade(self._connection, self.path, self._header, without)
                     seal(self._connection)
                     self._header = upgraded(self._header)
                 if not trusting:

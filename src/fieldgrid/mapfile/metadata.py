@@ -120,8 +120,9 @@ def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, 
     """What a session's own row says; ConfigError when there is none of that name."""
     row = connection.execute(
         "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
-        "created, transform FROM fieldgrid_session WHERE name = ?",
-        (name,),
+        "created, transform FROM fieldgrid_session WHERE name = CAST(? AS TEXT)",
+        # Of a command line the name may be no UTF-8, which SQLite takes as bytes alone.
+        (name.encode("utf-8", "surrogatepass"),),
     ).fetchone()
     if row is None:
         known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.layers import Cells, ChannelGroup, Combine, is_nothing, nothing
 from fieldgrid.layers.window import empty_cells, merge_sessions
@@ -26,7 +27,7 @@ from fieldgrid.mapfile.placing import RECENT_TILES, SessionTiles, encode_groups
 from fieldgrid.mapfile.png import encode_png
 from fieldgrid.mapfile.tile_codec import Box, box_of
 from fieldgrid.mapfile.tiles import TileTables
-from fieldgrid.mapfile.tiling import parent
+from fieldgrid.mapfile.tiling import parent, window_of
 from fieldgrid.transfer import mean_density
 from fieldgrid.workers.order import in_order
 
@@ -257,7 +258,7 @@ class Pyramid:
         if shrinks:
             window = self.window_at_the_edges()
         elif before is not None:
-            window = union(window, Window(*json.loads(before[0])))
+            window = union(window, _window_of(before[0]))
         self._connection.execute(f"DELETE FROM {meta}")
         bounds: tuple[float | None, ...] = (None,) * 4
         if window is not None:
@@ -275,7 +276,7 @@ class Pyramid:
         )
 
     def window_at_the_edges(self) -> Window | None:
-        """The observed cells' extent: only the outermost tiles are looked into."""
+        """The observed cells' extent, by the heads of the outermost tiles."""
         corners = self._tables.corners()
         if not corners:
             return None
@@ -283,9 +284,7 @@ class Pyramid:
         window: Window | None = None
         for tile in self._tables.tiles(self._base):
             if tile.ty in (south, north) or tile.tx in (west, east):
-                cells = self._tables.cells(self._base, tile, self._groups[:1])
-                assert cells is not None
-                window = union(window, _placed(tile, box_of(cells["weight"])))
+                window = union(window, _placed(tile, self._tables.observed(tile)))
         return window
 
 
@@ -293,6 +292,15 @@ def _placed(tile: TileIndex, part: Box) -> Window:
     """A part of a tile, in cells of the lattice."""
     cells, (height, width) = tile_window(tile), part.shape
     return Window(cells.i0 + part.first_column, cells.j0 + part.first_row, width, height)
+
+
+def _window_of(text: str) -> Window:
+    try:
+        return window_of(text)
+    except ValueError as error:
+        raise MapError(
+            f"The extent of the map's cells is damaged ({error}); repair the map."
+        ) from error
 
 
 def union(a: Window | None, b: Window | None) -> Window | None:

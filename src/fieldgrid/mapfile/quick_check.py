@@ -19,6 +19,7 @@ from fieldgrid.mapfile.root import read_root
 from fieldgrid.mapfile.row_digest import of_rows
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES, fits, kept_sums
 from fieldgrid.mapfile.shared_sums import sharing_sums
+from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_extent
 
@@ -68,6 +69,10 @@ def _check_references(subject: Subject) -> Iterator[str]:
             yield from orphans(subject.connection, f"'{table.replace(chr(39), chr(39) * 2)}'")
 
 
+def _check_stored(subject: Subject) -> Iterator[str]:
+    return check_stored(subject.connection)
+
+
 def _check_sessions(subject: Subject) -> Iterator[str]:
     for row in subject.connection.execute(f"{SESSION_SQL} ORDER BY id"):
         session_info(row)
@@ -80,6 +85,7 @@ _CHECKS: tuple[Callable[[Subject], Iterator[str]], ...] = (
     check_layout,
     _check_root,
     check_marks,
+    _check_stored,
     _check_sessions,
     check_announced,
     check_extent,

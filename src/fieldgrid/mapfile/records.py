@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from fieldgrid import notebook
-from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError
+from fieldgrid.documents import parse_json
+from fieldgrid.errors import ConfigError, DatumError, FieldgridError, MapError, quoted
 from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
@@ -229,17 +230,17 @@ def frame_record(
             session=_text(session),
             frame_id=_text(frame_id),
             pose=placed,
-            images=tuple(str(name) for name in json.loads(images)),
+            images=tuple(str(name) for name in parse_json(images)),
             spec=GridSpec(width_m, length_m, cell_m),
             load=load,
             quality=None if quality is None else _whole(quality),
-            images_sha256=tuple(str(value) for value in json.loads(images_sha256)),
+            images_sha256=tuple(str(value) for value in parse_json(images_sha256)),
             cells_sha256=_text(cells_sha256),
             digest=_text(digest),
             driven=driven,
         )
     except (TypeError, ValueError, FieldgridError) as error:
-        what = f"Frame {frame_id!r} of session {session!r}"
+        what = f"Frame {quoted(frame_id)} of session {quoted(session)}"
         raise MapError(f"{what} is damaged: {str(error).rstrip('.')}.") from error
 
 
@@ -253,7 +254,7 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
             name=_text(name),
             created=_text(created),
             source=_text(source),
-            config=dict(json.loads(config)),
+            config=dict(parse_json(config)),
             software_version=_text(software),
             heading_source=_text(heading_source),
             first_time_ns=None if first is None else _whole(first),
@@ -267,23 +268,23 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
             transform=transform_of(transform),
         )
     except (TypeError, ValueError, FieldgridError) as error:
-        raise MapError(f"Session {name!r} is damaged: {str(error).rstrip('.')}.") from error
+        raise MapError(f"Session {quoted(name)} is damaged: {str(error).rstrip('.')}.") from error
 
 
 def _number(value: Any) -> float:
     """A stored number; SQLite has no NaN and keeps NULL in its place."""
     if value is not None and not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
+        raise TypeError(f"{quoted(value)} is no number")
     return math.nan if value is None else float(value)
 
 
 def _whole(value: Any) -> int:
     if not isinstance(value, int):
-        raise TypeError(f"{value!r} is no whole number")
+        raise TypeError(f"{quoted(value)} is no whole number")
     return value
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"{value!r} is no text")
+        raise TypeError(f"{quoted(value)} is no text")
     return value

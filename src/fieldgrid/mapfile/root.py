@@ -8,17 +8,25 @@ is still the one that was noted.
 from __future__ import annotations
 
 import hashlib
+import re
 import sqlite3
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.digest import as_json
 from fieldgrid.mapfile.marks import has_marks
 from fieldgrid.mapfile.schema import SRS_ID
+from fieldgrid.mapfile.stored_features import FOUND_KEY
 
 _KEY = "root_sha256"
-_DERIVED = ("data_window", _KEY)
+_OTHERS = ("data_window", FOUND_KEY, _KEY)
+"""Settings that it does not cover: what follows from the tiles, and what has its own digest."""
+
+_COUNTS_ROWS = re.compile(
+    r"""CREATE TRIGGER "?\w+"? AFTER (INSERT|DELETE) ON "?\w+"? BEGIN UPDATE gpkg_ogr_contents """
+    r"""SET feature_count = feature_count [+-] 1 WHERE lower\(table_name\) = lower\('\w+'\); ?END"""
+)
 
 _DRIVES = "The drives in this map"
 
@@ -46,7 +54,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
     hashed = hashlib.sha256()
     for query in (
         "SELECT key, value FROM fieldgrid_meta "
-        f"WHERE key NOT IN ({', '.join(repr(key) for key in _DERIVED)}) ORDER BY key",
+        f"WHERE key NOT IN ({', '.join(repr(key) for key in _OTHERS)}) ORDER BY key",
         "SELECT srs_name, srs_id, organization, organization_coordsys_id, definition, description "
         f"FROM gpkg_spatial_ref_sys WHERE srs_id = {SRS_ID}",
         "SELECT id, name, created, removed, transform, first_time_ns, last_time_ns, frames, "
@@ -86,8 +94,28 @@ def seal(connection: sqlite3.Connection) -> None:
     )
 
 
+def meddling_triggers(connection: sqlite3.Connection) -> list[str]:
+    """The triggers of a map that name a table of our own, whatever sets them off. None is ours,
+    and those by which GDAL counts the rows of a layer do no harm."""
+    rows = connection.execute(
+        "SELECT name, sql FROM sqlite_schema "
+        "WHERE type = 'trigger' AND instr(lower(sql), 'fieldgrid_')"
+    )
+    return [
+        shortened(name, 60)
+        for name, sql in rows
+        if not _COUNTS_ROWS.fullmatch(" ".join(str(sql).split()))
+    ]
+
+
 def check_root(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise MapError when a map is not as it was left: a change would hide that for good."""
+    """Raise MapError when a map is not as it was left: a change would hide that for good. So would
+    a trigger that the change sets off."""
+    if names := meddling_triggers(connection):
+        raise MapError(
+            f"{path} has triggers that change its tables behind its back ({', '.join(names)}). "
+            "Nothing was written; drop them with another program, or restore a copy of the map."
+        )
     if not read_root(connection).trusted:
         raise MapError(
             f"{path} is not as it was written: its settings, its plane, its list of sessions "

@@ -20,6 +20,7 @@ from typing import NamedTuple, Protocol
 
 from fieldgrid.array_types import AnyArray
 from fieldgrid.closing import Closing
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
@@ -318,7 +319,7 @@ def _unpacked(record: bytes) -> StagedFrame | None:
     if mark != _MARK or len(body) != size + length or zlib.crc32(body) != check:
         return None
     try:
-        name, time_ns, spec, sizes, sha256, images, hashes, ground = json.loads(body[:size])
+        name, time_ns, spec, sizes, sha256, images, hashes, ground = parse_json(body[:size])
         channels, start = [], size
         for channel, dtype, count in sizes:
             channels.append(EncodedChannel(channel, dtype, body[start : start + count]))

@@ -1,20 +1,25 @@
 """Features found in a map and stored in it for a GIS, the viewer and figures.
 
-They are tables of features, `found_` and their kind, and no evidence: no digest covers them. What
-they were found in is noted with them, so that whoever reads them can tell whether the map has
-changed since.
+They are tables of features, `found_` and their kind, and no evidence: a digest of their own covers
+them, and the root digest of the map stays as it is. What they were found in is noted with them, so
+that whoever reads them can tell whether the map has changed since.
 """
 
 from __future__ import annotations
 
+import hashlib
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.geometry import encode_shape, shape_of
+from fieldgrid.mapfile.row_digest import of_rows
 from fieldgrid.mapfile.schema import SRS_ID
 from fieldgrid.vectors import Feature
+
+FOUND_KEY = "found_sha256"
+"""In fieldgrid_meta: the digest of the layers that are stored, absent where there are none."""
 
 _PREFIX = "found_"
 _SAYS = "Found by fieldgrid in the map of SHA-256 "
@@ -38,6 +43,30 @@ def keep_features(
         connection.execute(f"DROP TABLE {_quoted(table)}")
     for kind in dict.fromkeys(feature.kind for feature in features):
         _keep(connection, kind, [one for one in features if one.kind == kind], root_sha256)
+    connection.execute("DELETE FROM fieldgrid_meta WHERE key = ?", (FOUND_KEY,))
+    if features:
+        digest = _digest(connection)
+        connection.execute("INSERT INTO fieldgrid_meta VALUES (?, ?)", (FOUND_KEY, digest))
+
+
+def check_stored(connection: sqlite3.Connection) -> Iterator[str]:
+    """The stored layers against their digest; those of maps of before there was one are not told
+    of."""
+    kept = connection.execute(
+        "SELECT value FROM fieldgrid_meta WHERE key = ?", (FOUND_KEY,)
+    ).fetchone()
+    if kept is None:
+        return
+    try:
+        digest = _digest(connection)
+    except sqlite3.DatabaseError as error:
+        digest = shortened(error)
+    if kept[0] != digest:
+        names = ", ".join(shortened(table, 60) for table, _ in _tables(connection))
+        yield (
+            f"The layers that `fieldgrid rows --keep` stored in the map ({names or 'none is left'})"
+            " are not as they were stored; run it again."
+        )
 
 
 def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | None:
@@ -73,6 +102,22 @@ def _tables(connection: sqlite3.Connection) -> list[tuple[str, str]]:
         "AND substr(table_name, 1, ?) = ? ORDER BY rowid",
         (len(_SAYS), _SAYS, len(_PREFIX), _PREFIX),
     ).fetchall()
+
+
+def _digest(connection: sqlite3.Connection) -> str:
+    """Of the tables of stored features: their rows, their layout and what a GIS is told of them."""
+    hashed = hashlib.sha256()
+    for table, _ in _tables(connection):
+        of = f"table_name = {_literal(table)}"
+        for rows in (
+            _quoted(table),
+            f"(SELECT sql FROM sqlite_schema WHERE type = 'table' AND name = {_literal(table)})",
+            "(SELECT table_name, data_type, identifier, description, min_x, min_y, max_x, max_y, "
+            f"srs_id FROM gpkg_contents WHERE {of})",
+            f"(SELECT * FROM gpkg_geometry_columns WHERE {of})",
+        ):
+            hashed.update(b"%d\n" % of_rows(connection, rows))
+    return hashed.hexdigest()
 
 
 def _keep(
@@ -126,3 +171,7 @@ def _plain(value: Any) -> Any:
 
 def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
+
+
+def _literal(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"

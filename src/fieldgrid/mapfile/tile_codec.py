@@ -163,18 +163,13 @@ def decode_tile(
     """
     side = TILE_CELLS // block if group.blocks else TILE_CELLS
     names = stored_channels(group, base=base)
-    head = 5 + 2 * len(names)
-    if not isinstance(blob, bytes) or len(blob) < head or blob[0] != len(names):
-        raise damaged(what, "its header does not fit its channels")
-    box, shifts, counts = Box(*blob[1:5]), blob[5:head:2], blob[6:head:2]
-    if min(box.shape) < 1 or max(box) >= side or max(shifts) > 63 or max(counts) > _WORD_BYTES:
-        raise damaged(what, f"its header is {tuple(blob[:head])}")
+    box, shifts, counts, packed = _head(blob, len(names), side, what)
     try:
         expected = expectation.of(group, box)
     except KeyError as error:
         raise damaged(what, "it has no density beside it") from error
     size = box.shape[0] * box.shape[1] * sum(counts)
-    planes = np.frombuffer(inflate(blob[head:], size, what), dtype=np.uint8)
+    planes = np.frombuffer(inflate(packed, size, what), dtype=np.uint8)
     planes = planes.reshape(-1, *box.shape)
     arrays, first = dict[str, UInt64](), 0
     guesses = _guesses(group, base=base)
@@ -189,3 +184,29 @@ def decode_tile(
         join(part, shift, guess, signed, box.first_row, box.first_column, arrays[name])
         first += count
     return arrays
+
+
+def stored_box(group: ChannelGroup, blob: object, what: str) -> Box:
+    """The box of a blob of the base level, of which nothing is unpacked: that of a group without
+    blocks is the extent of the cells that were observed."""
+    return _head(blob, len(stored_channels(group, base=True)), TILE_CELLS, what).box
+
+
+class _Head(NamedTuple):
+    """What a blob begins with, and the planes that follow, still packed."""
+
+    box: Box
+    shifts: bytes
+    counts: bytes
+    packed: bytes
+
+
+def _head(blob: object, channels: int, side: int, what: str) -> _Head:
+    """The head of a blob of so many channels, `side` values along a tile. MapError for others."""
+    end = 5 + 2 * channels
+    if not isinstance(blob, bytes) or len(blob) < end or blob[0] != channels:
+        raise damaged(what, "its header does not fit its channels")
+    box, shifts, counts = Box(*blob[1:5]), blob[5:end:2], blob[6:end:2]
+    if min(box.shape) < 1 or max(box) >= side or max(shifts) > 63 or max(counts) > _WORD_BYTES:
+        raise damaged(what, f"its header is {tuple(blob[:end])}")
+    return _Head(box, shifts, counts, blob[end:])

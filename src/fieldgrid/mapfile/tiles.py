@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import UInt64
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
 from fieldgrid.layers import Cells, ChannelGroup, is_nothing
 from fieldgrid.layers.blocks import block_side
 from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
-from fieldgrid.mapfile.tile_codec import stored_channels
+from fieldgrid.mapfile.tile_codec import Box, stored_box, stored_channels
 from fieldgrid.mapfile.tiling import TileMatrixSet, children
 
 _FARTHEST = 1 << 31
@@ -108,6 +109,15 @@ class TileTables:
             found.update(self.above(zoom, tile, later))
         return Cells(found, 1 << 2 * levels, block)
 
+    def observed(self, tile: TileIndex) -> Box:
+        """The part of a base tile that was observed; MapError when its density is damaged."""
+        density = self.groups[0]
+        ((blob,),) = self.rows(
+            "SELECT data FROM fieldgrid_tile WHERE (zoom, ty, tx, channels) = (?, ?, ?, ?)",
+            (self.matrices.base_zoom, *tile, density.name),
+        ) or [(None,)]
+        return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
+
     def block(self, levels: int) -> int:
         """Cells along the side of a block, so many levels above the base."""
         return max(block_side(self.matrices.lattice) >> levels, 1)
@@ -170,7 +180,7 @@ class TileTables:
             "ORDER BY 1 DESC, 2, 3",
             (base, base - whole, len(self.kept(1)), len(self.groups)),
         )
-        return [(zoom, _index(ty, tx), set(json.loads(has))) for zoom, ty, tx, has in rows]
+        return [(zoom, _index(ty, tx), set(parse_json(has))) for zoom, ty, tx, has in rows]
 
     def tiles(self, zoom: int) -> list[TileIndex]:
         """The observed tiles of a zoom level, in order."""

@@ -11,8 +11,13 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from fieldgrid.documents import parse_json
+from fieldgrid.errors import quoted
 from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window
+
+_FARTHEST = 1 << 40
+"""More cells than any map has, and few enough for whole numbers of all kinds."""
 
 _MARGIN_M = 500.0
 """More than the reach of any local grid, which may look out over `MAX_DISTANCE_M`."""
@@ -87,3 +92,14 @@ def children(tile: TileIndex) -> Iterator[TileIndex]:
 
 def _span(indices: set[int]) -> int:
     return max(indices) - min(indices) + 1 if indices else 0
+
+
+def window_of(text: str) -> Window:
+    """The extent of a map's cells as it is stored; ValueError says why it is none."""
+    try:
+        i0, j0, width, height = map(int, parse_json(text))
+    except (TypeError, OverflowError) as error:
+        raise ValueError(f"{quoted(text)} are no four whole numbers") from error
+    if min(width, height) < 1 or max(map(abs, (i0, j0, width, height))) > _FARTHEST:
+        raise ValueError(f"it has {width} x {height} cells from {i0}, {j0}")
+    return Window(i0, j0, width, height)

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import struct
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.trajectory import Pose, Trajectory
@@ -318,7 +320,7 @@ def transform_of(text: str | None) -> Transform:
     if text is None:
         return IDENTITY
     try:
-        kinds = json.loads(text)
+        kinds = parse_json(text)
         unknown = sorted(set(kinds) - {_RIGID, _WANDER, _HEIGHTS, _ALIGNED})
         if unknown or _RIGID not in kinds:
             raise MapError(
@@ -342,7 +344,9 @@ def transform_of(text: str | None) -> Transform:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) <= sys.float_info.max  # JSON has whole numbers beyond it
 
 
 def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:

@@ -13,17 +13,17 @@ from __future__ import annotations
 import hashlib
 import logging
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.errors import FieldgridError, MapError
+from fieldgrid.errors import FieldgridError, MapError, quoted, shortened
 from fieldgrid.grids import GridSpec
 from fieldgrid.layers import RETIRED_GROUPS, stored_groups
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
-from fieldgrid.mapfile.derived import add_groups, rebuild
+from fieldgrid.mapfile.derived import active, add_groups, rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
 from fieldgrid.mapfile.header import Header, check_plane, reread
 from fieldgrid.mapfile.metadata import digest_of, find
@@ -164,12 +164,15 @@ def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) ->
     return copy
 
 
-def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
-    """Bring a map of format 2 to the present one, within the caller's transaction.
+def upgrade(
+    connection: sqlite3.Connection, path: Path, header: Header, without: str | None = None
+) -> None:
+    """Bring a map of format 2 to the present one, within the caller's transaction. A session that
+    it is `without` gets no tiles: it is about to be removed.
 
     What was damaged stays so: it keeps a digest that does not fit. Raises MapError when the frames
-    of an active session cannot be read, or the datum is not that of the map's plane: format 2 has
-    nothing else that confirms it.
+    of another active session cannot be read, or the datum is not that of the map's plane: format 2
+    has nothing else that confirms it.
     """
     check_plane(connection, path, header.datum)
     _drop_views(connection)
@@ -189,7 +192,7 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
         f"INSERT INTO fieldgrid_session ({_SESSION_COLUMNS}) "
         f"SELECT {_SESSION_COLUMNS} FROM fieldgrid_session_2 ORDER BY id"
     )
-    whole = _copy_frames(connection)
+    whole, unreadable = _copy_frames(connection)
     for session_id in sorted(whole):
         _renew_digest(connection, path, header, session_id)
     for name in ("frame", "session"):
@@ -198,12 +201,37 @@ def upgrade(connection: sqlite3.Connection, path: Path, header: Header) -> None:
         "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
         (str(schema.FORMAT_VERSION),),
     )
-    rebuild(connection, path, header, stored_groups())
+    removed = "UPDATE fieldgrid_session SET removed = ? WHERE name = ? AND removed IS ?"
+    connection.execute(removed, ("now", without, None))
+    try:
+        rebuild(connection, path, header, stored_groups())
+    except MapError as error:
+        raise _not_upgraded(connection, path, unreadable) or error from error
+    connection.execute(removed, (None, without, "now"))
 
 
-def _copy_frames(connection: sqlite3.Connection) -> set[int]:
-    """Copy the frames; returns the sessions of which all were as they had been stored."""
-    damaged: set[int] = set()
+def _not_upgraded(
+    connection: sqlite3.Connection, path: Path, unreadable: Mapping[int, str]
+) -> MapError | None:
+    """The error for frames that cannot be read, by their sessions; None where all can be."""
+    named = [
+        f"frame {quoted(unreadable[session_id])} of session {quoted(name)}"
+        for session_id, name in active(connection)
+        if session_id in unreadable
+    ]
+    if not named:
+        return None
+    return MapError(
+        f"{path} cannot be brought up to date, which each change of it begins with: "
+        f"{shortened(', '.join(named))} is damaged. Nothing was changed. Take that session out "
+        "with `fieldgrid sessions --remove`, which keeps its frames, or restore a copy of the map."
+    )
+
+
+def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, str]]:
+    """Copy the frames; returns the sessions of which all were as they had been stored, and of those
+    with frames that cannot be read the first one."""
+    damaged, unreadable = set[int](), dict[int, str]()
     rows = connection.execute(
         "SELECT f.id, f.session_id, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.digest, "
         f"{', '.join('f.' + name for name in _FRAME_COLUMNS.split(', '))} FROM fieldgrid_frame_2 "
@@ -227,7 +255,7 @@ def _copy_frames(connection: sqlite3.Connection) -> set[int]:
             if hashed.hexdigest() == digest:
                 renewed = frame_digest((*values, sha256))
         except (FieldgridError, TypeError, ValueError):
-            pass
+            unreadable.setdefault(session_id, str(values[0]))
         if renewed == str(digest):
             damaged.add(session_id)
         connection.execute(
@@ -239,7 +267,7 @@ def _copy_frames(connection: sqlite3.Connection) -> set[int]:
             [(frame, *channel) for channel in channels],
         )
     every = {row[0] for row in connection.execute("SELECT id FROM fieldgrid_session")}
-    return every - damaged
+    return every - damaged, unreadable
 
 
 def _renew_digest(

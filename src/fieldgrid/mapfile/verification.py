@@ -38,8 +38,9 @@ from fieldgrid.mapfile.marks import announce_marks, check_marks, has_marks, read
 from fieldgrid.mapfile.metadata import count_frames, digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import check_root, read_root, seal
+from fieldgrid.mapfile.root import read_root, seal
 from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
+from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
@@ -95,7 +96,7 @@ def verify(
         notes += _why_deep(connection)
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
     checks = (
-        *(check_file, check_layout, check_types, _root, check_marks),
+        *(check_file, check_layout, check_types, _root, check_marks, _stored),
         *(() if rebuilt else (_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
@@ -179,6 +180,10 @@ def _root(subject: Subject) -> Iterator[str]:
         )
     elif not root.sound:
         yield "One of the two copies of the root digest is damaged; repair the map."
+
+
+def _stored(subject: Subject) -> Iterator[str]:
+    return check_stored(subject.connection)
 
 
 def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
@@ -285,7 +290,7 @@ def _frame_problem(record: FrameRecord) -> str:
 
 class Repaired(NamedTuple):
     """The channel groups that the tiles hold now, and what is still wrong with the evidence of
-    sessions that were taken out, of which nothing is read."""
+    sessions that were taken out, of which nothing is read, and with features that were found."""
 
     groups: tuple[str, ...]
     problems: tuple[str, ...]
@@ -302,7 +307,12 @@ def repair(
     subject = Subject(connection, path, header, Threads(jobs))
     if not read_root(connection).trusted:
         _renew_rows(connection, header)
-        check_root(connection, path)
+        if not read_root(connection).trusted:
+            raise MapError(
+                f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
+                "list of sessions or marks have changed since, and nothing tells what they were. "
+                "Nothing was written; restore a copy of the map."
+            )
     damaged = next(
         chain(
             damaged_pages(connection),
@@ -314,7 +324,8 @@ def repair(
     )
     if damaged is not None:
         raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: {damaged} Take "
+            f"{path} cannot be repaired, because its evidence is damaged: "
+            f"{shortened(damaged, _LONGEST_PROBLEM)} Take "
             "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
@@ -329,7 +340,7 @@ def repair(
     left = _left(subject._replace(header=_with_stored(header)))
     if left:  # which sums would call sound
         drop_sums(connection)
-    return Repaired(stored_groups(), left)
+    return Repaired(stored_groups(), (*left, *check_stored(connection)))
 
 
 def _with_stored(header: Header) -> Header:
@@ -342,8 +353,10 @@ def _left(subject: Subject) -> tuple[str, ...]:
     removed = islice(_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
     known = dict.fromkeys(shortened(one, _LONGEST_PROBLEM) for one in removed)
     grids = {shortened(one, _LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
+    stored = {shortened(one, _LONGEST_PROBLEM) for one in check_stored(connection)}
     assert runner is not None
-    found = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
+    problems = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
+    found = [problem for problem in problems if problem not in stored]
     for problem in found:
         if problem not in known and problem not in grids:
             raise MapError(

@@ -20,9 +20,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeGuard
 
+from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
 from fieldgrid.file_locks import lock
-from fieldgrid.limits import check_rows
+from fieldgrid.limits import Budget, check_rows
 from fieldgrid.publish import replacing
 from fieldgrid.recording.files import is_inside, read_text
 
@@ -93,7 +94,7 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
     `progress` is called with the number of files that are here and of all. Files that are no longer
     at the URL are removed from the copy; files that did not come from there stay. Another process
     that fetches the same is waited for. Raises RecordingError for what cannot be fetched,
-    ConfigError where a library is missing.
+    LimitError for an archive that unfolds to too much, ConfigError where a library is missing.
     """
     if _SECRET.search(url):
         raise ConfigError(
@@ -109,6 +110,7 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
             return Path(root)
         system.invalidate_cache()  # of listings: another process may have written since
         remote = _listed(system, root, url)
+        _check_unfolding(url, remote)
     copy = copy_of(url)
     with _local(copy), _only_here(copy):
         _check_kind(copy, is_file="" in remote)
@@ -193,6 +195,20 @@ def _listed(system: Any, root: str, url: str) -> dict[str, _RemoteFile]:
     return files
 
 
+def _check_unfolding(url: str, files: Mapping[str, _RemoteFile]) -> None:
+    """LimitError where files unfold to too much of the archive in which a chained URL finds them,
+    before any of it is fetched."""
+    _, is_chained, container = url.partition("::")
+    if not is_chained:
+        return
+    from fsspec.core import url_to_fs
+
+    system, root = url_to_fs(container)
+    packed = system.info(root).get("size")
+    if packed is not None:
+        Budget(quoted(url, 200), packed).spend(sum(file.size or 0 for file in files.values()))
+
+
 def _remote_file(info: Mapping[str, Any]) -> _RemoteFile:
     known = next((f"{key} {info[key]}" for key in _VERSIONS if info.get(key)), "")
     return _RemoteFile(info["name"], info.get("size"), known)
@@ -250,8 +266,8 @@ def _manifest_file(copy: Path) -> Path:
 
 def _read_manifest(copy: Path) -> _Manifest:
     """What is known of a copy; nothing where its manifest is missing or damaged."""
-    with suppress(FieldgridError, ValueError, RecursionError):
-        found = json.loads(read_text(_manifest_file(copy)))
+    with suppress(FieldgridError, ValueError):
+        found = parse_json(read_text(_manifest_file(copy)))
         if isinstance(found, dict) and isinstance(found.get("files"), dict):
             return _Manifest(str(found.get("url", "")), found["files"])
     return _Manifest("", {})
