@@ -174,11 +174,13 @@ def test_the_kernel_is_the_reference(
     inside = observed & (u >= 0) & (v >= 0) & (u < width) & (v < height)
     cell = np.where(inside, v * width + u, -1).astype(np.int32)
     np.testing.assert_array_equal(landing.cell, cell)
+    for row, (first, last) in zip(landing.cell, landing.spans, strict=True):
+        assert (np.delete(row, slice(first, last)) == -1).all()
 
     start = np.random.default_rng(seed).integers(0, 99, width * height).astype(np.uint64)
     table = np.arange(256, dtype=np.uint64) * np.uint64(3)
     compiled, reference = start.copy(), start.copy()
-    add_values(grid.density, landing.cell, shift, table, compiled)
+    add_values(grid.density, *landing, table, compiled)
     np.add.at(reference, cell[inside], table[values[inside]])
     np.testing.assert_array_equal(compiled, reference)
 

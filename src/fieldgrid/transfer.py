@@ -85,11 +85,14 @@ class Landing(NamedTuple):
     """Where the cells of one local grid land in a window of universal cells.
 
     `cell` is int32 [n_y << shift, n_x << shift]: the flat index in the window of each local cell
-    (of each of its 2^shift x 2^shift parts), -1 where it was not observed or lies outside.
+    (of each of its 2^shift x 2^shift parts), -1 where it was not observed or lies outside. `spans`
+    is int32 [n_y << shift, 2]: in each row all that is not -1 lies from the first of its columns to
+    before the second.
     """
 
     cell: Int32
     shift: int
+    spans: Int32
 
     @property
     def unit(self) -> int:
@@ -108,8 +111,9 @@ def land(
     shift = AREA_SHIFT if transfer is Transfer.AREA else 0
     axes = universal_axes(grid.spec, pose, lattice, shift)
     cell = np.empty((grid.spec.n_y << shift, grid.spec.n_x << shift), dtype=np.int32)
-    locate(grid.observed, *axes, shift, *window, cell)
-    return Landing(cell, shift)
+    spans = np.empty((len(cell), 2), dtype=np.int32)
+    locate(grid.observed, *axes, shift, *window, cell, spans)
+    return Landing(cell, shift, spans)
 
 
 _SUM_BITS = 36
@@ -140,7 +144,7 @@ class WeightedSums:
         self._room -= most
         unit = np.uint64(landing.unit)
         table = (unit << np.uint64(_SUM_BITS)) + _VALUES * unit
-        add_values(grid.density, landing.cell, landing.shift, table, self._packed)
+        add_values(grid.density, *landing, table, self._packed)
 
     def channels(self) -> UInt64:
         """(weight, weighted sum) of each cell, uint64 [2, cells]."""
@@ -255,32 +259,48 @@ def _part_centres_m(spec: GridSpec, shift: int) -> tuple[Float64, Float64]:
 
 
 @kernel
+def seen_span(observed):  # type: ignore[no-untyped-def]
+    """The first column of a row that was observed, and the one behind the last."""
+    first, last = 0, observed.size
+    while first < last and not observed[first]:
+        first += 1
+    while last > first and not observed[last - 1]:
+        last -= 1
+    return first, last
+
+
+@kernel
 def locate(  # type: ignore[no-untyped-def]
-    observed, column_i, column_j, row_i, row_j, shift, i0, j0, width, height, cell
+    observed, column_i, column_j, row_i, row_j, shift, i0, j0, width, height, cell, spans
 ):
-    """Fill the `cell` of a `Landing`. Two loops a row, because the first then runs in vector
-    registers: floats until the end, as whole numbers of 64 bits would not fit those."""
+    """Fill the `cell` and `spans` of a `Landing`. Two loops a row, because the first then runs in
+    vector registers: floats until the end, as whole numbers of 64 bits would not fit those."""
     for fine_r in range(cell.shape[0]):
         r, i_r, j_r = fine_r >> shift, row_i[fine_r], row_j[fine_r]
-        for c in range(cell.shape[1]):
+        first, last = seen_span(observed[r])
+        start, end = first << shift, last << shift
+        spans[fine_r, 0], spans[fine_r, 1] = start, end
+        cell[fine_r, :start] = -1
+        cell[fine_r, end:] = -1
+        for c in range(start, end):
             u = np.floor(column_i[c] + i_r) - i0
             v = np.floor(column_j[c] + j_r) - j0
             inside = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
             cell[fine_r, c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
-        for c in range(cell.shape[1]):
+        for c in range(start, end):
             if not observed[r, c >> shift]:
                 cell[fine_r, c] = -1
 
 
 @kernel
-def add_values(values, cell, shift, table, sums):  # type: ignore[no-untyped-def]
+def add_values(values, cell, shift, spans, table, sums):  # type: ignore[no-untyped-def]
     """Add to each cell of a `Landing` what `table` has for the value of the local cell.
 
     Neighbours that land in one cell are added up before it is touched.
     """
     for r in range(cell.shape[0]):
         last, total = np.int32(-1), np.uint64(0)
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             k = cell[r, c]
             if k != last:
                 if last >= 0:

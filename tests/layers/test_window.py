@@ -10,7 +10,7 @@ import pytest
 
 from fieldgrid.grids import GROUND_CHANNEL, STEP_CHANNEL, GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import GROUPS, Cells, Combine, FrameCells, is_nothing, nothing
+from fieldgrid.layers import GROUPS, Cells, Combine, FrameCells, has_any, is_nothing, nothing
 from fieldgrid.layers.window import WindowFold, coarser, merge_sessions, with_overviews
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 from tests.mapfile.maps import CELL_M, Frame, drive, grid_of, one_cell, pose_at
@@ -165,3 +165,40 @@ def test_blocks_of_which_nothing_was_observed_have_nothing() -> None:
             part = WINDOW.slices_of(window)
             for name in cells:
                 np.testing.assert_array_equal(cells[name], whole[name][part])
+
+
+@pytest.mark.parametrize("value", [1, 2, 256, 1 << 63])
+def test_a_channel_has_any_value_or_none(value: int) -> None:
+    values = np.zeros((40, 50), np.uint64)
+    assert not has_any(values)
+    assert not has_any(nothing((40, 50)))
+    values[39, 49] = value
+    assert has_any(values)
+    assert has_any(values[30:, 40:])
+    assert not has_any(values[:30, 40:])
+    assert has_any(values.T)  # which is no row of bytes
+    assert has_any(values[39, 49:])
+
+
+@pytest.mark.parametrize("whole_blocks", [False, True])
+def test_cells_beyond_the_window_are_nothing(whole_blocks: bool) -> None:
+    ground = {GROUND_CHANNEL: np.full(grid_of(0).spec.shape, 30, np.int16)}
+    small, large = (
+        WindowFold(Lattice(CELL_M), window, Transfer.CENTRE, ALL)
+        for window in (Window(-40, -30, 256, 210), WINDOW)
+    )
+    for grid, pose in drive(3):
+        for fold in (small, large):
+            fold.add(FrameCells(grid, ground), pose)
+    part = Window(-256, 0, 512, 256)
+    beyond = small.cells(part, whole_blocks=whole_blocks)
+    whole = large.cells(part, whole_blocks=whole_blocks)
+    assert beyond["weight"].any()
+    assert {name: value.shape for name, value in beyond.items()} == {
+        name: value.shape for name, value in whole.items()
+    }
+    seen = np.zeros(part.shape, np.bool_)
+    seen[:180, 216:472] = True  # from the corner of the small window on
+    for name, values in whole.items():
+        side = part.height // len(values)
+        np.testing.assert_array_equal(beyond[name], np.where(seen[::side, ::side], values, 0))

@@ -13,6 +13,7 @@ from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import FrameCells
 from fieldgrid.mapfile.codec import (
     EncodedChannel,
+    as_decoded,
     cells_sha256,
     decode_cells,
     decode_channel,
@@ -130,3 +131,26 @@ def test_a_type_that_is_none_is_damage(text: str) -> None:
     """NumPy parses such texts as Python, and raises SyntaxError."""
     with pytest.raises(MapError, match="damaged"):
         decode_channel(GridSpec(width_m=1.0, length_m=1.0, cell_m=0.5), text, b"", "frame")
+
+
+def test_cells_at_hand_are_those_that_would_be_decoded() -> None:
+    random = np.random.default_rng(1)
+    observed = random.random(SPEC.shape) < 0.5
+    grid = LocalGrid(SPEC, random.integers(1, 255, SPEC.shape, dtype=np.uint8), observed)
+    extra = {
+        "big": random.integers(-9, 9, SPEC.shape).astype(">i2"),
+        "flag": random.random(SPEC.shape) < 0.5,
+        "turned": np.asfortranarray(random.random(SPEC.shape)),
+    }
+    decoded = decode_cells(SPEC, encode_channels(grid, extra), "x")
+    at_hand = as_decoded(grid, extra)
+    for array in (grid.density, grid.observed, *extra.values()):
+        array.flags.writeable = True
+        array[:] = 0  # theirs are copies
+    np.testing.assert_array_equal(at_hand.grid.density, decoded.grid.density)
+    np.testing.assert_array_equal(at_hand.grid.observed, decoded.grid.observed)
+    assert at_hand.channels.keys() == decoded.channels.keys()
+    for name, values in decoded.channels.items():
+        np.testing.assert_array_equal(at_hand.channels[name], values)
+        assert at_hand.channels[name].dtype == values.dtype
+        assert at_hand.channels[name].flags.c_contiguous

@@ -19,6 +19,7 @@ from fieldgrid.layers.declaration import (
     Layer,
     OverviewChannel,
     Surroundings,
+    has_any,
     is_nothing,
     nothing,
 )
@@ -56,6 +57,7 @@ __all__ = [
     "channel_names",
     "check_layers",
     "groups_of",
+    "has_any",
     "is_nothing",
     "nothing",
     "register_group",

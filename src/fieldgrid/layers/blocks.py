@@ -123,15 +123,33 @@ def look_up(east, north, column, row, cos, sin, n_x, n_y, half, block, cell):  #
     return count
 
 
-def blocks_of(cells: Int32, lattice: Lattice, window: Window) -> Int64:
-    """The flat indices of the blocks under a window that hold some of its cells, flat indices."""
+def blocks_of(cells: Int32, lattice: Lattice, window: Window) -> Int32:
+    """The flat indices of the blocks under a window that hold some of its cells, flat indices, in
+    no order."""
     side = block_side(lattice)
     under = blocks_under(window, side)
-    row, column = np.divmod(cells, window.width)
-    row, column = (row + window.j0) // side - under.j0, (column + window.i0) // side - under.i0
     held = np.zeros(under.width * under.height, np.bool_)
-    held[row * under.width + column] = True
-    return np.flatnonzero(held)
+    blocks = np.empty(min(cells.size, held.size), np.int32)
+    # How far the window begins behind the corner of its first block.
+    j0, i0 = window.j0 - side * under.j0, window.i0 - side * under.i0
+    count = find_blocks(cells, window.width, j0, i0, side, under.width, held, blocks)
+    return blocks[:count]
+
+
+@kernel
+def find_blocks(cells, width, j0, i0, side, across, held, blocks):  # type: ignore[no-untyped-def]
+    """Fill `blocks` with each block that holds a cell once; returns how many there are. `held` is
+    false before."""
+    count, last, block = 0, -1, 0
+    for k in cells:
+        row, column = np.uint32(k) // np.uint32(width), np.uint32(k) % np.uint32(width)
+        block = ((row + j0) // side) * across + (column + i0) // side
+        if block != last and not held[np.uint32(block)]:
+            held[np.uint32(block)] = True
+            blocks[count] = block
+            count += 1
+        last = block
+    return count
 
 
 def session_means(total: AnyArray, count: AnyArray) -> Int64:

@@ -6,6 +6,7 @@ import numpy as np
 
 from fieldgrid import palette
 from fieldgrid.array_types import UInt32, UInt64
+from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice
 from fieldgrid.layers.declaration import Channel, ChannelGroup, Colours, Combine, Layer
 from fieldgrid.layers.frame import FrameInPlace
@@ -17,10 +18,17 @@ class _Frames:
         self._frames: UInt32 = np.zeros(cells, dtype=np.uint32)
 
     def add(self, frame: FrameInPlace) -> None:
-        self._frames[frame.touched] += 1  # each cell is in there once
+        add_one(frame.touched, self._frames)
 
     def channels(self) -> UInt64:
         return self._frames.astype(np.uint64)[None]
+
+
+@kernel
+def add_one(touched, frames):  # type: ignore[no-untyped-def]
+    """Count one frame more in the cells that it touched, each of which is in there once."""
+    for k in touched:
+        frames[np.uint32(k)] += 1
 
 
 def frames_of_weight(weight: UInt64) -> UInt64:

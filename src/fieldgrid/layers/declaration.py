@@ -78,6 +78,15 @@ def is_nothing(channel: UInt64) -> bool:
     return not any(channel.strides) and channel.size > 1 and not channel.flat[0]
 
 
+def has_any(channel: UInt64) -> bool:
+    """Whether a channel is other than 0 anywhere."""
+    if is_nothing(channel):
+        return False
+    if channel.strides[-1] == channel.itemsize:
+        channel = channel.view(np.bool_)  # whose search ends at the first that is
+    return bool(channel.any())
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """A stored channel.
@@ -135,7 +144,7 @@ class ChannelGroup:
     (:mod:`fieldgrid.layers.blocks`), of which `fold` is given the number; such a group has no
     `expected`. `overview_of_base` makes the overview channels that share a calculation, those
     without `of_base`, at once. `unfold` makes the channels of a part of the window from what the
-    fold gave of it, where that is less.
+    fold gave of it, where that is less; it must give 0 for 0.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are stored above the base only.

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, UInt64
+from fieldgrid.array_types import AnyArray, Int32, UInt64
 from fieldgrid.grids import (
     BEYOND_DROP,
     DROP_CHANNEL,
@@ -37,7 +37,7 @@ from fieldgrid.layers.declaration import (
 )
 from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.relief import LEAST_STEP_CM
-from fieldgrid.transfer import CELL_WEIGHT
+from fieldgrid.transfer import CELL_WEIGHT, add_values
 
 CLEAR, FALLS = -1, 2
 """What a part of a local cell adds to the log-odds of a drop."""
@@ -50,57 +50,63 @@ BEYOND_SHARE = (3, 4)
 
 
 class _Drops:
-    """Six sums over the parts of local cells that land in a cell: all; log-odds of a drop; those
-    with a drop, and its centimetres; those that lie beyond an edge, and those that do not."""
+    """How many parts of local cells land in a cell, and five sums over those of frames that tell of
+    drops: log-odds of a drop; parts with a drop, and its centimetres; those that lie beyond an
+    edge, and those that do not."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
-        self._sums = np.zeros((cells, 6), dtype=np.int32)
-        self._told = False
+        self._parts = np.zeros(cells, dtype=np.uint64)
+        self._sums: Int32 | None = None  # before the first frame that tells any
 
     def add(self, frame: FrameInPlace) -> None:
         spec, landing, channels = frame.cells.grid.spec, frame.landing, frame.cells.channels
-        untold = np.full(spec.shape, NO_DROP_TOLD, np.uint8)
+        each = np.full(256, landing.unit, np.uint64)
+        add_values(frame.cells.grid.density, *landing, each, self._parts)
         drops_cm, steps_cm = channels.get(DROP_CHANNEL), channels.get(STEP_CHANNEL)
-        self._told |= drops_cm is not None
+        if drops_cm is None:
+            return
+        if self._sums is None:
+            self._sums = np.zeros((self._parts.size, 5), dtype=np.int32)
+        if steps_cm is None:
+            steps_cm = np.full(spec.shape, NO_DROP_TOLD, np.uint8)
         add_drops(
-            np.ascontiguousarray(untold if drops_cm is None else drops_cm, dtype=np.uint8),
-            np.ascontiguousarray(untold if steps_cm is None else steps_cm, dtype=np.uint8),
-            landing.cell,
-            landing.shift,
+            np.ascontiguousarray(drops_cm, dtype=np.uint8),
+            np.ascontiguousarray(steps_cm, dtype=np.uint8),
+            *landing,
             landing.unit,
             self._sums,
         )
 
     def channels(self) -> UInt64:
-        if not self._told:
-            return nothing((4, len(self._sums)))
-        parts, odds, drops, total_cm, behind, before = self._sums.T.astype(np.int64)
+        if self._sums is None:
+            return nothing((4, self._parts.size))
+        odds, drops, total_cm, behind, before = self._sums.T.astype(np.int64)
         share, whole = BEYOND_SHARE
         beyond = (behind > 0) & (whole * behind >= share * (behind + before))
         odds = np.clip(odds, LEAST, MOST)
-        return np.stack([odds, drops, total_cm, np.where(beyond, parts, 0)]).view(np.uint64)
+        parts = np.where(beyond, self._parts.view(np.int64), 0)
+        return np.stack([odds, drops, total_cm, parts]).view(np.uint64)
 
 
 @kernel
-def add_drops(drops_cm, steps_cm, cell, shift, unit, sums):  # type: ignore[no-untyped-def]
-    """Add what a frame says of its cells [n_y, n_x] to `sums` [cells, 6], where its parts land."""
+def add_drops(drops_cm, steps_cm, cell, shift, spans, unit, sums):  # type: ignore[no-untyped-def]
+    """Add what a frame says of its cells [n_y, n_x] to `sums` [cells, 5], where its parts land."""
     for r in range(cell.shape[0]):
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             if cell[r, c] < 0:
                 continue
             k = np.uint32(cell[r, c])
             drop, step = drops_cm[r >> shift, c >> shift], steps_cm[r >> shift, c >> shift]
-            sums[k, 0] += unit
             if drop == 0:
-                sums[k, 5] += unit
-                if step < LEAST_STEP_CM:
-                    sums[k, 1] += CLEAR * unit
-            elif drop == BEYOND_DROP:
                 sums[k, 4] += unit
+                if step < LEAST_STEP_CM:
+                    sums[k, 0] += CLEAR * unit
+            elif drop == BEYOND_DROP:
+                sums[k, 3] += unit
             elif drop != NO_DROP_TOLD:
-                sums[k, 1] += FALLS * unit
-                sums[k, 2] += unit
-                sums[k, 3] += unit * np.int32(drop)
+                sums[k, 0] += FALLS * unit
+                sums[k, 1] += unit
+                sums[k, 2] += unit * np.int32(drop)
 
 
 def _expected(weight: UInt64, _: UInt64) -> Sequence[UInt64]:

@@ -27,16 +27,15 @@ class _Heights:
     does not count."""
 
     def __init__(self, blocks: int, _: Lattice) -> None:
-        self._sums = np.zeros((2, blocks), dtype=np.int64)
+        self._sums = np.zeros((blocks, 2), dtype=np.int64)
 
     def add(self, frame: FrameInPlace) -> None:
         if math.isfinite(frame.pose.up_m):
             seen = blocks_of(frame.touched, frame.lattice, frame.window)
-            self._sums[0, seen] += round(frame.pose.up_m * _PER_M)
-            self._sums[1, seen] += 1
+            self._sums[seen] += round(frame.pose.up_m * _PER_M), 1
 
     def channels(self) -> Sequence[UInt64]:
-        total, frames = self._sums
+        total, frames = self._sums.T
         said = session_means(total, frames), (frames > 0).astype(np.int64)
         return [one.view(np.uint64) for one in said]
 

@@ -17,18 +17,17 @@ class _Highest:
         self._highest: UInt8 = np.zeros(cells, dtype=np.uint8)
 
     def add(self, frame: FrameInPlace) -> None:
-        landing = frame.landing
-        raise_to(frame.cells.grid.density, landing.cell, landing.shift, self._highest)
+        raise_to(frame.cells.grid.density, *frame.landing, self._highest)
 
     def channels(self) -> UInt64:
         return self._highest.astype(np.uint64)[None]
 
 
 @kernel
-def raise_to(values, cell, shift, highest):  # type: ignore[no-untyped-def]
+def raise_to(values, cell, shift, spans, highest):  # type: ignore[no-untyped-def]
     """Raise each cell of a landing to the value of the local cell, where that is higher."""
     for r in range(cell.shape[0]):
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             k = cell[r, c]
             if k >= 0:
                 value = values[r >> shift, c >> shift]

@@ -36,7 +36,7 @@ from fieldgrid.layers.declaration import (
 from fieldgrid.layers.density import DENSITIES
 from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.layers.lasting import lasting_density
-from fieldgrid.transfer import footprint
+from fieldgrid.transfer import footprint, seen_span
 
 LEAST_CLEAR, LEAST_LOOKS = 2, 4
 """Clear looks since the latest obstacle, and looks of both kinds, that tell of a thing that moved.
@@ -116,7 +116,8 @@ def add_looks(  # type: ignore[no-untyped-def]
     # How many cells of a row before each were seen, and how many of them are not free.
     before, others = np.zeros((n_y, n_x + 1), np.int32), np.zeros((n_y, n_x + 1), np.int32)
     for r in range(n_y):
-        for c in range(n_x):
+        start, end = seen_span(observed[r])
+        for c in range(start, end):
             value = density[r, c]
             before[r, c + 1] = before[r, c] + observed[r, c]
             others[r, c + 1] = others[r, c] + (observed[r, c] and value > FREE_UP_TO)
@@ -127,6 +128,10 @@ def add_looks(  # type: ignore[no-untyped-def]
                     stands[j, i] = True
                     if value > OBSTACLE_ABOVE:
                         hits[j, i] = min(hits[j, i] + 1, 255)
+        before[r, end + 1 :], others[r, end + 1 :] = before[r, end], others[r, end]
+    # Where the middles of the cells of a row lie in the grid, in local cells.
+    across, along = np.empty(width), np.empty(width)
+    lines, columns = np.empty(width, np.int32), np.empty(width, np.int32)
     for cell_j in range(j0, j0 + height):
         away_n = (cell_j + 0.5) / per_m - north_m
         # The columns between the sides of the grid, and between its ends, a cell more on each side.
@@ -139,13 +144,17 @@ def add_looks(  # type: ignore[no-untyped-def]
                 low, high = (east_m + low / slope) * per_m, (east_m + high / slope) * per_m
                 first = max(first, int(np.floor(min(low, high))) - 1)
                 last = min(last, int(np.floor(max(low, high))) + 2)
+        for i in range(last - first):  # in vector registers, as in `locate`
+            away_e = (first + i + 0.5) / per_m - east_m
+            across[i] = (away_e * cos - away_n * sin) / local_m
+            along[i] = (away_e * sin + away_n * cos) / local_m
+            columns[i] = np.int32(np.floor(across[i] + half))
+            lines[i] = np.int32(np.floor(along[i]))
         for cell_i in range(first, last):
-            away_e = (cell_i + 0.5) / per_m - east_m
-            x = (away_e * cos - away_n * sin) / local_m
-            y = (away_e * sin + away_n * cos) / local_m
-            r, c = int(np.floor(y)), int(np.floor(x + half))
+            r, c = lines[cell_i - first], columns[cell_i - first]
             if r < 0 or c < 0 or r >= n_y or c >= n_x:
                 continue
+            x, y = across[cell_i - first], along[cell_i - first]
             k = (cell_j - window_j0) * window_width + cell_i - window_i0
             if stands[r, c]:
                 if looks[k, 1] > (1 if when_ns[k, 2] == time_ns else 0):

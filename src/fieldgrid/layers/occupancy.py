@@ -70,7 +70,7 @@ class _LogOdds:
         landing, density = frame.landing, frame.cells.grid.density
         drops_cm = frame.cells.channels.get(DROP_CHANNEL, _NO_DROPS)
         add_log_odds(
-            *(density, np.ascontiguousarray(drops_cm), landing.cell, landing.shift),
+            *(density, np.ascontiguousarray(drops_cm), *landing),
             *(self._frames, _SAYS, _WORTH, self._cells),
         )
 
@@ -80,7 +80,7 @@ class _LogOdds:
 
 
 @kernel
-def add_log_odds(density, drops_cm, cell, shift, number, says, worth, cells):  # type: ignore[no-untyped-def]
+def add_log_odds(density, drops_cm, cell, shift, spans, number, says, worth, cells):  # type: ignore[no-untyped-def]
     """Add what a frame says of each cell to `cells` [cells, 2]: its log-odds, and what the last
     frame said there, plus 4 times the number of that. `drops_cm` is empty where it tells none.
 
@@ -88,7 +88,7 @@ def add_log_odds(density, drops_cm, cell, shift, number, says, worth, cells):  #
     """
     before = np.int32(4 * number)
     for r in range(cell.shape[0]):
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             if cell[r, c] < 0:
                 continue
             k = np.uint32(cell[r, c])
@@ -107,14 +107,18 @@ def add_log_odds(density, drops_cm, cell, shift, number, says, worth, cells):  #
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """As if all frames agreed."""
-    frames = frames_of_weight(weight).view(np.int64)
-    odds = FREE * frames
-    np.maximum(odds, LEAST, out=odds)
-    odds *= total == 0
-    obstacle = total > weight * np.uint64(OBSTACLE_ABOVE)
-    if obstacle.any():
-        odds[obstacle] = np.minimum(OCCUPIED * frames[obstacle], MOST)
-    return odds.view(np.uint64)[None]
+    odds = np.empty((1, weight.size), dtype=np.int64)
+    fill_agreed(frames_of_weight(weight).view(np.int64), weight, total, odds[0])
+    return odds.view(np.uint64)
+
+
+@kernel
+def fill_agreed(frames, weight, total, odds):  # type: ignore[no-untyped-def]
+    """Fill `odds` with the log-odds of cells in which all frames saw the same."""
+    for k in range(odds.size):
+        free = max(FREE * frames[k], LEAST) if total[k] == 0 else 0
+        is_obstacle = total[k] > weight[k] * np.uint64(OBSTACLE_ABOVE)
+        odds[k] = min(OCCUPIED * frames[k], MOST) if is_obstacle else free
 
 
 def _of_base(cells: Cells) -> UInt64:

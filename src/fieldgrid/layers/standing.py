@@ -52,8 +52,7 @@ class _Standing:
             grid.density,
             np.ascontiguousarray(tops_dm, dtype=np.uint8),
             np.ascontiguousarray(feet_dm, dtype=np.uint8),
-            landing.cell,
-            landing.shift,
+            *landing,
             self._most,
         )
 
@@ -62,11 +61,11 @@ class _Standing:
 
 
 @kernel
-def raise_standing(density, tops_dm, feet_dm, cell, shift, most):  # type: ignore[no-untyped-def]
+def raise_standing(density, tops_dm, feet_dm, cell, shift, spans, most):  # type: ignore[no-untyped-def]
     """Raise `most` [cells, 3] to what a frame [n_y, n_x] says of the cells that it lands in."""
     for r in range(cell.shape[0]):
         j = r >> shift
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             i = c >> shift
             if cell[r, c] < 0 or density[j, i] == 0 or tops_dm[j, i] == 0:
                 continue

@@ -25,7 +25,7 @@ class _Squares:
     def add(self, frame: FrameInPlace) -> None:
         landing = frame.landing
         table = _SQUARES * np.uint64(landing.unit)
-        add_values(frame.cells.grid.density, landing.cell, landing.shift, table, self._squares)
+        add_values(frame.cells.grid.density, *landing, table, self._squares)
 
     def channels(self) -> UInt64:
         return self._squares[None]

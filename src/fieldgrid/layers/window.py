@@ -17,6 +17,7 @@ from fieldgrid.layers.declaration import (
     ChannelGroup,
     Combine,
     OverviewChannel,
+    has_any,
     is_nothing,
     nothing,
 )
@@ -73,15 +74,20 @@ class WindowFold:
         if self._stamps is None:
             self._stamps = np.zeros(math.prod(self._window.shape), np.int32)
         touched = np.empty(min(landing.cell.size, self._stamps.size), dtype=np.int32)
-        return touched[: touch(landing.cell, self._frames, self._stamps, touched)]
+        return touched[: touch(landing.cell, landing.spans, self._frames, self._stamps, touched)]
 
     def cells(self, part: Window | None = None, *, whole_blocks: bool = False) -> Cells:
-        """The channels of the window, or of a part of it; no frame follows.
+        """The channels of the window, or of another that it touches, which are 0 outside of this
+        one; no frame follows.
 
         Where the part has `whole_blocks`, groups with blocks give one value for each.
         """
         if self._folds:
             self._finish()
+        if part is not None and self._window.union(part) != self._window:
+            common = self._window.intersect(part)
+            assert common is not None
+            return self._within(part, self.cells(common, whole_blocks=whole_blocks))
         inside, arrays = part or self._asked, dict[str, UInt64]()
         for group in self._groups:
             if group.derived:
@@ -97,6 +103,23 @@ class WindowFold:
                 else:
                     arrays[one.name] = _own(values)
         return Cells(arrays, block=self._side if whole_blocks else 1)
+
+    def _within(self, whole: Window, cells: Cells) -> Cells:
+        """The cells of a part of a window as those of the whole."""
+        common = self._window.intersect(whole)
+        assert common is not None
+        arrays = dict[str, UInt64]()
+        for group in self._groups:
+            side = cells.block if group.blocks else 1
+            under = blocks_under(whole, side)
+            inside = under.slices_of(blocks_under(common, side))
+            for name in (channel.name for channel in group.channels):
+                if is_nothing(cells[name]):
+                    arrays[name] = nothing(under.shape)
+                else:
+                    arrays[name] = np.zeros(under.shape, np.uint64)
+                    arrays[name][inside] = cells[name]
+        return Cells(arrays, block=cells.block)
 
     def _finish(self) -> None:
         """Take the channels from the folds: nothing of blocks in which no cell was observed."""
@@ -120,6 +143,9 @@ class WindowFold:
     def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> Iterable[UInt64]:
         """The channels of a group that was folded, in a part of the window."""
         done = self._done[group.name]
+        if all(is_nothing(values) for values in done):
+            units = blocks_under(part, self._side) if group.blocks and whole_blocks else part
+            return [nothing(units.shape)] * len(group.channels)
         if group.blocks:
             under = self._under.slices_of(blocks_under(part, self._side))
             found = [
@@ -150,17 +176,15 @@ def at_cells(values: UInt64, window: Window, side: int) -> UInt64:
 
 def _own(values: UInt64) -> UInt64:
     """A part of a channel as an array of its own, which does without the others' memory."""
-    if is_nothing(values) or not values.any():
-        return nothing(values.shape)
-    return np.ascontiguousarray(values)
+    return np.ascontiguousarray(values) if has_any(values) else nothing(values.shape)
 
 
 @kernel
-def touch(cell, number, stamps, touched):  # type: ignore[no-untyped-def]
+def touch(cell, spans, number, stamps, touched):  # type: ignore[no-untyped-def]
     """Fill `touched` with each cell of a landing once; returns how many there are."""
     count = 0
     for r in range(cell.shape[0]):
-        for c in range(cell.shape[1]):
+        for c in range(spans[r, 0], spans[r, 1]):
             k = cell[r, c]
             if k >= 0 and stamps[np.uint32(k)] != number:
                 stamps[np.uint32(k)] = number

@@ -137,6 +137,16 @@ def decode_cells(spec: GridSpec, stored: Iterable[EncodedChannel], what: str) ->
     return FrameCells(LocalGrid(spec, density, observed), arrays)
 
 
+def as_decoded(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> FrameCells:
+    """The cells of a frame, copied, as they are decoded after `encode_channels`."""
+    density = np.where(grid.observed, grid.density, np.uint8(0))
+    channels = {
+        name: array.astype(bool if array.dtype.kind == "b" else _little(array), order="C")
+        for name, array in extra.items()
+    }
+    return FrameCells(LocalGrid(grid.spec, density, grid.observed.copy()), channels)
+
+
 def cells_sha256(cells: FrameCells) -> str:
     """The SHA-256 of a frame's channels, uncompressed, whatever compressor stored them."""
     grid = cells.grid

@@ -28,6 +28,7 @@ from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header, reread
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
+from fieldgrid.mapfile.memory import keep_freed_memory
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.mapfile.records import sessions_html
 from fieldgrid.mapfile.root import check_root, seal
@@ -70,6 +71,7 @@ class MapFile(MapReader):
         patience: Patience = USUAL_PATIENCE,
     ) -> None:
         super().__init__(path, connection, header)
+        keep_freed_memory()
         self._patience = patience
         self._draft = draft
         self._writable = writable

@@ -11,19 +11,26 @@ from fieldgrid.kernel import kernel
 
 
 @kernel
-def differences(stored, expected, signed):  # type: ignore[no-untyped-def]
-    """Take from the flat values `stored` of a part of a tile what is expected of it; `signed` ones
-    become small numbers. Returns the bits that any of them has."""
+def differences(values, expected, signed, row, column, stored):  # type: ignore[no-untyped-def]
+    """Fill `stored` [rows, columns] with what the values of a tile from a row and column on are
+    more than expected; `signed` ones become small numbers. Returns the bits that any of them has.
+    """
     one, bits = np.uint64(1), np.uint64(0)
-    if expected.size > 0:
-        for k in range(stored.size):
-            stored[k] -= expected[k]
-    for k in range(stored.size):
-        value = stored[k]
+    width = stored.shape[1]
+    for j in range(stored.shape[0]):
+        out, own = stored[j], values[row + j, column : column + width]
+        if expected.size > 0:
+            others = expected[j * width : (j + 1) * width]
+            for i in range(width):
+                out[i] = own[i] - others[i]
+        else:
+            for i in range(width):
+                out[i] = own[i]
         if signed:
-            value = (value << one) ^ np.uint64(np.int64(value) >> 63)
-            stored[k] = value
-        bits |= value
+            for i in range(width):
+                out[i] = (out[i] << one) ^ np.uint64(np.int64(out[i]) >> 63)
+        for i in range(width):
+            bits |= out[i]
     return bits
 
 

@@ -10,6 +10,7 @@ import sqlite3
 import threading
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 from typing import NamedTuple, TypeVar
 
 from fieldgrid.array_types import UInt64
@@ -35,9 +36,9 @@ _Result = TypeVar("_Result")
 BLOCK_TILES = 3
 """Side of the square of tiles that is folded at a time. It takes up to 90 MB with cells of 5 cm,
 however many frames there are. Heights of the terrain take up to half a kilobyte of that for each
-block, so that it is up to 400 MB where a block is a single cell, which then is 0.13 m or more."""
-
-_SIDE = BLOCK_TILES * TILE_CELLS
+block, so that it is up to 400 MB where a block is a single cell, which then is 0.13 m or more.
+A session that is narrower is folded in longer rectangles of no more tiles: a frame that falls into
+two of them is carried over twice."""
 
 RECENT_FRAMES, RECENT_TILES = 32, 8
 """What is kept decoded, because the next block or the commit is likely to want it."""
@@ -81,12 +82,15 @@ class Squares:
         self._frames, self._recent = frames, _Recent(frames)
         self._rule = lattice, transfer, groups
         self._footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
+        self._whole = _tiles_under(self._footprints)
+        self._width, self._height = _square_of(self._whole)
         self._inside: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         # What moved is told by what was seen first, in whatever order frames were added.
         for k in sorted(range(len(frames)), key=lambda k: frames[k].pose.time_ns):
             window = self._footprints[k]
-            for y in range(window.j0 // _SIDE, (window.j0 + window.height - 1) // _SIDE + 1):
-                for x in range(window.i0 // _SIDE, (window.i0 + window.width - 1) // _SIDE + 1):
+            i0, j0 = window.i0 - self._whole.i0, window.j0 - self._whole.j0
+            for y in range(j0 // self._height, (j0 + window.height - 1) // self._height + 1):
+                for x in range(i0 // self._width, (i0 + window.width - 1) // self._width + 1):
                     self._inside[y, x].append(k)
 
     def places(self) -> list[tuple[int, int]]:
@@ -102,9 +106,14 @@ class Squares:
         y, x = place
         inside = self._inside[place]
         lattice, transfer, groups = self._rule
-        window = _tiles_under(
-            [self._footprints[k] for k in inside], Window(x * _SIDE, y * _SIDE, _SIDE, _SIDE)
+        square = Window(
+            self._whole.i0 + x * self._width,
+            self._whole.j0 + y * self._height,
+            self._width,
+            self._height,
         )
+        parts = (self._footprints[k].intersect(square) for k in inside)
+        window = reduce(Window.union, (part for part in parts if part is not None))
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
             fold.add(self._recent.cells(k), self._frames[k].pose)
@@ -114,15 +123,23 @@ class Squares:
         return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
 
 
-def _tiles_under(footprints: list[Window], square: Window) -> Window:
-    """The whole tiles of a square that footprints reach into."""
-    parts = [part for window in footprints if (part := window.intersect(square)) is not None]
-    i0, j0 = (
-        min(values) // TILE_CELLS for values in zip(*(part[:2] for part in parts), strict=True)
-    )
-    i1 = max(part.i0 + part.width - 1 for part in parts) // TILE_CELLS + 1
-    j1 = max(part.j0 + part.height - 1 for part in parts) // TILE_CELLS + 1
+def _tiles_under(windows: Sequence[Window]) -> Window:
+    """The whole tiles that windows reach into, as one rectangle; it is empty without any."""
+    if not windows:
+        return Window(0, 0, 0, 0)
+    i0, j0, width, height = reduce(Window.union, windows)
+    i1, j1 = -(-(i0 + width) // TILE_CELLS), -(-(j0 + height) // TILE_CELLS)
+    i0, j0 = i0 // TILE_CELLS, j0 // TILE_CELLS
     return Window(*(TILE_CELLS * value for value in (i0, j0, i1 - i0, j1 - j0)))
+
+
+def _square_of(whole: Window) -> tuple[int, int]:
+    """Width and height in cells of what is folded at a time, of a session's whole tiles: as many
+    tiles as a square of `BLOCK_TILES` has, in the shape of the session where that is narrower."""
+    most = BLOCK_TILES**2
+    across, along = whole.width // TILE_CELLS, whole.height // TILE_CELLS
+    width = min(max(across, 1), max(BLOCK_TILES, most // max(along, 1)))
+    return width * TILE_CELLS, most // width * TILE_CELLS
 
 
 class _Recent:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 import sqlite3
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,7 +62,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
         "accepted, digest FROM fieldgrid_session ORDER BY id",
     ):
         for row in connection.execute(query):
-            hashed.update(as_json([_plain(value) for value in row]))
+            hashed.update(_line(*row))
         hashed.update(b"\n")
     if has_marks(connection):
         for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
@@ -122,6 +123,12 @@ def check_root(connection: sqlite3.Connection, path: Path) -> None:
             "or its marks have changed since. Nothing was written; see `fieldgrid verify`, try "
             "`fieldgrid repair`, or restore the map from a copy."
         )
+
+
+@lru_cache(maxsize=4096, typed=True)  # a commit makes the digest twice, of rows that mostly stay
+def _line(*row: object) -> bytes:
+    """A row as it is hashed."""
+    return as_json([_plain(value) for value in row])
 
 
 def _plain(value: object) -> object:

@@ -15,6 +15,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.layers import ChannelGroup, FrameCells
 from fieldgrid.mapfile import derived
+from fieldgrid.mapfile.codec import as_decoded
 from fieldgrid.mapfile.database import explained
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.header import Header
@@ -25,7 +26,7 @@ from fieldgrid.mapfile.metadata import (
     quality_at,
     sum_up,
 )
-from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
+from fieldgrid.mapfile.placing import RECENT_FRAMES, PlacedFrame, SessionTiles
 from fieldgrid.mapfile.records import check_pose, frame_values, is_accepted
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.staging import StagedFrame, StagedFrames, StageFile, stage
@@ -34,12 +35,14 @@ from fieldgrid.transfer import check_cell_sizes
 
 
 class _Waiting(NamedTuple):
-    """A frame to be added: where it is staged, its pose as driven, the quality of its fix."""
+    """A frame to be added: where it is staged, its pose as driven, the quality of its fix, and its
+    cells where they are still at hand."""
 
     stage: StagedFrames
     number: int
     pose: Pose
     quality: int | None
+    cells: FrameCells | None = None
 
 
 class Session:
@@ -115,7 +118,9 @@ class Session:
             images_sha256=images_sha256,
             channels=channels,
         )
-        self._take(self._own, self._own.append(frame), frame, pose, None)
+        at_hand = len(self._frames) < RECENT_FRAMES
+        cells = as_decoded(grid, channels or {}) if at_hand else None
+        self._take(self._own, self._own.append(frame), frame, pose, None, cells)
 
     def add_staged(
         self,
@@ -146,11 +151,17 @@ class Session:
             self._on_end(self._committed)
 
     def _take(
-        self, source: StagedFrames, index: int, frame: StagedFrame, pose: Pose, quality: int | None
+        self,
+        source: StagedFrames,
+        index: int,
+        frame: StagedFrame,
+        pose: Pose,
+        quality: int | None,
+        cells: FrameCells | None = None,
     ) -> None:
         if quality is None:
             quality = quality_at(self._metadata.trajectory, pose.time_ns)
-        self._frames[frame.frame_id] = _Waiting(source, index, pose, quality)
+        self._frames[frame.frame_id] = _Waiting(source, index, pose, quality, cells)
         self._spec = frame.spec
 
     def _check(self, frame_id: str, spec: GridSpec, pose: Pose) -> None:
@@ -240,7 +251,7 @@ class Session:
 
 
 def _cells_of(waiting: _Waiting) -> Callable[[], FrameCells]:
-    return lambda: waiting.stage[waiting.number].cells()
+    return lambda: waiting.cells or waiting.stage[waiting.number].cells()
 
 
 def _described(spec: GridSpec) -> str:

@@ -15,6 +15,7 @@ from fieldgrid.layers import (
     ChannelGroup,
     Combine,
     OverviewChannel,
+    has_any,
     is_nothing,
     nothing,
 )
@@ -24,6 +25,7 @@ from fieldgrid.mapfile.packing import differences, join, split
 _WORD_BYTES = 8
 _DENSITY = ("weight", "sum")
 _NOTHING = np.empty(0, dtype=np.uint64)
+_NO_PLANES = deflate(b"", zlib.Z_RLE)
 
 
 class Box(NamedTuple):
@@ -76,8 +78,7 @@ class Expectation:
     def __init__(self, density: Mapping[str, UInt64], *, base: bool) -> None:
         self._density = density
         self._base = base
-        self._box: Box | None = None
-        self._sums: tuple[UInt64, UInt64] | None = None
+        self._sums: dict[Box, tuple[UInt64, UInt64]] = {}
 
     def of(self, group: ChannelGroup, box: Box) -> Sequence[UInt64]:
         """The channels of a group in a box, flat; empty arrays where nothing is expected.
@@ -86,16 +87,15 @@ class Expectation:
         """
         if not self._base or group.expected is None:
             return (_NOTHING,) * len(stored_channels(group, base=self._base))
-        if self._sums is None or self._box != box:
+        if box not in self._sums:
             weight, total = (self._density[name][box.slices] for name in _DENSITY)
-            self._box = box
-            self._sums = np.ravel(weight), np.ravel(total)
-        return tuple(_if_any(row) for row in group.expected(*self._sums))
+            self._sums[box] = np.ravel(weight), np.ravel(total)
+        return tuple(_if_any(row) for row in group.expected(*self._sums[box]))
 
 
 def _if_any(values: UInt64) -> UInt64:
     """What is expected, flat; nothing where it is all 0."""
-    return _NOTHING if is_nothing(values) or not values.any() else np.ravel(values)
+    return np.ravel(values) if has_any(values) else _NOTHING
 
 
 def _guesses(group: ChannelGroup, *, base: bool) -> dict[str, Channel]:
@@ -125,26 +125,31 @@ def encode_tile(
     many cells along its side; `box` counts blocks then.
     """
     names = stored_channels(group, base=base)
-    if all(is_nothing(cells[name]) or not cells[name].any() for name, _ in names):
+    if not any(has_any(cells[name]) for name, _ in names):
         # All outside of the box is 0, so that what was expected in vain is not written down.
         box = Box(box.first_row, box.first_column, box.first_row, box.first_column)
+        if group.expected is None or not base:
+            return bytes([len(names), *box]) + bytes(2 * len(names)) + _NO_PLANES
     area = box.shape[0] * box.shape[1]
     header, planes = [len(names), *box], np.empty((len(names) * _WORD_BYTES, area), np.uint8)
-    stored, used = np.empty(area, dtype=np.uint64), 0
+    stored, used = np.empty(box.shape, dtype=np.uint64), 0
     guesses = _guesses(group, base=base)
     for expected, (name, signed) in zip(expectation.of(group, box), names, strict=True):
         guess = _guess(guesses[name], cells, box) if name in guesses else expected
-        if is_nothing(cells[name]) and not guess.size:
-            header += [0, 0]
-            continue
-        np.copyto(stored.reshape(box.shape), cells[name][box.slices])
-        bits = int(differences(stored, guess, signed))
+        values = cells[name]
+        if is_nothing(values):
+            if not guess.size:
+                header += [0, 0]
+                continue
+            values = np.zeros(values.shape, np.uint64)
+        values = np.ascontiguousarray(values)
+        bits = int(differences(values, guess, signed, box.first_row, box.first_column, stored))
         shift = (bits & -bits).bit_length() - 1 if bits else 0
         count = -(-(bits >> shift).bit_length() // 8)
-        split(stored, shift, planes[used : used + count])
+        split(stored.reshape(-1), shift, planes[used : used + count])
         header += [shift, count]
         used += count
-    return bytes(header) + deflate(planes[:used].data if used else b"", zlib.Z_RLE)
+    return bytes(header) + (deflate(planes[:used].data, zlib.Z_RLE) if used else _NO_PLANES)
 
 
 def decode_tile(
@@ -169,6 +174,9 @@ def decode_tile(
     except KeyError as error:
         raise damaged(what, "it has no density beside it") from error
     size = box.shape[0] * box.shape[1] * sum(counts)
+    if size == 0 and not any(guess.size for guess in expected) and names[0][0] not in _DENSITY:
+        inflate(packed, 0, what)
+        return dict.fromkeys((name for name, _ in names), nothing((side, side)))
     planes = np.frombuffer(inflate(packed, size, what), dtype=np.uint8)
     planes = planes.reshape(-1, *box.shape)
     arrays, first = dict[str, UInt64](), 0

@@ -14,7 +14,7 @@ from fieldgrid.array_types import UInt64
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TILE_CELLS, TileIndex, Window
-from fieldgrid.layers import Cells, ChannelGroup, is_nothing
+from fieldgrid.layers import Cells, ChannelGroup, is_nothing, nothing
 from fieldgrid.layers.blocks import block_side
 from fieldgrid.layers.window import coarser, with_overviews
 from fieldgrid.mapfile.placing import decode_groups, session_cells
@@ -155,10 +155,7 @@ class TileTables:
         for group in groups:
             side = TILE_CELLS // block if group.blocks else TILE_CELLS
             for name, _ in stored_channels(group, base=False):
-                if before is None or is_nothing(before[name]):
-                    arrays[name] = np.zeros((side, side), np.uint64)
-                else:
-                    arrays[name] = before[name]
+                arrays[name] = nothing((side, side)) if before is None else before[name]
         for child, cells in below.items():
             halved = None
             if cells is not None:
@@ -166,8 +163,9 @@ class TileTables:
                     cells = with_overviews(groups, cells)
                 halved = coarser(groups, cells, 2)
             for name, values in arrays.items():
-                quadrant = quadrant_of(child, len(values) // 2)
-                values[quadrant] = 0 if halved is None else halved[name]
+                part = nothing(values.shape) if halved is None else halved[name]
+                if not is_nothing(values) or not is_nothing(part):
+                    arrays[name] = _with_quadrant(values, child, part)
         return Cells(arrays, 1 << 2 * levels, block)
 
     def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
@@ -209,24 +207,19 @@ class TileTables:
     def put_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         """Replace what a session has in a base tile; nothing when there are no blobs."""
         with self._lock:
-            self._connection.execute(
-                "DELETE FROM fieldgrid_session_tile WHERE session_id = ? AND ty = ? AND tx = ?",
-                (session_id, *tile),
-            )
-            self._insert_session(session_id, tile, blobs)
+            where = "session_id = ? AND ty = ? AND tx = ?"
+            self._replace("fieldgrid_session_tile", where, (session_id, *tile), blobs)
 
     def add_to_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         """Add groups to what a session has in a base tile."""
         with self._lock:
-            self._insert_session(session_id, tile, blobs)
+            self._insert("fieldgrid_session_tile", (session_id, *tile), blobs)
 
     def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
         """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
         with self._lock:
-            self._connection.execute(
-                "DELETE FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?", (zoom, *tile)
-            )
-            self._insert(zoom, tile, blobs)
+            where = "zoom = ? AND ty = ? AND tx = ?"
+            self._replace("fieldgrid_tile", where, (zoom, *tile), blobs)
             place = (zoom, *self.matrices.column_row(zoom, tile))
             if not blobs:
                 self._connection.execute(
@@ -244,18 +237,33 @@ class TileTables:
     def add_groups(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         """Add groups that a tile lacks."""
         with self._lock:
-            self._insert(zoom, tile, blobs)
+            self._insert("fieldgrid_tile", (zoom, *tile), blobs)
 
-    def _insert_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+    def _replace(
+        self, table: str, where: str, place: tuple[int, ...], blobs: Mapping[str, bytes]
+    ) -> None:
+        """Put blobs in place of those of a tile; rows that stay as they are cost nothing."""
+        query = f"SELECT channels, data FROM {table} WHERE {where}"
+        before = dict(self._connection.execute(query, place).fetchall())
         self._connection.executemany(
-            "INSERT INTO fieldgrid_session_tile VALUES (?, ?, ?, ?, ?)",
-            [(session_id, *tile, name, blob) for name, blob in blobs.items()],
+            f"DELETE FROM {table} WHERE {where} AND channels = ?",
+            [(*place, name) for name in before if name not in blobs],
         )
-
-    def _insert(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         self._connection.executemany(
-            "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
-            [(zoom, *tile, name, blob) for name, blob in blobs.items()],
+            f"UPDATE {table} SET data = ? WHERE {where} AND channels = ?",
+            [
+                (blob, *place, name)
+                for name, blob in blobs.items()
+                if name in before and before[name] != blob
+            ],
+        )
+        added = {name: blob for name, blob in blobs.items() if name not in before}
+        self._insert(table, place, added)
+
+    def _insert(self, table: str, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
+        self._connection.executemany(
+            f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?)",
+            [(*place, name, blob) for name, blob in blobs.items()],
         )
 
 
@@ -264,6 +272,14 @@ def _index(ty: object, tx: object) -> TileIndex:
     if not (isinstance(ty, int) and isinstance(tx, int) and max(abs(ty), abs(tx)) < _FARTHEST):
         raise MapError(f"A tile lies at {ty!r}, {tx!r}, which is no place; try `fieldgrid repair`.")
     return TileIndex(ty, tx)
+
+
+def _with_quadrant(values: UInt64, child: TileIndex, part: UInt64) -> UInt64:
+    """The values of a tile with those of a tile below it in their place; changed where they are,
+    unless they are `nothing`."""
+    made = np.zeros(values.shape, np.uint64) if is_nothing(values) else values
+    made[quadrant_of(child, len(values) // 2)] = 0 if is_nothing(part) else part
+    return made
 
 
 def quadrant_of(child: TileIndex, half: int) -> tuple[slice, slice]:
