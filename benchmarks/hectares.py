@@ -3,9 +3,8 @@ and the peak memory in MB.
 
     python -m benchmarks.hectares build|read|verify MAP.gpkg [SIDE_M [ROW_M STEP_M]]
 
-Rows of 3 m and a frame every 4 m are a vineyard, in which each cell is seen by seven frames. Rows
-of 6 m and a frame every 8 m just see all of a field. A build says after each strip how far it is:
-one that is ended there leaves the map of its strips.
+Rows are 3 m apart with a frame every 4 m, as in a vineyard. Of rows of 6 m and a frame every 8 m
+the frames of the example see two fifths of the ground. A build says after each strip how far it is.
 """
 
 from __future__ import annotations

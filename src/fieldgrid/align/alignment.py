@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -244,7 +244,8 @@ class _Group(NamedTuple):
     b: Sequence[Sequence[Picture]]
 
 
-class _Whole(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Whole:
     """Compares a submap with others over all shifts in reach."""
 
     reach_m: float
@@ -258,7 +259,8 @@ class _Whole(NamedTuple):
         ]
 
 
-class _Fine(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Fine:
     """Matches a submap with others, shifts and turns."""
 
     reach_m: float
@@ -306,7 +308,7 @@ class _Run:
         chosen = for_every_shift(chosen, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
 
-        compare: Callable[[_Group], list[tuple[Pair, Scores]]] = _Whole(self._reach_m + BEYOND_M)
+        compare = _Whole(self._reach_m + BEYOND_M)
         for pair, score in self._each(compare, pairs, drawn, "drives"):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
@@ -344,8 +346,7 @@ class _Run:
         chosen = bounded(self._overlaps(pictures, set(believed)))
         pairs = [placed(one, pictures) for one in chosen]
         by_pair = defaultdict[tuple[int, int], list[Match]](list)
-        match: Callable[[_Group], list[tuple[Pair, Match]]] = _Fine(FINE_REACH_M)
-        for _, one in self._each(match, pairs, drawn, stage):
+        for _, one in self._each(_Fine(FINE_REACH_M), pairs, drawn, stage):
             by_pair[one.a, one.b].append(one)
         nothing = np.zeros(2)
         return [
