@@ -18,6 +18,8 @@ from fieldgrid.export import Selection, export_map
 from fieldgrid.farm import Farm
 from fieldgrid.mapfile import Mark, open_map, sharing
 from fieldgrid.mapfile import blocks as blocks_module
+from fieldgrid.mapfile import content as content_module
+from fieldgrid.mapfile import reading as reading_module
 from fieldgrid.mapfile.readable import Readable
 from fieldgrid.workers.cluster import Ended
 from fieldgrid.workers.remote import OnCluster
@@ -141,6 +143,25 @@ def test_an_export_by_the_command_has_the_same_bytes(
         )
         assert result.exit_code == 0, result.output
     assert (tmp_path / "here.tif").read_bytes() == (tmp_path / "there.tif").read_bytes()
+
+
+def test_as_many_threads_read_as_are_asked_for(farm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int | None] = []
+
+    def counted(work: Any, items: Any, jobs: int | None = None) -> Any:
+        asked.append(jobs)
+        return map(work, items)
+
+    for module in (content_module, reading_module):
+        monkeypatch.setattr(module, "in_order", counted)
+    with open_map(farm / "a.gpkg") as universal, Farm(farm) as both:
+        for source in (universal, both):
+            for layers in ((), ("count",)):
+                source.read(layers=layers, jobs=3)
+                with source.read_blocks(layers=layers, jobs=3) as blocks:
+                    assert list(blocks.views)
+    assert len(asked) > 8
+    assert set(asked) == {3}
 
 
 # --- what cannot be
