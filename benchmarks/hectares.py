@@ -22,9 +22,7 @@ SIDE_M, ROW_M, STEP_M = 1000.0, 3.0, 4.0
 STRIP_M = 50.0
 
 
-def build(
-    path: Path, side_m: float = SIDE_M, row_m: float = ROW_M, step_m: float = STEP_M
-) -> str:
+def build(path: Path, side_m: float = SIDE_M, row_m: float = ROW_M, step_m: float = STEP_M) -> str:
     """Rows over a square, in strips of a session each."""
     grids = real_grids()
     per_strip = int(STRIP_M / row_m) * int(side_m / step_m)
