@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
+from fieldgrid.align.comparing import Group, Matching, Wholes
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
 from fieldgrid.align.heights import level
 from fieldgrid.align.matches import Match
@@ -34,7 +35,7 @@ from fieldgrid.align.pairs import (
 )
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.ridge import across_alone
-from fieldgrid.align.score import PROBE_DEG, Against, Scores, TurnPeak, peak, turn_peak
+from fieldgrid.align.score import PROBE_DEG, peak
 from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
@@ -236,54 +237,6 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
     return chosen
 
 
-class _Group(NamedTuple):
-    """A submap and those that it is compared with, of each the pictures of all turns."""
-
-    pairs: Sequence[Pair]
-    a: Picture
-    b: Sequence[Sequence[Picture]]
-
-
-@dataclass(frozen=True, slots=True)
-class _Whole:
-    """Compares a submap with others over all shifts in reach."""
-
-    reach_m: float
-
-    def __call__(self, group: _Group) -> list[tuple[Pair, Scores]]:
-        against = Against(group.a, self.reach_m)
-        return [
-            (pair, scores)
-            for pair, (own,) in zip(group.pairs, group.b, strict=True)
-            if (scores := against.scores(own)) is not None
-        ]
-
-
-@dataclass(frozen=True, slots=True)
-class _Fine:
-    """Matches a submap with others, shifts and turns."""
-
-    reach_m: float
-
-    def __call__(self, group: _Group) -> list[tuple[Pair, Match]]:
-        against = Against(group.a, self.reach_m)
-        return [
-            (pair, match)
-            for pair, of_turns in zip(group.pairs, group.b, strict=True)
-            if (match := self._match(pair, against, *of_turns)) is not None
-        ]
-
-    @staticmethod
-    def _match(p: Pair, against: Against, b: Picture, less: Picture, more: Picture) -> Match | None:
-        score = against.scores(b)
-        if score is None:
-            return None
-        turned = TurnPeak(0.0, 0.0)
-        if p.a != p.b:
-            turned = turn_peak(against, less, score, more)
-        return Match(*p, *peak(score, np.zeros(2)), *turned)
-
-
 class _Run:
     """Comparing submaps, by threads of this process or by the workers of a cluster."""
 
@@ -308,7 +261,7 @@ class _Run:
         chosen = for_every_shift(chosen, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
 
-        compare = _Whole(self._reach_m + BEYOND_M)
+        compare = Wholes(self._reach_m + BEYOND_M)
         for pair, score in self._each(compare, pairs, drawn, "drives"):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
@@ -346,7 +299,7 @@ class _Run:
         chosen = bounded(self._overlaps(pictures, set(believed)))
         pairs = [placed(one, pictures) for one in chosen]
         by_pair = defaultdict[tuple[int, int], list[Match]](list)
-        for _, one in self._each(_Fine(FINE_REACH_M), pairs, drawn, stage):
+        for _, one in self._each(Matching(FINE_REACH_M), pairs, drawn, stage):
             by_pair[one.a, one.b].append(one)
         nothing = np.zeros(2)
         return [
@@ -389,7 +342,7 @@ class _Run:
 
     def _each(
         self,
-        work: Callable[[_Group], list[tuple[Pair, _Found]]],
+        work: Callable[[Group], list[tuple[Pair, _Found]]],
         pairs: Sequence[Pair],
         drawn: Sequence[Sequence[Sequence[Picture]]],
         stage: str,
@@ -400,7 +353,7 @@ class _Run:
         for pair in pairs:
             by_submap[pair.a, pair.k].append(pair)
         groups = (
-            _Group(own, drawn[0][a][k], [[of_turn[p.b][p.l] for of_turn in drawn] for p in own])
+            Group(own, drawn[0][a][k], [[of_turn[p.b][p.l] for of_turn in drawn] for p in own])
             for (a, k), own in by_submap.items()
         )
         results, done = list[tuple[Pair, _Found]](), 0
