@@ -1,10 +1,12 @@
-"""`verify --deep` by one thread, by two, and by the two workers of a Dask cluster, interleaved:
+"""A command by one thread, by two, and by the two workers of a Dask cluster, interleaved:
 
-    python -m benchmarks.cluster MAP.gpkg [ROUNDS]
+    python -m benchmarks.cluster MAP.gpkg [ROUNDS [verify|align|LAYER]]
 
-Scheduler and workers are programs of their own, which stay for all rounds. The ratios of wall times
-say something on an idle machine with two cores only; the processor time says anywhere what the way
-costs. The load of the machine is printed beside it.
+`verify --deep`, `align --dry-run`, or the export of a layer as GeoTIFF. What this program does
+itself, in processor time, is what no further worker makes faster. Scheduler and workers are
+programs of their own, which stay for all rounds. The ratios of wall times say something on an idle
+machine with two cores only; the processor time says anywhere what the way costs. The load of the
+machine is printed beside it. The first round compiles.
 """
 
 from __future__ import annotations
@@ -62,14 +64,22 @@ def _workers_s(client: Client) -> float:
     return sum(client.run(time.process_time).values())
 
 
-def _verify(path: Path, given: Mapping[str, Any]) -> None:
+def _do(what: str, path: Path, folder: Path, given: Mapping[str, Any]) -> None:
+    from fieldgrid.align import align_map
+    from fieldgrid.export import Selection, export_map
     from fieldgrid.mapfile import open_map
 
     with open_map(path) as universal:
-        assert universal.verify(deep=True, **given).sound
+        if what == "verify":
+            assert universal.verify(deep=True, **given).sound
+        elif what == "align":
+            align_map(universal, **given)
+        else:
+            selection = Selection(layer=what, **given)
+            export_map(universal, folder / "map.tif", selection, overwrite=True)
 
 
-def main(path: Path, rounds: int) -> None:
+def main(path: Path, rounds: int, what: str) -> None:
     """Print the times of each way, and how they compare."""
     from distributed import Client
 
@@ -87,14 +97,15 @@ def main(path: Path, rounds: int) -> None:
         busy: dict[str, list[float]] = {name: [] for name in ways}
         for _ in range(rounds):
             for name, given in ways.items():
-                start, own_s = time.perf_counter(), time.process_time() + _workers_s(client)
-                _verify(path, given)
+                start, own_s, far_s = time.perf_counter(), time.process_time(), _workers_s(client)
+                _do(what, path, Path(folder), given)
                 taken[name].append(time.perf_counter() - start)
-                cpu_s = time.process_time() + _workers_s(client) - own_s
+                own_s = time.process_time() - own_s
+                cpu_s = own_s + _workers_s(client) - far_s
                 busy[name].append(cpu_s)
                 print(
-                    f"verify --deep, {name}: {taken[name][-1]:.1f} s, processor {cpu_s:.1f} s; "
-                    f"load {os.getloadavg()[0]:.1f}",
+                    f"{what}, {name}: {taken[name][-1]:.1f} s, processor {cpu_s:.1f} s, of this "
+                    f"program {own_s:.1f} s; load {os.getloadavg()[0]:.1f}",
                     flush=True,
                 )
     for unit, runs in (("clock", taken), ("processor time", busy)):
@@ -109,4 +120,5 @@ def main(path: Path, rounds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int((sys.argv[2:] or [ROUNDS])[0]))
+    name, *more = sys.argv[1:]
+    main(Path(name), int(more[0]) if more else ROUNDS, more[1] if more[1:] else "verify")

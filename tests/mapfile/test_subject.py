@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from fieldgrid.errors import ClusterError, ConfigError
-from fieldgrid.mapfile import open_map, sharing, subject
+from fieldgrid.mapfile import open_map, sharing
 from fieldgrid.mapfile.database import connect, reading
 from fieldgrid.mapfile.header import read_header
 from fieldgrid.mapfile.subject import Subject
@@ -219,7 +219,7 @@ def test_a_worker_that_does_not_know_a_group_is_told(
 ) -> None:
     packed = sent(sound)
     sharing.opened.cache_clear()
-    monkeypatch.setattr(subject, "GROUPS", {"density": subject.GROUPS["density"]})
+    monkeypatch.setattr(sharing, "GROUPS", {"density": sharing.GROUPS["density"]})
     with pytest.raises(ClusterError, match=r"does not know the channel group '\w+'; start it with"):
         pickle.loads(packed)
 

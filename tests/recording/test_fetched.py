@@ -193,6 +193,59 @@ def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.Monkey
         fetch(URL)
 
 
+def test_a_server_that_refuses_or_is_not_there_is_not_a_file_that_does_not_exist(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file system of the web says of all of them that the file does not exist."""
+
+    class Refused(Exception):  # noqa: N818 - as the library calls it
+        def __init__(self, status: int) -> None:
+            super().__init__(f"{status}, says the server")
+            self.status = status
+
+    cases = (
+        (ConnectionRefusedError(111, "refused"), r"cannot be read \(.*refused\); check the URL"),
+        (Refused(403), r"cannot be read \(403, says the server\); check the URL, the connection"),
+        (Refused(404), r"does not exist; give the URL of a recording"),
+        (FileNotFoundError(), r"does not exist; give the URL of a recording"),
+        (ValueError("NoSuchBucket"), r"does not exist; give the URL of a recording"),
+    )
+    for cause, said in cases:
+
+        def info(self: Any, path: str, cause: Exception = cause) -> Any:
+            raise FileNotFoundError(path) from cause
+
+        monkeypatch.setattr(type(memory), "info", info)
+        with pytest.raises(RecordingError, match=said):
+            fetch(URL)
+
+
+def test_an_archive_is_copied_whole_where_the_server_gives_no_parts(
+    drive: Path, zipped: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive, url_to_fs = tmp_path / "2026.zip", fsspec.core.url_to_fs
+    asked: list[str] = []
+
+    def without_parts(url: str) -> Any:
+        asked.append(url)
+        if url == "zip://june-03::http://host/2026.zip":
+            raise ValueError("The HTTP server doesn't appear to support range requests.")
+        return url_to_fs(url.replace("http://host/", f"memory://{tmp_path}/"))
+
+    fsspec.filesystem("memory").pipe(str(archive), archive.read_bytes())
+    monkeypatch.setattr(fsspec.core, "url_to_fs", without_parts)
+    copy = fetch("zip://june-03::http://host/2026.zip")
+    assert copy == fetched.copy_of("zip://june-03::http://host/2026.zip")
+    assert (copy / "frames.csv").read_bytes() == (drive / "frames.csv").read_bytes()
+    assert fetched.copy_of("http://host/2026.zip").read_bytes() == archive.read_bytes()
+    assert len(asked) == 3
+    with pytest.raises(RecordingError, match=r"is an archive; .* as in zip://FOLDER::http://host"):
+        fetch("http://host/2026.zip")
+    monkeypatch.setattr(fsspec.core, "url_to_fs", lambda url: int("x"))
+    with pytest.raises(RecordingError, match=r"cannot be read \(invalid literal for int"):
+        fetch("zip://june-03::s3://vines/2026.zip")
+
+
 def test_a_name_that_leads_out_of_the_recording_is_refused(
     memory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,22 @@ def test_results_come_in_the_order_of_the_items(either: Runner, batch: int) -> N
     assert list(either.in_order(Squaring(), [], batch)) == []
 
 
+def test_where_results_are_large_few_are_under_way(inside: distributed.Client) -> None:
+    taken: list[int] = []
+
+    def items() -> Iterator[int]:
+        for number in range(9):
+            taken.append(number)
+            yield number
+
+    with OnCluster(inside) as found:
+        results = found.in_order(Squaring(), items(), most=2)
+        for number in range(9):
+            assert next(results) == number * number
+            assert len(taken) <= number + 2
+        assert list(results) == []
+
+
 @pytest.mark.parametrize("batch", [1, 4])
 def test_what_work_refuses_is_raised_after_what_came_before(either: Runner, batch: int) -> None:
     results = either.in_order(Squaring(refused=7), range(30), batch)

@@ -13,12 +13,13 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
+from fieldgrid.align.comparing import Group, Matching, Wholes
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
 from fieldgrid.align.heights import level
 from fieldgrid.align.matches import Match
@@ -34,14 +35,18 @@ from fieldgrid.align.pairs import (
 )
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.ridge import across_alone
-from fieldgrid.align.score import PROBE_DEG, Against, Scores, TurnPeak, peak, turn_peak
+from fieldgrid.align.score import PROBE_DEG, peak
 from fieldgrid.align.submaps import Picture, draw
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
 from fieldgrid.mapfile.transform import HeightCorrection, transform_of
-from fieldgrid.workers.order import in_order
+from fieldgrid.workers.order import Runner, Threads
+from fieldgrid.workers.runner import runner
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 COARSE_M, FINE_M = 0.2, 0.1
 """Sides of the cells in which drives are compared, as wholes and finely."""
@@ -81,6 +86,7 @@ def align_map(
     rounds: int = FINE_ROUNDS,
     progress: Progress | None = None,
     jobs: int | None = None,
+    scheduler: str | Client | None = None,
 ) -> MapAlignment:
     """How drives lie against each other, and the transforms that make them coincide; changes
     nothing (`MapFile.set_transforms` does).
@@ -89,14 +95,25 @@ def align_map(
     as far as they are sure. Those in `to`, and `datum_from`, hold: they are right. With `to` no
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
-    good to a decimetre, in a third of the time. Raises ConfigError for names that are not in
-    the map, or nothing to align.
+    good to a decimetre, in a third of the time. `jobs` is the number of threads, all cores when
+    not given; with a `scheduler`, the address of one of Dask or a client, the workers of that
+    cluster compare submaps, which are sent to them. Raises ConfigError for names that are not in
+    the map, or nothing to align, ClusterError where no scheduler answers.
     """
     if not 0.0 < reach_m <= MOST_REACH_M:
         raise ConfigError(f"A reach of {reach_m:g} m cannot be; give 0 to {MOST_REACH_M:g} m.")
     drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
     tell = progress or (lambda stage, done, count: None)
-    run = _Run(drives, reach_m, tell, jobs)
+    with runner(jobs, scheduler) as workers:
+        found = _aligned(drives, reach_m, rounds, tell, workers)
+    return with_beside(universal, found)
+
+
+def _aligned(
+    drives: list[Drive], reach_m: float, rounds: int, tell: Progress, workers: Runner
+) -> MapAlignment:
+    """How drives lie against each other, by their submaps."""
+    run = _Run(drives, reach_m, tell, workers)
     agreements, coarse = run.compare_as_wholes()
     believed = {(one.a, one.b): one.along for one in agreements if one.doubt is None}
     matched = np.bincount([n for m in coarse for n in (m.a, m.b)], minlength=len(drives)) > 0
@@ -123,8 +140,7 @@ def align_map(
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
     solution = with_heights(solution, level(drives, solution.transforms, doubtful))
-    found = summed_up(drives, before, agreements, matches, solution, rough_m)
-    return with_beside(universal, found)
+    return summed_up(drives, before, agreements, matches, solution, rough_m)
 
 
 def with_heights(solution: Solution, corrections: Sequence[HeightCorrection | None]) -> Solution:
@@ -222,33 +238,31 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
 
 
 class _Run:
-    """Comparing submaps, on all cores."""
+    """Comparing submaps, by threads of this process or by the workers of a cluster."""
 
     def __init__(
         self,
         drives: Sequence[Drive],
         reach_m: float,
         tell: Progress,
-        jobs: int | None,
+        workers: Runner,
     ) -> None:
         self._drives, self._reach_m = drives, reach_m
-        self._tell, self._jobs = tell, jobs
+        self._tell, self._workers = tell, workers
         self._local_m = max(f.spec.cell_m for d in drives for s in d.submaps for f in s.frames)
 
     def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
         """Where every two drives agree, and the matches of those that do without doubt."""
         transforms = [drive.transform for drive in self._drives]
-        (pictures,) = self._draw(transforms, COARSE_M, "drives")
-        reach_m = self._reach_m + BEYOND_M
+        drawn = self._draw(transforms, COARSE_M, "drives")
+        (pictures,) = drawn
         by_pair = defaultdict(list)
         chosen = thinned(self._overlaps(pictures, None))
         chosen = for_every_shift(chosen, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
 
-        def compare(p: Pair, against: Against) -> Scores | None:
-            return against.scores(pictures[p.b][p.l])
-
-        for pair, score in self._each(compare, pairs, pictures, reach_m, "drives"):
+        compare = Wholes(self._reach_m + BEYOND_M)
+        for pair, score in self._each(compare, pairs, drawn, "drives"):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
         for (a, b), members in sorted(by_pair.items()):
@@ -280,22 +294,12 @@ class _Run:
     ) -> list[Match]:
         """The matches of drives that agree, placed by transforms. `believed` are their pairs, with
         the way along which nothing is told."""
-        turns_deg = 0.0, -PROBE_DEG, PROBE_DEG
-        pictures, less, more = self._draw(transforms, FINE_M, stage, turns_deg)
-
-        def match(p: Pair, against: Against) -> Match | None:
-            score = against.scores(pictures[p.b][p.l])
-            if score is None:
-                return None
-            turned = TurnPeak(0.0, 0.0)
-            if p.a != p.b:
-                turned = turn_peak(against, less[p.b][p.l], score, more[p.b][p.l])
-            return Match(*p, *peak(score, np.zeros(2)), *turned)
-
+        drawn = self._draw(transforms, FINE_M, stage, (0.0, -PROBE_DEG, PROBE_DEG))
+        pictures, *_ = drawn
         chosen = bounded(self._overlaps(pictures, set(believed)))
         pairs = [placed(one, pictures) for one in chosen]
         by_pair = defaultdict[tuple[int, int], list[Match]](list)
-        for _, one in self._each(match, pairs, pictures, FINE_REACH_M, stage):
+        for _, one in self._each(Matching(FINE_REACH_M), pairs, drawn, stage):
             by_pair[one.a, one.b].append(one)
         nothing = np.zeros(2)
         return [
@@ -315,10 +319,9 @@ class _Run:
         lattice = Lattice(max(cell_m, self._local_m))
         places = [(n, submap) for n, drive in enumerate(self._drives) for submap in drive.submaps]
         pictures: list[list[list[Picture]]] = [[[] for _ in self._drives] for _ in turns_deg]
-        drawn = in_order(
-            lambda place: draw(place[1], transforms[place[0]], lattice, turns_deg),
-            places,
-            self._jobs,
+        # Here, where the frames are: this grows with the drives, and comparing with their pairs.
+        drawn = Threads(self._workers.here).in_order(
+            lambda place: draw(place[1], transforms[place[0]], lattice, turns_deg), places
         )
         for done, ((n, _), turned) in enumerate(zip(places, drawn, strict=True)):
             for of_turn, picture in zip(pictures, turned, strict=True):
@@ -339,26 +342,24 @@ class _Run:
 
     def _each(
         self,
-        work: Callable[[Pair, Against], _Found | None],
+        work: Callable[[Group], list[tuple[Pair, _Found]]],
         pairs: Sequence[Pair],
-        pictures: Sequence[Sequence[Picture]],
-        reach_m: float,
+        drawn: Sequence[Sequence[Sequence[Picture]]],
         stage: str,
     ) -> list[tuple[Pair, _Found]]:
-        """What work finds for pairs, without those for which it finds nothing. Work is given a pair
-        and its first submap, ready to be compared."""
+        """What work finds for pairs; `drawn` has the pictures for each turn."""
         # Making the spectra of a submap takes as long as a comparison; they serve all of its pairs.
         by_submap = defaultdict[tuple[int, int], list[Pair]](list)
         for pair in pairs:
             by_submap[pair.a, pair.k].append(pair)
-
-        def together(own: Sequence[Pair]) -> list[tuple[Pair, _Found | None]]:
-            against = Against(pictures[own[0].a][own[0].k], reach_m)
-            return [(pair, work(pair, against)) for pair in own]
-
-        results, done = [], 0
-        for found in in_order(together, by_submap.values(), self._jobs):
-            results += [(pair, one) for pair, one in found if one is not None]
-            done += len(found)
+        groups = (
+            Group(own, drawn[0][a][k], [[of_turn[p.b][p.l] for of_turn in drawn] for p in own])
+            for (a, k), own in by_submap.items()
+        )
+        results, done = list[tuple[Pair, _Found]](), 0
+        found = self._workers.in_order(work, groups)
+        for own, of_own in zip(by_submap.values(), found, strict=True):
+            results += of_own
+            done += len(own)
             self._tell(f"comparing {stage}", done, len(pairs))
         return results

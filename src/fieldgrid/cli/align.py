@@ -56,6 +56,7 @@ def command(
     figure: options.Figure = None,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Align the drives of a map by comparing what they saw.
@@ -78,6 +79,7 @@ def command(
         taken = {"map_", "session", "undo", "wait_s", "as_json", "quiet", "verbose"}
         options.refuse_given(ctx, taken, "--undo cannot use it; leave it out")
     options.check_figure(figure)
+    options.check_scheduler(scheduler, jobs)
     from fieldgrid.align import align_map, undo_alignment
     from fieldgrid.mapfile import Patience, open_map
     from fieldgrid.rows import find_rows
@@ -95,7 +97,7 @@ def command(
         with progress.stages() as show:
             found = align_map(
                 universal, session, to=to or (), datum_from=datum_from, reach_m=reach,
-                progress=show, jobs=jobs,
+                progress=show, jobs=jobs, scheduler=scheduler,
             )  # fmt: skip
         if rows:
             plantings["before" if found.transforms else "now"] = find_rows(universal)

@@ -81,6 +81,8 @@ def command(
     at: options.At = None,
     datum_from: options.DatumFrom = None,
     overwrite: options.Overwrite = False,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Write a map for another program. The output is complete, or nothing is changed.
@@ -98,14 +100,19 @@ def command(
         fieldgrid export vineyard.gpkg vineyard.png --epsg 25830
 
         fieldgrid export maps farm.tif --cell 0.25
+
+        fieldgrid export maps slopes.tif --layer slope --scheduler tcp://10.0.0.5:8786
     """
     from fieldgrid.export import Selection, export_map, format_of
 
     if str(out) == "-":
         raise typer.BadParameter("it is the name of a file or a folder", param_hint="OUT")
+    options.check_scheduler(scheduler, jobs)
     chosen = format_of(out, format_)
     _refuse_others(chosen, given)
-    selection = Selection(options.bounds(bounds), cell, layer or "density", at)
+    selection = Selection(
+        options.bounds(bounds), cell, layer or "density", at, jobs=jobs, scheduler=scheduler
+    )
     with opened(map_, datum_from) as universal:
         done = export_map(
             universal,

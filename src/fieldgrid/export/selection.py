@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, check_inside
@@ -17,16 +18,22 @@ from fieldgrid.mapfile import (
     in_drive_order,
 )
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 
 @dataclass(frozen=True, slots=True)
 class Selection:
     """`bounds` None for all that was observed; `cell_m` None for the map's own cell; `layer` one
-    of the map's layers; `at` a session or a date, None for now."""
+    of the map's layers; `at` a session or a date, None for now. `jobs` and `scheduler` say who
+    reads it, as for `MapFile.read_blocks`."""
 
     bounds: Bounds | None = None
     cell_m: float | None = None
     layer: str = "density"
     at: str | int | None = None
+    jobs: int | None = None
+    scheduler: str | Client | None = None
 
     def __post_init__(self) -> None:
         if self.layer not in ("density", *LAYERS):
@@ -37,11 +44,16 @@ class Selection:
         """The part of the map, with the layer asked for and `layers` beside it.
 
         Raises ConfigError for bounds outside the map, a cell that the evidence cannot fill, and a
-        part that is too large for one view.
+        part that is too large for one view, or is to be read by a cluster.
         """
+        if self.scheduler is not None:
+            raise ConfigError(
+                "This format needs its part of the map at once, which one process reads; leave out "
+                "--scheduler, or choose a format that goes piece by piece, as geotiff does."
+            )
         wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(
-            self.checked_bounds(universal), self.cell_m, layers=wanted, at=self.at
+            self.checked_bounds(universal), self.cell_m, layers=wanted, at=self.at, jobs=self.jobs
         )
 
     def checked_bounds(self, universal: Readable) -> Bounds | None:
@@ -61,14 +73,22 @@ class Selection:
     def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[Blocks]:
         """The same as `view` in blocks from the north, of one state of the map, however large."""
         bounds, wanted = self.checked_bounds(universal), tuple(dict.fromkeys((self.layer, *layers)))
-        with universal.read_blocks(bounds, self.cell_m, layers=wanted, at=self.at) as blocks:
+        with universal.read_blocks(
+            bounds, self.cell_m, layers=wanted, at=self.at, jobs=self.jobs, scheduler=self.scheduler
+        ) as blocks:
             yield blocks
 
     @contextmanager
     def overviews(self, universal: Readable, levels: int) -> Iterator[Iterator[OverviewBlock]]:
         """The same with cells of 2, 4, ... 2^levels times the side, from the north-west corner."""
         with universal.overviews(
-            levels, self.bounds, self.cell_m, layers=(self.layer,), at=self.at
+            levels,
+            self.bounds,
+            self.cell_m,
+            layers=(self.layer,),
+            at=self.at,
+            jobs=self.jobs,
+            scheduler=self.scheduler,
         ) as blocks:
             yield blocks
 

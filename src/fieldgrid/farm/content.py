@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,9 @@ from fieldgrid.mapfile.evidence import Evidence, reaches
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.reading import Request, chunks
 from fieldgrid.mapfile.redatum import Redatum
+from fieldgrid.mapfile.sharing import check_known, known_groups
 from fieldgrid.mapfile.sources import CellSource, FoldedOverBase, Larger, assembled
+from fieldgrid.workers.place import check_is_here
 
 _RISE_M = 1000.0
 """How far above or below its datum ground may lie: by that two planes that lean shift a place."""
@@ -80,12 +82,17 @@ class Part(NamedTuple):
 
 
 class FarmContent:
-    """The content of several maps as one; see `Content`."""
+    """The content of several maps as one; see `Content`. Pickled it is where the maps lie."""
 
     def __init__(
         self, maps: Maps, parts: Sequence[Part], header: Header, marks: tuple[Mark, ...]
     ) -> None:
         self._maps, self._parts, self._header, self._marks = maps, parts, header, marks
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        blocks = [part.block._replace(path=part.block.path.absolute()) for part in self._parts]
+        parts = [part._replace(block=one) for part, one in zip(self._parts, blocks, strict=True)]
+        return _arrived, (parts, self._header, self._marks, known_groups(self._header))
 
     @property
     def header(self) -> Header:
@@ -151,6 +158,17 @@ class FarmContent:
             ],
             groups,
         )
+
+
+def _arrived(
+    parts: Sequence[Part], header: Header, marks: tuple[Mark, ...], known: tuple[str, ...]
+) -> FarmContent:
+    """The content on a worker, which opens maps as it needs them. ClusterError where it lacks one
+    or cannot read them."""
+    check_known(known)
+    for part in parts:
+        check_is_here(part.block.path, part.block.size_bytes, "maps")
+    return FarmContent(Maps(), parts, header, marks)
 
 
 class _FromMap:

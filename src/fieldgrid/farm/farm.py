@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, DatumError, MapError
@@ -40,6 +40,10 @@ from fieldgrid.mapfile.overviews import read_overviews
 from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.workers.runner import runner
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 _EARTH_RADIUS_M = 6.37e6
 _REACH_M = 15.0
@@ -193,10 +197,11 @@ class Farm(Closing):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
         sessions: Collection[str] | None = None,
     ) -> MapView:
         """What all maps together have within bounds; values and errors as in `MapFile.read`."""
-        request = self._request(bounds, cell_m, layers, at)
+        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
         if sessions is not None:
             for name in sessions:
                 self._drives.part_of(name)
@@ -214,9 +219,13 @@ class Farm(Closing):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> Iterator[Blocks]:
         """As `MapFile.read_blocks`. MapError when a map changes meanwhile."""
-        yield blocks_of(self._content, self._request(bounds, cell_m, layers, at))
+        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
+        with runner(1, scheduler) as run:
+            yield blocks_of(self._content, request, run)
 
     @contextmanager
     def overviews(
@@ -227,9 +236,13 @@ class Farm(Closing):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> Iterator[Iterator[OverviewBlock]]:
         """As `MapFile.overviews`. MapError when a map changes meanwhile."""
-        yield read_overviews(self._content, self._request(bounds, cell_m, layers, at), levels)
+        request = self._request(bounds, cell_m, layers, at)
+        with runner(jobs, scheduler) as run:
+            yield read_overviews(self._content, request, levels, run)
 
     def _request(
         self,

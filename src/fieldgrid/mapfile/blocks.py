@@ -6,15 +6,22 @@ The blocks have the bits of `MapFile.read`, and are of one state of the map.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import TILE_CELLS, Lattice, Window
 from fieldgrid.mapfile.reading import Content, Request, read_view
+from fieldgrid.mapfile.sharing import check_known
 from fieldgrid.mapfile.view import MapView
+from fieldgrid.workers.order import Runner, Threads
 
 MAX_CELLS = 10_000_000_000
 """Cells that may be read in blocks: 25 square kilometres at 5 cm."""
+
+ONE_BY_ONE = Threads(1)
+
+_MOST = 8
+"""Blocks that are under way or wait here: each takes up to 10 MB a byte of a cell."""
 
 _ROWS, _COLUMNS = 4 * TILE_CELLS, 32 * TILE_CELLS
 
@@ -32,20 +39,42 @@ class Blocks(NamedTuple):
     views: Iterator[MapView]
 
 
-def blocks_of(content: Content, request: Request) -> Blocks:
-    """The view that is asked for in blocks; ConfigError when it has too many cells."""
+class _BlockReader:
+    """Reads blocks of a view. Pickled it is where the map lies: each worker reads there."""
+
+    def __init__(self, content: Content, request: Request) -> None:
+        self._of = content, request
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _arrived, self._of
+
+    def __call__(self, window: Window) -> MapView | None:
+        """The view of a block; None where nothing was observed or marked."""
+        content, request = self._of
+        view = read_view(content, request._replace(window=window))
+        return view if view.observed.any() or view.is_marked else None
+
+
+def _arrived(content: Content, request: Request) -> _BlockReader:
+    check_known((), request.layers)
+    # The cluster has a task for each of its threads.
+    return _BlockReader(content, request._replace(jobs=1))
+
+
+def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> Blocks:
+    """The view that is asked for in blocks; ConfigError when it has too many cells.
+
+    Threads of this process work on one block after the other, those of the request; a cluster
+    reads some blocks at a time.
+    """
     window = request.window
     if window.width * window.height > MAX_CELLS:
         raise ConfigError(
             f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
-    views = (read_view(content, request._replace(window=w)) for w in windows(window))
-    return Blocks(
-        request.lattice,
-        window,
-        (view for view in views if view.observed.any() or view.is_marked),
-    )
+    views = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
+    return Blocks(request.lattice, window, (view for view in views if view is not None))
 
 
 def windows(whole: Window) -> Iterator[Window]:

@@ -7,6 +7,7 @@ but for what only the map's own cells can tell: the highest in them, and how muc
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.reading import Request, chunks
 from fieldgrid.mapfile.records import FrameRecord
+from fieldgrid.mapfile.sharing import SharedMap, check_known, known_groups, opened, shared
 from fieldgrid.mapfile.sources import (
     CellSource,
     FoldedFrames,
@@ -41,11 +43,16 @@ from fieldgrid.workers.order import in_order
 
 
 class MapContent:
-    """The content of one map, as `evidence` and `header` have it."""
+    """The content of one map, as `evidence` and `header` have it. Pickled it is where the map
+    lies; where it arrives, that is opened again, for reading."""
 
     def __init__(self, evidence: Evidence, header: Header) -> None:
         self.evidence = evidence
         self.header = header
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        there = shared(self.evidence.connection)
+        return _arrived, (there, self.evidence.path, self.header, known_groups(self.header))
 
     def marks(self) -> tuple[Mark, ...]:
         """See `Content`."""
@@ -64,7 +71,7 @@ class MapContent:
             return True
         level = self._picture_level(request)
         if level is not None:
-            self._draw_pictures(view, level)
+            self._draw_pictures(view, level, request.jobs)
         return level is not None
 
     def cell_source(self, request: Request) -> tuple[CellSource, float]:
@@ -119,7 +126,7 @@ class MapContent:
         level = by.factor.bit_length() - 1
         return level if by.factor == 1 << level and level <= self.evidence.levels() else None
 
-    def _draw_pictures(self, view: MapView, level: int) -> None:
+    def _draw_pictures(self, view: MapView, level: int, jobs: int | None) -> None:
         """Fill a view from the pictures of a level: they hold just the mean and the mask, and are
         read several times as fast as the sums that they were drawn from."""
         matrices = TileMatrixSet(self.header.lattice)
@@ -136,7 +143,7 @@ class MapContent:
                 view.density[place] = grey_alpha[..., 0]
                 np.not_equal(grey_alpha[..., 1], 0, out=view.observed[place])
 
-        for _ in in_order(draw, self.evidence.pictures(view.window, matrices, level)):
+        for _ in in_order(draw, self.evidence.pictures(view.window, matrices, level), jobs):
             pass
 
     def seen_cells(self) -> int:
@@ -156,6 +163,12 @@ class MapContent:
         """The tiles of the groups that are stored: old maps lack those that are derived."""
         stored = [group for group in groups if group.name in self.header.groups]
         return TileTables(self.evidence.connection, TileMatrixSet(self.header.lattice), stored)
+
+
+def _arrived(there: SharedMap, path: Path, header: Header, known: tuple[str, ...]) -> MapContent:
+    """The content on a worker. ClusterError when it has another map, or none, or cannot read it."""
+    check_known(known)
+    return MapContent(Evidence(opened(there), path), header)
 
 
 def read_change(

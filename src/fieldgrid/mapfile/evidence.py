@@ -34,7 +34,7 @@ class Evidence:
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
-        self._path = path
+        self.path = path
 
     def data_window(self) -> Window:
         """The base cells that hold data; MapError when there are none."""
@@ -46,7 +46,7 @@ class Evidence:
         try:
             return window_of(row[0])
         except ValueError as error:
-            raise MapError(f"The extent of {self._path} is damaged: {error}.") from error
+            raise MapError(f"The extent of {self.path} is damaged: {error}.") from error
 
     def sessions(self) -> list[SessionInfo]:
         """The sessions in the order in which they were added, removed ones included."""
@@ -68,12 +68,12 @@ class Evidence:
         for name in names:
             if name not in known:
                 raise ConfigError(
-                    f"{self._path} has no session {name!r}; it has "
+                    f"{self.path} has no session {name!r}; it has "
                     f"{', '.join(repr(other) for other in known) or 'none'}."
                 )
             if active and known[name] is not None:
                 raise ConfigError(
-                    f"Session {name!r} of {self._path} is removed; put it back with --restore, "
+                    f"Session {name!r} of {self.path} is removed; put it back with --restore, "
                     "or leave it out."
                 )
 
@@ -178,7 +178,7 @@ class Evidence:
         session_id, heading_source, _ = self._row_of(session)
         columns = read_arrays(self.connection, session_id, Kind.TRAJECTORY)
         if not columns:
-            raise MapError(f"Session {session!r} of {self._path} has no trajectory stored with it.")
+            raise MapError(f"Session {session!r} of {self.path} has no trajectory stored with it.")
         return trajectory_of(columns, datum, heading_source)
 
     def transform(self, session: str) -> Transform:
@@ -204,7 +204,7 @@ class Evidence:
     def _lost_row(self, session: str) -> MapError:
         """Of a session that is listed: the index of names and the rows of the table disagree."""
         return MapError(
-            f"{self._path} is damaged: its session {quoted(session)} is listed and cannot be "
+            f"{self.path} is damaged: its session {quoted(session)} is listed and cannot be "
             "found. Repair the map, or restore it from a copy."
         )
 
@@ -215,11 +215,11 @@ class Evidence:
             "JOIN fieldgrid_session AS s ON s.id = f.session_id"
         ).fetchone()
         if frames == 0:
-            return f"{self._path} has no frames yet; add a session to it."
+            return f"{self.path} has no frames yet; add a session to it."
         if removed == frames:
-            return f"{self._path} has no observed cell: all its sessions are removed; restore one."
+            return f"{self.path} has no observed cell: all its sessions are removed; restore one."
         return (
-            f"{self._path} has no observed cell: of its {frames} frames {rejected} were rejected "
+            f"{self.path} has no observed cell: of its {frames} frames {rejected} were rejected "
             "and the others saw nothing. Look at the reasons of its frames."
         )
 

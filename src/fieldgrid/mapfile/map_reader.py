@@ -213,12 +213,13 @@ class MapReader:
         transfer: Transfer | None = None,
         sessions: Collection[str] | None = None,
         frame_filter: Callable[[FrameRecord], bool] | None = None,
+        jobs: int | None = None,
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
         `layers` adds to the density: any of `fieldgrid.layers.LAYERS`. `at` is a session or a date:
         the map as of then, or `FROM..TO`: of the drives of a season (`sessions_at`); `sessions` are
-        some of them by name.
+        some of them by name. `jobs` threads read it, all cores when not given.
 
         With the map's own cell or a whole multiple of it, and its own rule, it comes from the
         stored tiles, of which only those within `bounds` are touched. Anything else is folded
@@ -241,6 +242,7 @@ class MapReader:
                 sessions=self._chosen(at, sessions),
                 frame_filter=frame_filter,
                 layers=names,
+                jobs=jobs,
             )
             return read_view(self._content, request)
 
@@ -265,17 +267,23 @@ class MapReader:
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> Iterator[Blocks]:
         """What `read` gives, in views of some million cells, for maps of any size.
 
         One state of the map for as long as the block lasts: nobody can change it meanwhile.
-        Errors as in `read`, but that ten thousand million cells are allowed.
+        `jobs` threads read a block, all cores when not given; with a `scheduler`, the address of
+        one of Dask or a client, the workers of that cluster read some blocks at a time.
+        Errors as in `read`, but that ten thousand million cells are allowed; ClusterError where no
+        scheduler answers or its workers cannot read the map.
         """
         names = check_layers(layers)
-        with reading(self._connection, self.path):
+        with runner(1, scheduler) as run, reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
-            request = request._replace(sessions=self._chosen(at, None), layers=names)
-            yield blocks_of(self._content, request)
+            sessions = self._chosen(at, None)
+            request = request._replace(sessions=sessions, layers=names, jobs=jobs)
+            yield blocks_of(self._content, request, run)
 
     @contextmanager
     def overviews(
@@ -286,14 +294,17 @@ class MapReader:
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> Iterator[Iterator[OverviewBlock]]:
         """What `read` gives, with cells of 2, 4, ... 2^levels times the side, for overviews of a
-        raster: counted from the north-west corner. Errors as in `read`."""
+        raster: counted from the north-west corner. `jobs`, `scheduler` and errors as in
+        `read_blocks`."""
         names = check_layers(layers)
-        with reading(self._connection, self.path):
+        with runner(jobs, scheduler) as run, reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
             request = request._replace(sessions=self._chosen(at, None), layers=names)
-            yield read_overviews(self._content, request, levels)
+            yield read_overviews(self._content, request, levels, run)
 
     def diff(
         self,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,12 +23,15 @@ from fieldgrid.mapfile.reading import (
     layer_values,
     reach_cells,
 )
+from fieldgrid.mapfile.sharing import check_known
 from fieldgrid.mapfile.sources import assembled
 from fieldgrid.transfer import mean_density
-from fieldgrid.workers.order import in_order
+from fieldgrid.workers.order import Runner
 
 MAX_LEVELS = 10
 """Levels that are made: 1024 cells a side become one pixel."""
+
+_SIDE = 1 << MAX_LEVELS
 
 
 class OverviewBlock(NamedTuple):
@@ -49,28 +52,49 @@ class OverviewBlock(NamedTuple):
         return self.density if name == "density" else self.layers[name]
 
 
-def read_overviews(content: Content, request: Request, levels: int) -> Iterator[OverviewBlock]:
+def read_overviews(
+    content: Content, request: Request, levels: int, run: Runner
+) -> Iterator[OverviewBlock]:
     """The blocks of all levels in which anything was observed."""
-    levels = min(levels, MAX_LEVELS)
-    groups = tuple(GROUPS[name] for name in groups_of(request.layers))
-    source, factor = content.cell_source(request)
-    whole, side = request.window, 1 << MAX_LEVELS
-    top = whole.j0 + whole.height
-    # Cells beyond a block that its layers look at: a power of 2, so that they can be halved.
-    reach = reach_cells(request)
-    margin = 1 << math.ceil(math.log2(reach)) if reach >= 1.0 else 0
+    whole = request.window
+    places = [
+        (row, column)
+        for row in range(0, whole.height, _SIDE)
+        for column in range(0, whole.width, _SIDE)
+    ]
+    for blocks in run.in_order(_Halving(content, request, min(levels, MAX_LEVELS)), places):
+        yield from blocks
 
-    def halved(place: tuple[int, int]) -> list[OverviewBlock]:
-        row, column = place
-        square = Window(whole.i0 + column, top - row - side, side, side).grown(margin)
+
+class _Halving:
+    """Makes the overviews of squares of a view. Pickled it is where the map lies."""
+
+    def __init__(self, content: Content, request: Request, levels: int) -> None:
+        self._of = content, request, levels
+        self._groups = tuple(GROUPS[name] for name in groups_of(request.layers))
+        self._source, self._factor = content.cell_source(request)
+        # Cells beyond a block that its layers look at: a power of 2, so that they can be halved.
+        reach = reach_cells(request)
+        self._margin = 1 << math.ceil(math.log2(reach)) if reach >= 1.0 else 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _arrived, self._of
+
+    def __call__(self, place: tuple[int, int]) -> list[OverviewBlock]:
+        """The blocks of all levels of the square at a row and a column; none where nothing was
+        observed."""
+        (row, column), (_, request, levels) = place, self._of
+        whole, margin, groups = request.window, self._margin, self._groups
+        south = whole.j0 + whole.height - row - _SIDE
+        square = Window(whole.i0 + column, south, _SIDE, _SIDE).grown(margin)
         part = whole.intersect(square)
         assert part is not None
-        parts = ((chunk, source.merged(chunk)) for chunk in chunks(part, factor))
+        parts = ((chunk, self._source.merged(chunk)) for chunk in chunks(part, self._factor))
         found = assembled(part, ((chunk, cells) for chunk, cells in parts if cells is not None))
         if found is None:
             return []
         cells, edge, blocks = _northward(found, square, part, 1 << levels), margin, []
-        own_height, own_width = min(side, whole.height - row), min(side, whole.width - column)
+        own_height, own_width = min(_SIDE, whole.height - row), min(_SIDE, whole.width - column)
         for level in range(1, levels + 1):
             if edge % 2:  # larger cells than the reach need no neighbours
                 cells, edge = _without_edge(cells, edge), 0
@@ -83,13 +107,10 @@ def read_overviews(content: Content, request: Request, levels: int) -> Iterator[
             blocks.append(_block(level, row, column, cells, request.layers, inside, cell_m))
         return blocks
 
-    places = [
-        (row, column)
-        for row in range(0, whole.height, side)
-        for column in range(0, whole.width, side)
-    ]
-    for blocks in in_order(halved, places):
-        yield from blocks
+
+def _arrived(content: Content, request: Request, levels: int) -> _Halving:
+    check_known((), request.layers)
+    return _Halving(content, request, levels)
 
 
 def _northward(cells: Cells, square: Window, part: Window, multiple: int) -> Cells:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
@@ -16,6 +16,9 @@ from fieldgrid.mapfile.provenance import Provenance
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.view import MapView
 from fieldgrid.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 class Readable(Protocol):
@@ -52,8 +55,9 @@ class Readable(Protocol):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
     ) -> MapView:
-        """The cells within bounds as arrays."""
+        """The cells within bounds as arrays, read by so many threads."""
 
     def read_blocks(
         self,
@@ -62,6 +66,8 @@ class Readable(Protocol):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> AbstractContextManager[Blocks]:
         """The same in views of some million cells."""
 
@@ -73,6 +79,8 @@ class Readable(Protocol):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
     ) -> AbstractContextManager[Iterator[OverviewBlock]]:
         """The same with cells of 2, 4, ... 2^levels times the side."""
 
@@ -87,6 +95,7 @@ class Driven(Readable, Protocol):
         *,
         layers: Collection[str] = (),
         at: str | int | None = None,
+        jobs: int | None = None,
         sessions: Collection[str] | None = None,
     ) -> MapView:
         """The cells within bounds as arrays, of all sessions or some of them."""

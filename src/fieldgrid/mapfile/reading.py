@@ -50,6 +50,8 @@ class Request(NamedTuple):
     sessions: tuple[str, ...] | None = None
     frame_filter: Callable[[FrameRecord], bool] | None = None
     layers: tuple[str, ...] = ()
+    jobs: int | None = None
+    """Threads that read it, one a core when not given."""
 
     @property
     def beyond_density(self) -> tuple[str, ...]:
@@ -148,7 +150,7 @@ def _read(content: Content, request: Request) -> MapView:
         if cells is not None:
             _write(view, chunk, looked, cells)
 
-    for _ in in_order(fill, chunks(request.window, factor)):
+    for _ in in_order(fill, chunks(request.window, factor), request.jobs):
         pass
     return view
 

@@ -9,12 +9,15 @@ from __future__ import annotations
 import hashlib
 import platform
 import sqlite3
+from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import ClusterError
+from fieldgrid.layers import GROUPS, LAYERS
 from fieldgrid.mapfile.database import connect, explained
+from fieldgrid.mapfile.header import Header
 from fieldgrid.workers.place import check_is_here
 
 
@@ -38,6 +41,25 @@ def shared(connection: sqlite3.Connection) -> SharedMap:
         )
     path = Path(file)
     return SharedMap(path, path.stat().st_size, _state(connection))
+
+
+def known_groups(header: Header) -> tuple[str, ...]:
+    """The names of the channel groups of a map that are known here, for `check_known`."""
+    return tuple(group.name for group in header.known_groups())
+
+
+def check_known(groups: Collection[str], layers: Collection[str] = ()) -> None:
+    """Raise ClusterError for a channel group or a layer that this worker does not know."""
+    for what, names, known in (
+        ("channel group", groups, GROUPS),
+        ("layer", layers, {"density", *LAYERS}),
+    ):
+        for name in names:
+            if name not in known:
+                raise ClusterError(
+                    f"The worker on {platform.node()} does not know the {what} {name!r}; start it "
+                    "with --preload and the module that registers it."
+                )
 
 
 @lru_cache(maxsize=2)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import platform
 import sqlite3
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.errors import ClusterError
-from fieldgrid.layers import GROUPS
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.sharing import SharedMap, opened, shared
+from fieldgrid.mapfile.sharing import SharedMap, check_known, known_groups, opened, shared
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.workers.order import Runner
@@ -33,16 +30,11 @@ class Subject(NamedTuple):
         return TileTables(self.connection, matrices, self.header.known_groups())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        known = tuple(group.name for group in self.header.known_groups())
-        return _arrived, (shared(self.connection), self.path, self.header, known)
+        there = shared(self.connection)
+        return _arrived, (there, self.path, self.header, known_groups(self.header))
 
 
 def _arrived(there: SharedMap, path: Path, header: Header, known: tuple[str, ...]) -> Subject:
     """The map on a worker. ClusterError when it has another one, or none, or cannot read all."""
-    for name in known:
-        if name not in GROUPS:
-            raise ClusterError(
-                f"The worker on {platform.node()} does not know the channel group {name!r}; start "
-                "it with --preload and the module that registers it."
-            )
+    check_known(known)
     return Subject(opened(there), path, header)

@@ -35,10 +35,21 @@ _HERE = ("file", "local")
 _SECRET = re.compile(r"://[^/@]*:[^/@]*@|[?&][^=]*(token|sig|key|secret|password|credential)", re.I)
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 _BATCH = 64
+_GONE = (404, 410)
+"""What a web server answers where there is no such file."""
 _LOG = logging.getLogger(__name__)
 _VERSIONS = (
     *("ETag", "etag", "md5Hash", "content_md5", "checksum", "CRC"),
-    *("mtime", "LastModified", "last_modified", "updated", "modified", "modify", "created"),
+    *(
+        "mtime",
+        "LastModified",
+        "Last-Modified",
+        "last_modified",
+        "updated",
+        "modified",
+        "modify",
+        "created",
+    ),
 )
 """What file systems call the version of a file or the time of its last change, best first."""
 
@@ -101,10 +112,18 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
             "A URL with a password or a key would leave it in logs and in the cache; put it into "
             "fsspec's configuration (~/.config/fsspec/conf.json), and leave it out of the URL."
         )
-    with _backend(url):
-        from fsspec.core import url_to_fs
+    if "::" not in url and url.lower().endswith(".zip"):
+        raise RecordingError(
+            f"{url} is an archive; name the folder in it that is the recording, as in "
+            f"zip://FOLDER::{url}"
+        )
+    return _fetched(url, progress or (lambda done, total: None))
 
-        system, root = url_to_fs(url)
+
+def _fetched(url: str, progress: Callable[[int, int], None]) -> Path:
+    """The path of what is at a URL, an archive included, after its copy is up to date."""
+    with _backend(url):
+        system, root = _file_system(url)
         protocols = (system.protocol,) if isinstance(system.protocol, str) else system.protocol
         if not set(protocols).isdisjoint(_HERE):
             return Path(root)
@@ -114,8 +133,23 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
     copy = copy_of(url)
     with _local(copy), _only_here(copy):
         _check_kind(copy, is_file="" in remote)
-        _bring_up_to_date(system, remote, copy, url, progress or (lambda done, total: None))
+        _bring_up_to_date(system, remote, copy, url, progress)
     return copy
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    from fsspec.core import url_to_fs
+
+    folder, _, archive = url.partition("::")
+    try:
+        found: tuple[Any, str] = url_to_fs(url)
+    except ValueError:
+        # A web server that gives no parts of a file: its archive is copied as a whole.
+        if not archive.startswith("http"):
+            raise
+        found = url_to_fs(f"{folder}::file://{_fetched(archive, lambda done, total: None)}")
+    return found
 
 
 def _bring_up_to_date(
@@ -316,18 +350,34 @@ def _backend(url: str) -> Iterator[None]:
             "pip install 'fieldgrid[remote]', and the one named here."
         ) from error
     except FileNotFoundError as error:
+        if _is_unreachable(error.__cause__):
+            raise _unreadable(url, error.__cause__) from error
         raise RecordingError(
             f"{quoted(url, 200)} does not exist; give the URL of a recording, a bag or a log."
         ) from error
     except Exception as error:  # each file system raises errors of its own (botocore, paramiko)
         if isinstance(error, OSError) and error.errno in _FULL:
             raise  # the disk of this machine
-        copy = copy_of(url)
-        kept = f", or read the copy of before at {copy}" if copy.exists() else ""
-        raise RecordingError(
-            f"{quoted(url, 200)} cannot be read ({shortened(error) or type(error).__name__}); "
-            f"check the URL, the connection and your credentials{kept}."
-        ) from error
+        raise _unreadable(url, error) from error
+
+
+def _is_unreachable(cause: BaseException | None) -> bool:
+    """Whether what made a file system say that a file does not exist is another thing: fsspec says
+    so of a web server that refuses or is not there."""
+    status = getattr(cause, "status", None)
+    if isinstance(status, int):
+        return status not in _GONE
+    return isinstance(cause, OSError) and not isinstance(cause, FileNotFoundError)
+
+
+def _unreadable(url: str, error: BaseException | None) -> RecordingError:
+    copy = copy_of(url)
+    kept = f", or read the copy of before at {copy}" if copy.exists() else ""
+    why = shortened(error) if error is not None else ""
+    return RecordingError(
+        f"{quoted(url, 200)} cannot be read ({why or type(error).__name__}); "
+        f"check the URL, the connection and your credentials{kept}."
+    )
 
 
 @contextmanager

@@ -25,9 +25,14 @@ class Runner(Protocol):
     here: int
 
     def in_order(
-        self, work: Callable[[_Item], _Result], items: Iterable[_Item], batch: int = 1
+        self,
+        work: Callable[[_Item], _Result],
+        items: Iterable[_Item],
+        batch: int = 1,
+        most: int | None = None,
     ) -> Iterator[_Result]:
-        """The results of work on items, in their order. `batch` of them travel together."""
+        """The results of work on items, in their order. `batch` of them travel together; at most
+        `most` such batches are under way or wait here, where results are large."""
 
 
 class Threads:
@@ -41,6 +46,7 @@ class Threads:
         work: Callable[[_Item], _Result],
         items: Iterable[_Item],
         batch: int = 1,
+        most: int | None = None,
     ) -> Iterator[_Result]:
         """The results of work on items, in their order, few more than the threads at a time."""
         if self.here < 2:

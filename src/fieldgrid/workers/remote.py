@@ -54,7 +54,11 @@ class OnCluster(Closing):
         )
 
     def in_order(
-        self, work: Callable[[_Item], _Result], items: Iterable[_Item], batch: int = 1
+        self,
+        work: Callable[[_Item], _Result],
+        items: Iterable[_Item],
+        batch: int = 1,
+        most: int | None = None,
     ) -> Iterator[_Result]:
         """The results of work on items, in their order. What work raises of items ends it; so does
         ClusterError where workers cannot do it."""
@@ -68,7 +72,8 @@ class OnCluster(Closing):
         self._cluster.begin(group, packed(work))
         try:
             while True:
-                while len(waiting) < (1 + _WAITING) * self._cluster.ahead:
+                at_a_time = (1 + _WAITING) * self._cluster.ahead
+                while len(waiting) < min(at_a_time, most or at_a_time):
                     some = tuple(islice(left, batch))
                     if not some:
                         break

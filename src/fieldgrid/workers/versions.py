@@ -17,4 +17,5 @@ def versions() -> dict[str, str]:
         "NumPy": np.__version__,
         "OpenCV": cv2.__version__,
         "Numba": version("numba"),
+        "SciPy": version("scipy"),
     }
