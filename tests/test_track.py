@@ -36,15 +36,17 @@ PLACES = (
 )
 """As PROJ's topocentric conversion has them."""
 
+AT, NS = "2011-06-15T10:30", ".000000000Z"
 GOLDEN = "\n".join(
     (
         "time_ns,lat_deg,lon_deg,height_m,east_m,north_m,heading_deg,heading_sigma_deg,"
-        "speed_mps,gear,status,reason",
-        '1308133811000000000,,,,,,,,,,rejected,"quality 0 (none), not allowed"',
-        f"1308133812000000000,{PLACES[0]},37.123,0.321,1.500,1,ok,",
-        f'1308133813000000000,{PLACES[1]},180.000,0.500,-0.800,-1,rejected,"says ""no"", twice"',
-        f"1308133815000000000,{PLACES[2]},-90.000,1.250,0.000,0,held,",
-        f"1308133816000000000,{PLACES[3]},,,0.000,0,rejected,heading unknown",
+        "speed_mps,gear,status,reason,time",
+        f'1308133811000000000,,,,,,,,,,rejected,"quality 0 (none), not allowed",{AT}:11{NS}',
+        f"1308133812000000000,{PLACES[0]},37.123,0.321,1.500,1,ok,,{AT}:12{NS}",
+        f"1308133813000000000,{PLACES[1]},180.000,0.500,-0.800,-1,rejected,"
+        f'"says ""no"", twice",{AT}:13{NS}',
+        f"1308133815000000000,{PLACES[2]},-90.000,1.250,0.000,0,held,,{AT}:15{NS}",
+        f"1308133816000000000,{PLACES[3]},,,0.000,0,rejected,heading unknown,{AT}:16{NS}",
         "",
     )
 )
@@ -159,9 +161,11 @@ def test_a_row_an_input_fix_in_order_of_time() -> None:
 
 def test_an_earlier_track_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    path.write_text(GOLDEN.splitlines()[0] + "\r\nold\r\n")
-    write_track(estimate(), path)
-    assert path.read_text() == GOLDEN
+    header = GOLDEN.splitlines()[0]
+    for earlier in (header, header.removesuffix(",time")):  # 0.1.0 wrote no text of times
+        path.write_text(f"{earlier}\r\nold\r\n")
+        write_track(estimate(), path)
+        assert path.read_text() == GOLDEN
     path.write_text("")
     write_track(estimate(), path)
     assert path.read_text() == GOLDEN

@@ -30,14 +30,15 @@ from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 COLUMNS = (
     *("time_ns", "lat_deg", "lon_deg", "height_m", "east_m", "north_m"),
-    *("heading_deg", "heading_sigma_deg", "speed_mps", "gear", "status", "reason"),
+    *("heading_deg", "heading_sigma_deg", "speed_mps", "gear", "status", "reason", "time"),
 )
 """The columns of `track.csv`; others read them by these names and in this order."""
 
 NO_HEADING_DEG = 90.0
 """A heading as unsure as this is none."""
 
-_HEADER = ",".join(COLUMNS)
+_HEADER = ",".join(COLUMNS[:-1])
+"""How a table begins, those of earlier versions included, which have no `time`."""
 
 _OTHERS = {
     ".gpx": (GPX_START, gpx_lines),
@@ -88,8 +89,7 @@ def check_target(path: Path) -> None:
     first = _HEADER if suffix == ".csv" else _OTHERS[suffix][0]
     with path.open("rb") as file:
         start = file.readline(len(first) + 2).decode("latin-1").rstrip("\r\n")
-    ours = start == first if suffix == ".csv" else start.startswith(first)
-    if start and not ours:
+    if start and not start.startswith(first):
         raise MapExistsError(
             f"{path} exists already and is no track; give another name, or remove it first."
         )
@@ -132,6 +132,7 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
         (str(g) if k else "" for g, k in zip(track.gear[at].tolist(), known.tolist(), strict=True)),
         (named[track.status[k]] for k in at.tolist()),
         (track.reason[k] for k in at.tolist()),
+        (f"{t}Z" for t in np.datetime_as_string(track.time_ns[at].astype("datetime64[ns]"))),
         strict=True,
     )
 

@@ -395,3 +395,6 @@ _WRITERS: dict[str, Callable[[Path, Sequence[Feature], Datum, bool], None]] = {
     ".dxf": _write_dxf,
 }
 """By the ending of a path."""
+
+FEATURE_SUFFIXES = tuple(_WRITERS)
+"""What the name of a file of features may end in."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from fieldgrid.build.inputs import from_arrays
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.errors import (
     ConfigError,
+    DatumError,
     RecordingError,
 )
 from fieldgrid.geodesy import Datum
@@ -165,6 +167,23 @@ def test_a_second_drive_is_added_in_the_datum_of_the_map(
     # The same instant of the same log; the camera saw other frames of the way to it.
     assert same[0].pose.east_m == pytest.approx(same[1].pose.east_m, abs=0.05)
     assert same[0].pose.north_m == pytest.approx(same[1].pose.north_m, abs=0.05)
+
+
+def test_a_drive_in_another_country_is_refused_for_that_and_nothing_else(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    """Its headings are off and its images are damaged, too, which does not matter there."""
+    drive, out = make_drive(), tmp_path / "m.gpkg"
+    for image in (drive / "left").iterdir():
+        image.unlink()  # it is a link to that of the example
+        image.write_bytes(b"x")
+    mounting = drive / "calibration/mounting.json"
+    said = json.loads(mounting.read_text())
+    mounting.unlink()
+    mounting.write_text(json.dumps({**said, "heading_offset_deg": 90.0}))
+    with pytest.raises(DatumError, match=r"fixes of .* are 1\d\d\d km from the datum 49\.0"):
+        build([drive], out, datum=Datum(49.0, 8.4, 110.0))
+    assert not out.exists()
 
 
 @pytest.mark.usefixtures("worked_out_afresh")

@@ -423,7 +423,7 @@ def test_a_recording_with_a_fault(
         ("--max-range -1", r"density\.max_range_m = -1\.0 \(--max-range\) cannot be"),
         ("--max-range inf", r"density\.max_range_m = inf \(--max-range\) cannot be"),
         ("--datum 99,0,0", r"latitude 99\.0 and longitude 0\.0 are not on Earth"),
-        ("--datum 0,0,0", r"over 50 km from the map's datum"),
+        ("--datum 0,0,0", r"are 4\d\d\d km from the datum .*, over 50 km"),
         ("--append", r"There is no map .*m\.gpkg to append to; leave out --append to make it"),
         ("--append --overwrite", "--append and --overwrite exclude each other; give one of them"),
     ],

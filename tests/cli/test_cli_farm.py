@@ -35,6 +35,21 @@ def merged(maps: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_what_repair_has_kept_of_a_map_is_no_map_of_a_farm(
+    fieldgrid: Run, maps: Path, tmp_path: Path
+) -> None:
+    """Its drives would count twice."""
+    farm = tmp_path / "farm"
+    farm.mkdir()
+    shutil.copy(maps / "north.gpkg", farm)
+    for _ in range(2):
+        fieldgrid("repair", farm / "north.gpkg").output()
+    assert len(list(farm.iterdir())) == 3
+    (only,) = json.loads(fieldgrid("farm", farm, "--json").output())["maps"]
+    assert Path(only["map"]).name == "north.gpkg"
+    assert "is no folder" in fieldgrid("farm", farm / "north.gpkg").sentence()
+
+
 def test_the_list_is_a_table_or_json(fieldgrid: Run, maps: Path) -> None:
     lines = fieldgrid("farm", maps).output().splitlines()
     assert [line.split()[0] for line in lines] == ["map", "north.gpkg", "south.gpkg", "2"]
@@ -49,7 +64,7 @@ def test_the_list_is_a_table_or_json(fieldgrid: Run, maps: Path) -> None:
         ["0"],
     )  # in the order of their drives
     assert (north["health"], south["health"]) == ("sound", "sound")
-    assert north["first"] == "1970-01-01T00:00:00+00:00"
+    assert north["first"] == "1970-01-01T00:00:00Z"
 
 
 def test_a_damaged_map_is_listed_and_left_out(fieldgrid: Run, maps: Path, tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def test_a_map_without_rows_says_what_to_change(fieldgrid: Run, tmp_path: Path) 
         (["--obstacle-above", "300"], "outside 0..254"),
         (["--spacing", "4:2"], "smaller one first"),
         (["--min-gap", "-1"], "outside 0..1000"),
-        (["--truth", "missing.csv"], "cannot be read as a survey"),
+        (["--truth", "missing.csv"], "There is no survey"),
         (["-o", "rows.shp"], "ends in none of"),
         (["--at", "may"], "may"),
     ],

@@ -290,7 +290,8 @@ def test_a_place_that_cannot_be_written(place: str, fieldgrid: Run, out: Path) -
 
 def test_a_datum_of_another_country(fieldgrid: Run, out: Path) -> None:
     sentence = fieldgrid("track", RTK, "-o", out, "--datum", "52,13,40").sentence()
-    assert "km from its datum" in sentence
+    assert "km from the datum 52.0" in sentence
+    assert "over 50 km; build a map of its own" in sentence
     assert os.listdir(out.parent) == []
 
 

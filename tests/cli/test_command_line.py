@@ -55,7 +55,10 @@ def test_every_option_shows_its_default_once(name: str, fieldgrid: Run) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_shows_how_it_is_used(name: str, fieldgrid: Run) -> None:
-    examples = re.split(r"Examples?:", fieldgrid(name, "--help").output(), maxsplit=1)[-1]
+    _, found, examples = re.split(
+        r"\n  (Examples?:)\n", fieldgrid(name, "--help").output(), maxsplit=1
+    )
+    assert found
     assert f"fieldgrid {name}" in examples
 
 

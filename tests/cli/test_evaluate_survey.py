@@ -28,3 +28,13 @@ def test_a_survey_on_the_command_line(two_lanes_map: Path, tmp_path: Path, field
     other = fieldgrid("evaluate", two_lanes_map, survey, "--frames")
     assert other.status == 2
     assert "is a survey, which does not take it" in other.err
+
+
+def test_a_survey_that_is_none_and_a_crop_that_is_none(
+    two_lanes_map: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    survey = tmp_path / "posts.csv"
+    asked = ("evaluate", two_lanes_map, survey)
+    assert fieldgrid(*asked).sentence() == f"There is no survey {survey}; check the name."
+    survey.write_text("kind,east_m,north_m\npost,0,60\n")
+    assert "'corn' is no crop" in fieldgrid(*asked, "--crop", "corn").sentence()

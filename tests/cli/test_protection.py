@@ -43,6 +43,19 @@ def tree(folder: Path) -> dict[Path, bytes]:
         ("merge MAP -o MAP --overwrite", "is read here and never replaced"),
         ("merge MAP -o IMAGE --overwrite", "is not a map that fieldgrid has written"),
         ("diff MAP --from 2000-01-01 --to june -o MAP", "is read here and never replaced"),
+        ("view MAP --html OTHER.gpkg", "ends in none of .html"),
+        ("view MAP --html IMAGE", "ends in none of .html"),
+        ("view MAP --html OTHER.html", "is not a page that fieldgrid has written"),
+        ("rows MAP -o MAP --overwrite", "is read here and never replaced"),
+        ("rows MAP -o DRIVE/frames.csv", "exists already; give another name"),
+        ("rows MAP -o OTHER.gpkg --overwrite", "is not features in a .gpkg that fieldgrid"),
+        ("rows MAP --agopengps DRIVE", "exists already; give another name"),
+        ("route MAP --cover -o x.csv --swaths MAP --overwrite", "is read here and never replaced"),
+        ("route MAP --cover --swaths DRIVE/frames.csv", "exists already; give another name"),
+        ("mark MAP -o DRIVE/frames.csv --overwrite", "is not features in a .csv that fieldgrid"),
+        ("farm FOLDER --stac DRIVE --overwrite", "holds other things than a STAC catalogue"),
+        ("live -o x.gpkg --images DRIVE --gnss - --gnss-log DRIVE/frames.csv", "is no log of a"),
+        ("live --replay DRIVE -o MAP", "exists already; give another name"),
     ],
 )
 def test_no_input_is_replaced(
@@ -58,10 +71,14 @@ def test_no_input_is_replaced(
     drive = make_drive("june")
     map_ = tmp_path / "field.gpkg"
     shutil.copy(two_lanes_map, map_)
+    other = tmp_path / "other"  # another map, and a page of somebody else
+    shutil.copy(two_lanes_map, other.with_suffix(".gpkg"))
+    other.with_suffix(".html").write_text("<html>")
     before = tree(tmp_path)
     image = min((drive / "left").iterdir())
     text = arguments.replace("DRIVE", str(drive)).replace("MAP", str(map_))
-    text = text.replace("IMAGE", str(image))
+    text = text.replace("IMAGE", str(image)).replace("OTHER", str(other))
+    text = text.replace("FOLDER", str(tmp_path))
     result = fieldgrid(*text.split())
     assert result.status == 1, result
     if not arguments.startswith("diff"):  # whose --from is refused first
@@ -177,6 +194,11 @@ def test_an_option_that_cannot_count_is_refused(
         ("farm FOLDER --stac catalogue --jobs 1", "--jobs"),
         ("route MAP --from 0,0,0 --to 1,1,0 --tracks", "--tracks"),
         ("route MAP --cover --headland-passes 2", "--headland-passes"),
+        ("route MAP --cover --overwrite", "--overwrite"),
+        ("route MAP --cover --speed-limit 5", "--speed-limit"),
+        ("route MAP --cover --swaths x.taskdata.zip --speed-limit 5", "--speed-limit"),
+        ("route MAP --cover -o x.csv --swaths x.csv", "two outputs"),
+        ("rows MAP -o x.csv --agopengps x.csv", "two outputs"),
         ("verify MAP --scheduler tcp://127.0.0.1:1", "--scheduler"),
         ("live --replay DRIVE -o x.gpkg --gnss-log x.nmea", "--gnss-log"),
     ],
@@ -190,6 +212,53 @@ def test_an_option_without_the_one_that_it_is_for_is_refused(
     before = tree(tmp_path)
     assert flag in fieldgrid(*[places.get(word, word) for word in text.split()]).usage()
     assert tree(tmp_path) == before
+
+
+NUMBERS: dict[str, str] = {
+    "align": "align MAP --dry-run",
+    "diff": "diff MAP --from june --to july",
+    "evaluate": "evaluate MAP SURVEY",
+    "live": "live --replay DRIVE -o x.gpkg --rate max",
+    "query": "query MAP 0 60",
+    "rows": "rows MAP -o x.osm",
+    "route": "route MAP --cover --tracks --swaths x.osm",
+    "show": "show MAP -o x.png",
+}
+"""A use of each command that takes lengths and shares."""
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_that_none_can_be_is_refused_before_the_work(
+    name: str, fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    survey = tmp_path / "survey.csv"
+    survey.write_text("kind,east_m,north_m\npost,0,60\n")
+    places = {"MAP": two_lanes_map, "DRIVE": make_drive(), "SURVEY": survey}
+    words = [places.get(word, word) for word in NUMBERS[name].split()]
+    tried = 0
+    for one in load(name).params:
+        kind = str(one.type_descriptor.annotation)
+        if one.param_type_name != "option" or one.nargs != 1 or "float" not in kind:
+            continue
+        flag = max(one.opts, key=len)
+        # Clocks may differ by anything.
+        for value in ("nan", "inf", *(["-1e9"] if name != "live" else [])):
+            result = fieldgrid(*words, f"{flag}={value}")
+            assert result.status in (1, 2), (flag, value, result)
+            assert result.out == "", (flag, value)
+            assert not list(tmp_path.glob("x.*")), (flag, value)
+        tried += 1
+    assert tried > 0
+
+
+def test_what_is_said_of_columns_is_for_tables(
+    fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    log = next((make_drive() / "gnss").iterdir())
+    asked = ("track", log, "-o", tmp_path / "t.csv", "--columns", "lat=a")
+    assert "is no table; leave --columns out" in fieldgrid(*asked).sentence()
 
 
 def test_numbers_below_zero_are_no_options(fieldgrid: Run, two_lanes_map: Path) -> None:

@@ -161,3 +161,23 @@ def test_parquet_is_geoparquet(universal: MapFile, tmp_path: Path) -> None:
     part = geopandas.read_parquet(tmp_path / "m.parquet", bbox=(0.0, 0.0, 2.0, 2.0))
     inside = (frame.geometry.x.between(0.0, 2.0)) & (frame.geometry.y.between(0.0, 2.0))
     assert 0 < len(part) == int(inside.sum()) < len(frame)
+
+
+def test_a_validator_of_geoparquet_has_nothing_to_say(universal: MapFile, tmp_path: Path) -> None:
+    validator = pytest.importorskip("geoparquet_validator")
+    out = tmp_path / "m.parquet"
+    export_map(universal, out, Selection(cell_m=COARSE_M))
+    report = validator.check(str(out))
+    assert [
+        (one["id"], one["message"]) for one in report["outcomes"] if one["status"] == "fail"
+    ] == []
+    passed = {one["id"] for one in report["outcomes"] if one["status"] == "pass"}
+    assert passed >= {"/conf/core/wkb", "/conf/core/crs-projjson", "/conf/core/bbox-extent"}
+    assert "/conf/covering/bbox-paths" in passed
+    # It does find faults: bounds that are not those of the points.
+    table = pyarrow.parquet.read_table(out)
+    geo = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"geo"])
+    geo["columns"]["geometry"]["bbox"][0] += 1.0
+    wrong = table.replace_schema_metadata({**table.schema.metadata, b"geo": json.dumps(geo)})
+    pyarrow.parquet.write_table(wrong, out)
+    assert "/conf/core/bbox-extent" in validator.failed(validator.check(str(out)))

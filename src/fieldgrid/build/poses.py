@@ -14,11 +14,12 @@ from fieldgrid.choices import Doubt
 from fieldgrid.errors import (
     CalibrationError,
     ConfigError,
+    DatumError,
     FieldgridError,
     GnssError,
     RecordingError,
 )
-from fieldgrid.geodesy import Datum
+from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses
@@ -58,22 +59,42 @@ def estimate_drive(
     """Trajectory and report of a drive; `datum` is the drive's own or its first fix.
 
     `steps` are the camera's, if they have been worked out (:func:`visual_odometry`). `carrier` is
-    the vehicle of a drive that has no rig. `level_grids` as in `estimate_poses`.
+    the vehicle of a drive that has no rig. `level_grids` as in `estimate_poses`. Raises DatumError
+    before all else where no fix is within reach of the datum.
     """
     settings = settings or BuildSettings()
+    datum = datum or drive.datum_hint
+    if datum is not None:
+        _check_reach(drive, datum)
     frame_ns = None
     if isinstance(drive, Recording):
         frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
     return estimate_poses(
         drive.fixes(),
         drive.rig or carrier,
-        datum or drive.datum_hint,
+        datum,
         settings.pose,
         drive.motion()._replace(steps=steps),
         None if drive.rig is None else cell_budget(drive.rig, settings),
         frame_ns=frame_ns,
         level_grids=level_grids,
     )
+
+
+def _check_reach(drive: Drive, datum: Datum) -> None:
+    """Raise DatumError when all fixes are too far from a datum: what else is wrong of a drive in
+    another country does not matter."""
+    fixes = drive.fixes()
+    # The chord: beyond the horizon, metres east and north are fewer again.
+    enu_m = datum.to_enu(fixes.lat_deg, fixes.lon_deg, np.nan_to_num(fixes.height_m))
+    away_m = np.linalg.norm(enu_m, axis=0)
+    nearest_m = float(np.fmin.reduce(away_m, initial=np.inf))
+    if MAX_DISTANCE_M < nearest_m < np.inf:
+        raise DatumError(
+            f"The fixes of {drive.name} are {nearest_m / 1000:.0f} km from the datum "
+            f"{datum.described()}, over {MAX_DISTANCE_M / 1000:.0f} km; build a map of its own of "
+            "this drive, or give a --datum near the field."
+        )
 
 
 def estimate_trajectory(

@@ -52,7 +52,9 @@ def command(
     """Compare a map with surveyed or simulated truth: obstacles, free space, rows, poses.
 
     The comparison is absolute: the map is not shifted or turned to fit. TRUTH is a folder
-    with rasters and poses, or a survey of posts, rows and obstacles as GeoJSON or CSV. Examples:
+    with rasters and poses, or a survey of posts, rows and obstacles as GeoJSON or CSV.
+
+    Examples:
 
         fieldgrid evaluate vineyard.gpkg examples/two_lanes/truth
 

@@ -10,6 +10,8 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from fieldgrid.farm import Block
     from fieldgrid.stac import Written
 
@@ -127,6 +129,10 @@ def _as_dict(folder: Path, blocks: tuple[Block, ...], written: Written | None) -
     return found
 
 
+def _iso(moment: datetime | None) -> str | None:
+    return None if moment is None else moment.isoformat().replace("+00:00", "Z")
+
+
 def _block(block: Block) -> dict[str, Any]:
     about = {"map": str(block.path), "health": block.health.value, "bytes": block.size_bytes}
     if block.header is None:
@@ -142,8 +148,8 @@ def _block(block: Block) -> dict[str, Any]:
             "lon_deg": datum.lon_deg,
             "height_m": datum.height_m,
         },
-        "first": block.first.isoformat() if block.first else None,
-        "last": block.last.isoformat() if block.last else None,
+        "first": _iso(block.first),
+        "last": _iso(block.last),
         "sessions": [info.name for info in block.sessions],
         "removed": block.removed,
         "root_sha256": block.root_sha256,

@@ -192,6 +192,21 @@ def check_scheduler(scheduler: str | None, jobs: int | None) -> None:
         )
 
 
+def check_outputs(written: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Refuse outputs before the work: two of one name, inputs, and what may not be replaced."""
+    from fieldgrid.errors import MapExistsError
+    from fieldgrid.publish import refuse_input
+
+    if len({path.resolve() for path in written}) < len(written):
+        raise typer.BadParameter(f"{written[-1]} is the name of two outputs", param_hint="--out")
+    for path in written:
+        refuse_input(path, inputs)
+        if path.exists() and not overwrite:
+            raise MapExistsError(
+                f"{path} exists already; give another name, or --overwrite to replace it."
+            )
+
+
 def check_figure(path: Path | None) -> None:
     """A usage error for a figure that could not be written."""
     if path is not None and path.suffix.lower() not in _PICTURES:

@@ -20,6 +20,9 @@ import typer
 from fieldgrid.cli.groups import option
 from fieldgrid.errors import printable
 
+_TIMES = ("time_ns", "start_ns", "stop_ns")
+"""How the keys of times end in JSON; `..._offset_ns` is none."""
+
 _COLOURS = {"error": "31", "warning": "33"}
 
 _quiet = False
@@ -72,13 +75,37 @@ def message(text: str) -> None:
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """One JSON object to stdout."""
-    print(json.dumps(value, indent=2, allow_nan=False))
+    """One JSON object to stdout, with a text beside each time."""
+    print(json.dumps(with_texts(value), indent=2, allow_nan=False))
 
 
 def print_json_line(value: Mapping[str, Any]) -> None:
     """One JSON object to stdout, on a line of its own, and at once."""
-    print(json.dumps(value, allow_nan=False), flush=True)
+    print(json.dumps(with_texts(value), allow_nan=False), flush=True)
+
+
+def with_texts(value: Any) -> Any:
+    """A value with the ISO text of each time in nanoseconds beside it (`time` of `time_ns`,
+    `start_time` of `start_ns`): JavaScript and jq round whole numbers of that size."""
+    if isinstance(value, list | tuple):
+        return [with_texts(one) for one in value]
+    if not isinstance(value, Mapping):
+        return value
+    found: dict[str, Any] = {}
+    for key, one in value.items():
+        found[key] = with_texts(one)
+        if str(key).endswith(_TIMES):
+            name = key.removesuffix("_ns")
+            found.setdefault(name if name.endswith("time") else f"{name}_time", _time_text(one))
+    return found
+
+
+def _time_text(value: Any) -> Any:
+    from fieldgrid.utc import utc_text
+
+    if isinstance(value, list | tuple):
+        return [_time_text(one) for one in value]
+    return None if value is None else utc_text(value, "ns")
 
 
 def print_line(text: str) -> None:

@@ -184,7 +184,6 @@ def command(
     from fieldgrid.export.taskdata import export_taskdata
     from fieldgrid.grids import FREE_UP_TO
     from fieldgrid.mapfile import open_map, read_datum
-    from fieldgrid.publish import refuse_input
     from fieldgrid.route import Vehicle, plan_route, read_vehicle
     from fieldgrid.route.output import check_target, write_route
     from fieldgrid.rows import crop_named
@@ -200,15 +199,20 @@ def command(
         options.refuse_idle(ctx, _OF_LANES, "it is for lanes, without --tracks")
     else:
         options.refuse_idle(ctx, _OF_TRACKS, "it is for --tracks only")
+    written = [path for path in (out, swaths, agopengps) if path is not None]
+    if not written:
+        options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
+    if swaths is None:
+        options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --swaths")
     origin, target = _place("--from", start), _place("--to", goal)
     low, high = options.spacing(spacing)
-    if out is not None:
-        check_target(out)
     guide = None if along in (None, "edge") else Path(str(along))
     inputs = [path for path in (map_, vehicle, boundary, guide) if path is not None]
-    for written in (out, agopengps, swaths):
-        if written is not None:
-            refuse_input(written, inputs)
+    if out is not None:
+        check_target(out)
+    if swaths is not None:
+        _check_swaths(swaths, speed_limit)
+    options.check_outputs(written, inputs, overwrite=overwrite)
     driven = Vehicle() if vehicle is None else read_vehicle(vehicle)
     ground: dict[str, Any] = {
         "allow_unknown": allow_unknown,
@@ -278,9 +282,8 @@ def command(
         output.print_json({"map": str(map_), "found": True, **_as_dict(route, coverage, out)})
     else:
         _print(route, coverage)
-        for written in (out, agopengps, swaths):
-            if written is not None:
-                output.print_line(f"{written}")
+        for file in written:
+            output.print_line(f"{file}")
     if coverage is not None and coverage.left_out:
         first, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
         raise NoRouteError(
@@ -304,6 +307,15 @@ def _place(flag: str, text: str | None) -> tuple[float, ...] | None:
     except typer.BadParameter:
         message = f"{text!r} is not {_FORM}, as in {_EXAMPLE}"
         raise typer.BadParameter(message, param_hint=flag) from None
+
+
+def _check_swaths(path: Path, speed_limit: float | None) -> None:
+    from fieldgrid.rows.output import check_target
+
+    if not path.name.lower().endswith(_TASKDATA):
+        check_target(path, speed_limit)
+    elif speed_limit is not None:
+        raise typer.BadParameter("task data cannot hold it", param_hint="--speed-limit")
 
 
 def _shape(path: Path, datum: Datum, kind: str) -> Any:

@@ -91,10 +91,9 @@ def command(
     """
     from fieldgrid.evaluation import read_survey
     from fieldgrid.mapfile import Patience, open_map
-    from fieldgrid.publish import refuse_input
     from fieldgrid.rows import crop_named, find_rows
     from fieldgrid.rows.agopengps import write_agopengps
-    from fieldgrid.rows.output import planting_features, write_planting
+    from fieldgrid.rows.output import check_target, planting_features, write_planting
     from fieldgrid.rows.report import against_survey
 
     if keep and at is not None:
@@ -103,10 +102,12 @@ def command(
         )
     if out is None:
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --out")
-        if agopengps is None:
-            options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
     else:
-        refuse_input(out, [map_, *([truth] if truth else [])])
+        check_target(out, speed_limit)
+    written = [path for path in (out, agopengps) if path is not None]
+    if not written:
+        options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
+    options.check_outputs(written, [map_, *([truth] if truth else [])], overwrite=overwrite)
     low, high = options.spacing(spacing)
     planted = crop_named(crop).changed(
         min_spacing_m=low,
@@ -155,9 +156,8 @@ def command(
                 ("within 3 sigma", output.percent(compared.within_3_sigma)),
             ),
         )
-    for written in (out, agopengps):
-        if written is not None:
-            output.print_line(f"{written}")
+    for file in written:
+        output.print_line(f"{file}")
 
 
 BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "std dev", "parallel to", "bend")

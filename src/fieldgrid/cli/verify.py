@@ -22,7 +22,9 @@ def command(
     """Check that a map is undamaged, by the sums that it stores of its rows.
 
     With --deep, or if a sum does not match, the evidence is checked against its hashes, and
-    everything else is rebuilt from it and compared. Exit status 1 if something is wrong. Examples:
+    everything else is rebuilt from it and compared. Exit status 1 if something is wrong.
+
+    Examples:
 
         fieldgrid verify vineyard.gpkg
 

@@ -26,7 +26,7 @@ from fieldgrid.evaluation.survey import ROW, Survey, Surveyed
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView
-from fieldgrid.rows import find_rows
+from fieldgrid.rows import crop_named, find_rows
 
 WITHIN_M = 0.3
 
@@ -100,8 +100,10 @@ def evaluate_survey(
 ) -> SurveyScores:
     """Compare a map with a survey in its plane; `crop` says which rows to look for in the map.
 
-    Raises TruthError when the survey lies beside the map.
+    Raises TruthError when the survey lies beside the map, ConfigError for a crop that is none, also
+    where the survey has no rows.
     """
+    planted = crop_named(crop)
     view = _view(universal, survey)
     obstacle = view.observed & (view.density > OBSTACLE_ABOVE)
     things = [thing for thing in survey.things if thing.kind != ROW]
@@ -109,7 +111,7 @@ def evaluate_survey(
     lines: list[Any] = []
     surveyed_rows = [thing for thing in survey.things if thing.kind == ROW]
     if surveyed_rows:
-        lines = [row.line for row in find_rows(universal, crop=crop).rows]
+        lines = [row.line for row in find_rows(universal, crop=planted).rows]
         scores += [_row(row, view, lines, within_m) for row in surveyed_rows]
     kinds = dict.fromkeys(score.kind for score in scores)
     return SurveyScores(

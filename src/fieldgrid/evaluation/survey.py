@@ -73,6 +73,8 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
             else:
                 things_of_file = _csv(bounded_lines(file, path), datum)
             found = list(_few(things_of_file))
+    except FileNotFoundError as error:
+        raise TruthError(f"There is no survey {path}; check the name.") from error
     except (OSError, UnicodeError) as error:
         raise TruthError(f"{path} cannot be read as a survey: {error}.") from error
     except _SurveyError as error:

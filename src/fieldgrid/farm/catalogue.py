@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -13,6 +14,7 @@ from fieldgrid.mapfile import MapFile, SessionInfo, in_drive_order, open_map
 from fieldgrid.mapfile.header import Header
 
 ENDING = ".gpkg"
+_BACKUP = re.compile(r"\.before-repair(-\d+)?$")
 
 
 class Health(StrEnum):
@@ -75,6 +77,8 @@ def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) 
 
     ConfigError when there is no such folder, or no file that ends in .gpkg in it.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is no folder; give the folder in which the maps are.")
     if not folder.is_dir():
         raise ConfigError(f"{folder} does not exist; give the folder in which the maps are.")
     files = map_files(folder)
@@ -84,8 +88,13 @@ def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) 
 
 
 def map_files(folder: Path) -> list[Path]:
-    """The files of a folder that should be maps, by their names."""
-    return sorted(f for f in folder.iterdir() if f.suffix.lower() == ENDING and f.is_file())
+    """The files of a folder that should be maps, by their names; not what `repair` kept of a map
+    beside it, whose drives would count twice."""
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() == ENDING and file.is_file() and not _BACKUP.search(file.stem)
+    )
 
 
 def _block(file: Path, verify: bool, jobs: int | None) -> Block:

@@ -11,6 +11,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.gnss import NmeaStream, UbxParser
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Address, LinkEndedError, check_link, open_link, parse_address
+from fieldgrid.recording.stream_log import looks_like_stream
 
 POLL_S = 0.25
 
@@ -71,12 +72,20 @@ class ReceiverStream:
         return "no sentence of NMEA and no message of UBX is whole; check the baud rate"
 
 
+def _head(log: Path) -> bytes:
+    if not log.is_file():
+        return b""  # a pipe or a device
+    with log.open("rb") as file:
+        return file.read(1 << 16)
+
+
 class Receiver:
     """A receiver as a source of fixes; `address` is written as `--gnss` has it.
 
     The stream goes on over losses of the link, so that a date that was told once holds. What comes
     is appended to the file `log` as well, where one is given. Raises ConfigError for what is no
-    address, for a serial port without pyserial, and for a log that cannot be written.
+    address, for a serial port without pyserial, and for a log that cannot be written or has
+    something else in it.
     """
 
     def __init__(self, address: str | Address, log: Path | None = None) -> None:
@@ -86,6 +95,8 @@ class Receiver:
         self._log, self._log_problem = log, ""
         if why := self._keep(b""):
             raise ConfigError(f"The log {log} cannot be written: {why}; give another place.")
+        if log is not None and (head := _head(log)) and not looks_like_stream(head):
+            raise ConfigError(f"{log} is no log of a receiver to append to; give another name.")
 
     @property
     def name(self) -> str:

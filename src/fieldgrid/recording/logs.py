@@ -104,6 +104,15 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     return read_stream(path)  # the receiver may have begun with something else
 
 
+def _has_columns(path: Path) -> bool:
+    """Whether a log is a table, for which it can be said what its columns are."""
+    if is_time_log(path):
+        return False
+    with open_log_bytes(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    return is_solution(head) or _looks_like_table(head)
+
+
 def _read_among_foreign(path: Path, head: bytes) -> FixLog:
     """The fixes of a log that begins with another protocol, if any follow; else it is refused."""
     try:
@@ -149,6 +158,8 @@ def open_log(path: Path, options: DriveOptions) -> Drive:
     options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
     options.refuse_topics(path)
     options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
+    if options.columns is not None and not _has_columns(path):
+        options.refuse(f"{path} is no table", "columns")
     log = options.in_time(read_fix_log(path, options.columns))
     return Drive(
         path=path,

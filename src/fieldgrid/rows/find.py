@@ -71,6 +71,7 @@ def find_rows(
                 opened, crop=crop, bounds=bounds, obstacle_above=obstacle_above, hole_m=hole_m,
                 headland_m=headland_m, at=at,
             )  # fmt: skip
+    _check_lengths(hole_m, headland_m)
     if not 0 <= obstacle_above <= 254:
         raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
     with universal.read_blocks(bounds, _cell_m(universal, bounds), at=at) as blocks:
@@ -91,8 +92,15 @@ def rows_of_view(
     headland_m: float = DEFAULT_HEADLAND_M,
 ) -> Planting:
     """The same of a view that was read already."""
+    _check_lengths(hole_m, headland_m)
     evidence = Evidence.of(view, obstacle_above)
     return _planting(evidence, view.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m)
+
+
+def _check_lengths(hole_m: float, headland_m: float) -> None:
+    for what, value_m, most_m in (("Holes", hole_m, 10.0), ("Headlands", headland_m, 1000.0)):
+        if not 0.0 <= value_m <= most_m:  # NaN is outside, too
+            raise ConfigError(f"{what} of {value_m:g} m are outside 0..{most_m:g} m.")
 
 
 def _planting(

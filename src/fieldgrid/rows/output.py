@@ -8,9 +8,10 @@ from typing import Any
 from fieldgrid.errors import ConfigError
 from fieldgrid.rows.lanelet2 import write_lanelet2
 from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting
-from fieldgrid.vectors import Feature, write_features
+from fieldgrid.vectors import FEATURE_SUFFIXES, Feature, write_features
 
 OSM = ".osm"
+_MAX_LIMIT_KMH = 200.0
 
 _ENDS = {
     (True, True): "both", (True, False): "start", (False, True): "stop", (False, False): "none",
@@ -92,14 +93,31 @@ def _rests_on(found: Block | Gap | Headland | Lane | Obstacle) -> dict[str, Any]
     return {"sigma_m": found.sigma_m, "cells": found.cells, "sessions": found.sessions}
 
 
+def check_target(path: Path, speed_limit_kmh: float | None = None) -> None:
+    """Raise ConfigError for a name that is none of a planting, a speed limit that no road has, and
+    one for a file that cannot hold it."""
+    ending = path.suffix.lower()
+    if ending not in (*FEATURE_SUFFIXES, OSM):
+        known = ", ".join((*FEATURE_SUFFIXES, OSM))
+        raise ConfigError(f"{path.name} ends in none of {known}; choose one of them.")
+    if speed_limit_kmh is None:
+        return
+    if ending != OSM:
+        raise ConfigError(f"A speed limit is for Lanelet2, and {path.name} does not end in {OSM}.")
+    if not 0.0 < speed_limit_kmh <= _MAX_LIMIT_KMH:
+        raise ConfigError(
+            f"A speed limit of {speed_limit_kmh:g} km/h is outside 0..{_MAX_LIMIT_KMH:g} km/h."
+        )
+
+
 def write_planting(
     planting: Planting, path: Path, *, speed_limit_kmh: float | None = None, overwrite: bool = False
 ) -> None:
     """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`; as .osm its
-    lanes for Lanelet2, with a speed limit where one is given."""
+    lanes for Lanelet2, with a speed limit where one is given. ConfigError is as `check_target`
+    says."""
+    check_target(path, speed_limit_kmh)
     if path.suffix.lower() == OSM:
         write_lanelet2(planting, path, speed_limit_kmh=speed_limit_kmh, overwrite=overwrite)
         return
-    if speed_limit_kmh is not None:
-        raise ConfigError(f"A speed limit is for Lanelet2, and {path.name} does not end in {OSM}.")
     write_features(path, planting_features(planting), planting.datum, overwrite=overwrite)

@@ -10,13 +10,14 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile
-from fieldgrid.publish import replacing
+from fieldgrid.publish import mentions, refuse_input, replacing
 from fieldgrid.view import drives, layers, page, pyramid
 from fieldgrid.view.about import describe_map
 from fieldgrid.view.features import read_features, route_table
@@ -29,6 +30,9 @@ _ROWS = 40_000
 """Of all drives together: about 100 bytes each."""
 
 _EVERYWHERE = Bounds(-1e6, -1e6, 1e6, 1e6)
+
+_DATA = 'id="fieldgrid-data"'
+"""The element with what the page shows; only a file that has it is replaced."""
 
 
 class Report(NamedTuple):
@@ -49,10 +53,12 @@ def write_report(
 
     Levels that would make it larger than `max_bytes` are left out, the finest first. Raises
     MapError for a path that is no map, ConfigError where not even the coarsest level fits and for a
-    file that is no route.
+    file that is no route or a name that does not end in .html, MapExistsError for an existing file
+    that is no such page, or is read here.
     """
     if not paths:
         raise ConfigError("There is no map to show; name one.")
+    _check_target(out, [*paths, *routes])
     for path in paths:
         if path.is_dir():
             raise ConfigError(
@@ -77,9 +83,15 @@ def write_report(
             f"{out.name} would have {len(document) / 1e6:.1f} MB, more than {max_bytes / 1e6:.1f}; "
             "give fewer maps."
         )
-    with replacing(out) as draft:
+    with replacing(out, ours=partial(mentions, mark=_DATA.encode()), what="a page") as draft:
         draft.write_bytes(document)
     return Report(len(document), tuple(one["cell_m"] for one in data["about"]["maps"]))
+
+
+def _check_target(out: Path, inputs: Sequence[Path]) -> None:
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{out.name} ends in none of .html, .htm; choose one of them.")
+    refuse_input(out, inputs)
 
 
 def _without_tiles(shown: ShownMap, rows: int, routes: Sequence[Path]) -> dict[str, Any]:
@@ -141,7 +153,7 @@ def _document(data: dict[str, Any], title: str) -> bytes:
             f"<title>{name}</title>".encode(),
             b'<link rel="icon" href="data:,"><style>', style, b"</style></head><body>",
             b"<noscript>This page draws maps with JavaScript.</noscript>",
-            b'<script type="application/json" id="fieldgrid-data">', told.encode(), b"</script>",
+            f'<script type="application/json" {_DATA}>'.encode(), told.encode(), b"</script>",
             b"<script>", script, b"</script>\n<!--\n", page.read_file("licences.txt"),
             b"\n-->\n</body></html>\n",
         )
