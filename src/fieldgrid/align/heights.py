@@ -38,6 +38,9 @@ LEAST_SIGMA_M = 0.02
 FAR_M = 100.0
 """Farther off no height is: a log without heights, or with another zero."""
 
+FAR_SIGMAS = 3.0
+"""A receiver that is so many of its stated errors off states too little."""
+
 LOOSE = 0.01
 """What priors count for at first."""
 
@@ -82,17 +85,31 @@ def level(
     far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
     if far:
         return level(drives, transforms, {*doubtful, *far})
-    for n, drive, part in zip(chosen, own, parts, strict=True):
+    least_m = _turned_out(
+        np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
+        np.array([np.median(stated_m[part]) for part in parts]),
+    )
+    for n, drive, part, sigma_m in zip(chosen, own, parts, least_m.tolist(), strict=True):
         if drive.role is Role.MOVES and met[part].any():
-            # Heights come to those of better receivers, but how good these are nobody measures: the
-            # stated error stays, or what it turned out to be.
-            found_m = float(np.sqrt(np.mean(up_m[part] ** 2)))
             corrections[n] = HeightCorrection(
-                tuple(drive.time_ns.tolist()),
-                tuple(up_m[part].tolist()),
-                found_m if found_m > np.median(stated_m[part]) else 0.0,
+                tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), sigma_m
             )
     return corrections
+
+
+def _turned_out(found_m: Float64, stated_m: Float64) -> Float64:
+    """What the heights of each drive err by at least, as it turned out: 0 where that is what its
+    receiver states.
+
+    Heights come to those of better receivers, but how good these are nobody measures. And of drives
+    that contradict each other, without two that agree, each may be the wrong one.
+    """
+    least_m = np.where(found_m > stated_m, found_m, 0.0)
+    wrong = found_m > FAR_SIGMAS * stated_m
+    if wrong.any() and np.count_nonzero(~wrong) < 2:
+        alike = FAR_SIGMAS * stated_m >= stated_m[wrong].min()
+        least_m[alike] = np.maximum(least_m[alike], found_m[wrong].max())
+    return least_m
 
 
 def _stated_m(drive: Drive, transform: Transform) -> Float64:
