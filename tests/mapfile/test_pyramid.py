@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -109,18 +108,16 @@ def test_a_drive_longer_than_the_memory_gives_the_same_map(
 def test_rows_that_a_change_leaves_as_they_are_are_not_written(tmp_path: Path) -> None:
     """Frames without a ground have no terrain, in one session or in two."""
     path = write_map(tmp_path / "map.gpkg", [drive(3)])
-    with closing(sqlite3.connect(path)) as database:
-        database.execute("CREATE TABLE written (channels TEXT)")
+    with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+        own = universal._connection
+        own.execute("CREATE TEMP TABLE written (channels TEXT)")
         for event, row in (("INSERT", "new"), ("DELETE", "old"), ("UPDATE", "new")):
-            database.execute(
-                f"CREATE TRIGGER on_{event} AFTER {event} ON fieldgrid_tile "
+            own.execute(
+                f"CREATE TEMP TRIGGER on_{event} AFTER {event} ON main.fieldgrid_tile "
                 f"WHEN {row}.zoom = (SELECT max(zoom) FROM fieldgrid_tile) "
                 f"BEGIN INSERT INTO written VALUES ({row}.channels); END"
             )
-        database.commit()
-    with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
         write_session(universal, "again", drive(3))
-    with closing(sqlite3.connect(path)) as database:
-        written = {name for (name,) in database.execute("SELECT channels FROM written")}
+        written = {name for (name,) in own.execute("SELECT channels FROM written")}
     assert {"density", "count"} <= written
     assert not written & {"terrain", "surface", "standing"}

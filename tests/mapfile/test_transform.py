@@ -195,9 +195,8 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
         driven_up_m = math.inf if math.isnan(driven_m) else 2.0 * driven_m
         assert driven.up_sigma_m == driven_up_m
         assert transform.pose(driven).position_sigma_m == placed_m
-        assert transform.pose(driven).up_sigma_m == pytest.approx(min(0.04, driven_up_m))
-        # Where heights were not aligned, they are as sure as the receiver's.
-        for heights in (None, HeightCorrection((5,), (0.0,), None)):
+        assert transform.pose(driven).up_sigma_m == max(0.04, driven_up_m)
+        for heights in (None, HeightCorrection((5,), (0.0,))):
             places_alone = replace(transform, heights=heights).pose(driven)
             assert places_alone.up_sigma_m == driven_up_m
         by_hand = replace(transform, aligned=None)
@@ -206,12 +205,14 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
         {"wander": {"time_ns": [5], "east_m": [0.1]}},
         {"wander": {"time_ns": [5.5], "east_m": [0.1], "north_m": [0.0]}},
         {"wander": {"time_ns": [7, 5], "east_m": [0.1, 0.1], "north_m": [0.0, 0.0]}},
-        {"heights": {"time_ns": [5.5], "up_m": [0.0], "sigma_m": 0.1}},
-        {"heights": {"time_ns": [5, 5], "up_m": [0.0, 0.0], "sigma_m": 0.1}},
-        {"heights": {"time_ns": [5], "up_m": [0.0, 0.0], "sigma_m": 0.1}},
-        {"heights": {"time_ns": [5], "up_m": [1e9], "sigma_m": 0.1}},
-        {"heights": {"time_ns": [5], "up_m": [0.0], "sigma_m": -0.1}},
-        {"heights": {"time_ns": [5], "up_m": [0.0], "sigma_m": "x"}},
+        {"heights": {"time_ns": [5.5], "up_m": [0.0], "least_sigma_m": 0.1}},
+        {"heights": {"time_ns": [5, 5], "up_m": [0.0, 0.0], "least_sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0, 0.0], "least_sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [1e9], "least_sigma_m": 0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0], "least_sigma_m": -0.1}},
+        {"heights": {"time_ns": [5], "up_m": [0.0], "least_sigma_m": "x"}},
+        {"heights": {"time_ns": [2**70], "up_m": [0.0], "least_sigma_m": 0.0}},
+        {"wander": {"time_ns": [2**70], "east_m": [0.1], "north_m": [0.0]}},
         {"heights": {"time_ns": [5], "up_m": [0.0]}},
         {"aligned": {"sigma_m": "x", "turn_sigma_deg": 0.0, "to": [], "before": None}},
         {"aligned": {"sigma_m": -1.0, "turn_sigma_deg": 0.0, "to": [], "before": None}},

@@ -238,7 +238,7 @@ def test_an_archive_is_copied_whole_where_the_server_gives_no_parts(
     assert copy == fetched.copy_of("zip://june-03::http://host/2026.zip")
     assert (copy / "frames.csv").read_bytes() == (drive / "frames.csv").read_bytes()
     assert fetched.copy_of("http://host/2026.zip").read_bytes() == archive.read_bytes()
-    assert len(asked) == 3
+    assert asked.count("zip://june-03::http://host/2026.zip") == 1
     with pytest.raises(RecordingError, match=r"is an archive; .* as in zip://FOLDER::http://host"):
         fetch("http://host/2026.zip")
     monkeypatch.setattr(fsspec.core, "url_to_fs", lambda url: int("x"))

@@ -139,16 +139,24 @@ def _aligned(
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
-    solution = with_heights(solution, level(drives, solution.transforms, doubtful))
+    heights = level(drives, solution.transforms, doubtful) if rounds else [None] * len(drives)
+    solution = with_heights(solution, heights, before)
     return summed_up(drives, before, agreements, matches, solution, rough_m)
 
 
-def with_heights(solution: Solution, corrections: Sequence[HeightCorrection | None]) -> Solution:
-    """A solution whose transforms carry the heights that were found for them."""
-    transforms = (
-        transform if heights is None else replace(transform, heights=heights)
-        for transform, heights in zip(solution.transforms, corrections, strict=True)
-    )
+def with_heights(
+    solution: Solution,
+    corrections: Sequence[HeightCorrection | None],
+    before: Sequence[Transform],
+) -> Solution:
+    """A solution whose transforms carry the heights that were found for them, else those of
+    before."""
+    transforms = []
+    for transform, found, earlier in zip(solution.transforms, corrections, before, strict=True):
+        heights = found or earlier.heights
+        transforms.append(
+            transform if heights is transform.heights else replace(transform, heights=heights)
+        )
     return solution._replace(transforms=tuple(transforms))
 
 

@@ -33,7 +33,16 @@ PLACE_SIGMA_M = 0.2
 a hundred of them are good to 2 cm."""
 
 LEAST_SIGMA_M = 0.02
-"""Heights of the ground are no surer than that beside each other."""
+"""No receiver's heights are better."""
+
+FAR_M = 100.0
+"""Farther off no height is: a log without heights, or with another zero."""
+
+FAR_SIGMAS = 3.0
+"""A receiver that is so many of its stated errors off states too little."""
+
+LOOSE = 0.01
+"""What priors count for at first."""
 
 FREEDOM, SCATTER_M = 2.0, 0.05
 """Of Student's distribution of what places differ by: a canopy taken for ground counts little."""
@@ -55,60 +64,92 @@ class _Seen(NamedTuple):
 def level(
     drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
 ) -> list[HeightCorrection | None]:
-    """What to add to the heights of each drive that moves, placed by its transform; None for one
-    that saw no ground which another submap saw, too, and for the `doubtful`, which may lie
-    elsewhere."""
+    """What to add to the heights of each drive that moves, placed by its transform.
+
+    None for one that saw no ground which another submap saw, too, for the `doubtful`, which may lie
+    elsewhere, and for those that are farther off than heights can be (another zero, or none).
+    """
     corrections: list[HeightCorrection | None] = [None] * len(drives)
     chosen = [n for n in range(len(drives)) if n not in doubtful]
     own = [drives[n] for n in chosen]
     count = sum(len(drive.submaps) for drive in own)
     if not 0 < count <= MOST_SUBMAPS:
         return corrections
-    seen = _ground(own, [transforms[n] for n in chosen])
+    placed = [transforms[n] for n in chosen]
+    seen = _ground(own, placed)
     if not len(seen.place):
         return corrections
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
-    stated_m = np.array([_stated_m(drives[n], transforms[n]) for n in chosen])
-    up_m, sigma_m, met = _solve(seen, own, stated_m, count)
-    # A receiver that is farther off than it states is less sure than it states.
-    found_m = np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts])
-    if (found_m > stated_m).any():
-        up_m, sigma_m, met = _solve(seen, own, np.maximum(found_m, stated_m), count)
-    for n, drive, part in zip(chosen, own, parts, strict=True):
+    stated_m = np.concatenate([_stated_m(*one) for one in zip(own, placed, strict=True)])
+    up_m, met = _solve(seen, own, stated_m, parts)
+    far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
+    if far:
+        return level(drives, transforms, {*doubtful, *far})
+    least_m = _turned_out(
+        np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
+        np.array([np.median(stated_m[part]) for part in parts]),
+    )
+    for n, drive, part, sigma_m in zip(chosen, own, parts, least_m.tolist(), strict=True):
         if drive.role is Role.MOVES and met[part].any():
-            error_m = float(np.hypot(sigma_m[part].max(), LEAST_SIGMA_M))
             corrections[n] = HeightCorrection(
-                tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), error_m
+                tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), sigma_m
             )
     return corrections
 
 
-def _stated_m(drive: Drive, transform: Transform) -> float:
-    """What is open of the heights of a drive: what its receiver states, or, of one that was aligned
-    and stays so, what that left."""
-    if drive.role is Role.MOVES:
-        return HEIGHT_SHARE * drive.sigma_m
-    poses = [transform.pose(frame.driven) for submap in drive.submaps for frame in submap.frames]
-    known = [pose.up_sigma_m for pose in poses if np.isfinite(pose.up_sigma_m)]
-    return max(float(np.median(known)), LEAST_SIGMA_M) if known else HEIGHT_SHARE * UNKNOWN_SIGMA_M
+def _turned_out(found_m: Float64, stated_m: Float64) -> Float64:
+    """What the heights of each drive err by at least, as it turned out: 0 where that is what its
+    receiver states.
+
+    Heights come to those of better receivers, but how good these are nobody measures. And of drives
+    that contradict each other, without two that agree, each may be the wrong one.
+    """
+    least_m = np.where(found_m > stated_m, found_m, 0.0)
+    wrong = found_m > FAR_SIGMAS * stated_m
+    if wrong.any() and np.count_nonzero(~wrong) < 2:
+        alike = FAR_SIGMAS * stated_m >= stated_m[wrong].min()
+        least_m[alike] = np.maximum(least_m[alike], found_m[wrong].max())
+    return least_m
+
+
+def _stated_m(drive: Drive, transform: Transform) -> Float64:
+    """What poses state of the heights of each submap [n], as driven or, of a drive that stays, as
+    placed; of one that holds nothing is open."""
+    if drive.role is Role.HOLDS:
+        return np.full(len(drive.submaps), HELD_M)
+    moves, found = drive.role is Role.MOVES, []
+    for submap in drive.submaps:
+        poses = [f.driven if moves else transform.pose(f.driven) for f in submap.frames]
+        known = [pose.up_sigma_m for pose in poses if np.isfinite(pose.up_sigma_m)]
+        usual = HEIGHT_SHARE * UNKNOWN_SIGMA_M
+        found.append(max(float(np.median(known)), LEAST_SIGMA_M) if known else usual)
+    return np.array(found)
 
 
 def _solve(
-    seen: _Seen, drives: Sequence[Drive], stated_m: Float64, count: int
-) -> tuple[Float64, Float64, Bool]:
-    """The heights of submaps [count], their 1-sigma errors, and which share a place with others."""
-    prior = _prior(drives, stated_m, count)
+    seen: _Seen, drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]
+) -> tuple[Float64, Bool]:
+    """The heights of submaps [count], and which share a place with others; `parts` are the submaps
+    of each drive."""
+    count = len(stated_m)
+    prior = _prior(drives, stated_m, parts)
     up_m: Float64 = np.zeros(count)
+    # At first the ground is believed, so that a receiver that is far off is told as such.
+    trust: Float64 = np.full(count, LOOSE)
     weights: Float64 = np.full(len(seen.place), PLACE_SIGMA_M**-2.0)
+    normal = np.zeros((count, count))
     for _ in range(ROUNDS):
         normal, side = _without_places(seen, weights, count)
-        before, up_m = up_m, np.asarray(np.linalg.solve(prior + normal, side), np.float64)
+        before = up_m
+        up_m = np.asarray(np.linalg.solve(trust[:, None] * prior + normal, side), np.float64)
         if np.abs(up_m - before).max() < SETTLED_M:
             break
         misfit = _left_m(seen, weights, up_m) / SCATTER_M
         weights = PLACE_SIGMA_M**-2.0 * (FREEDOM + 1.0) / (FREEDOM + misfit**2)
-    variance = np.diagonal(np.linalg.inv(prior + normal))
-    return up_m, np.sqrt(variance), normal.diagonal() > 0.0
+        for part in parts:
+            off = np.mean((up_m[part] / stated_m[part]) ** 2)
+            trust[part] = (FREEDOM + 1.0) / (FREEDOM + off)
+    return up_m, normal.diagonal() > 0.0
 
 
 def _ground(drives: Sequence[Drive], transforms: Sequence[Transform]) -> _Seen:
@@ -152,19 +193,15 @@ def _ground_of(submap: Submap, transform: Transform, *, placed: bool) -> tuple[I
     return place, np.bincount(inverse, np.concatenate(heights), len(place)) / times
 
 
-def _prior(drives: Sequence[Drive], stated_m: Float64, count: int) -> Float64:
-    """The inverse of the covariance [count, count] of what receivers err in height, by `stated_m`:
-    a part that stays for a drive, and one that wanders over some minutes."""
-    prior, first = np.zeros((count, count)), 0
-    for drive, stated in zip(drives, stated_m.tolist(), strict=True):
-        sigma_m = HELD_M if drive.role is Role.HOLDS else stated
+def _prior(drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]) -> Float64:
+    """The inverse of the covariance [count, count] of what receivers err in height, by `stated_m`
+    of each submap: a part that stays for a drive, and one that wanders over some minutes."""
+    prior = np.zeros((len(stated_m), len(stated_m)))
+    for drive, part in zip(drives, parts, strict=True):
         apart_s = np.abs(np.subtract.outer(drive.time_ns, drive.time_ns)) / 1e9
-        wander = WANDER_SHARE**2 * np.exp(-apart_s / WANDER_S)
-        covariance = sigma_m**2 * (1.0 - WANDER_SHARE**2 + wander)
-        covariance += np.eye(len(apart_s)) * (1e-3 * sigma_m) ** 2
-        own = slice(first, first + len(apart_s))
-        prior[own, own] = np.linalg.inv(covariance)
-        first = own.stop
+        alike = 1.0 - WANDER_SHARE**2 + WANDER_SHARE**2 * np.exp(-apart_s / WANDER_S)
+        alike += 1e-6 * np.eye(len(part))
+        prior[np.ix_(part, part)] = np.linalg.inv(alike * np.outer(stated_m[part], stated_m[part]))
     return prior
 
 

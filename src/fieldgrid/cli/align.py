@@ -163,7 +163,7 @@ def _drive_row(drive: DriveAlignment) -> tuple[str, ...]:
         why = drive.role.value if drive.matches else "nothing to compare with"
         return (drive.name, "", "", "", "", "", "", str(drive.matches), why)
     heights = after.heights
-    up = "" if heights is None else f"{heights.mean_m:+.3f} ± {heights.sigma_m:.3f} m"
+    up = "" if heights is None else f"{heights.mean_m:+.3f} m"
     return (
         drive.name,
         f"{after.shift_east_m:+.3f} m",

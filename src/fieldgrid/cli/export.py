@@ -101,7 +101,7 @@ def command(
 
         fieldgrid export maps farm.tif --cell 0.25
 
-        fieldgrid export maps slopes.tif --layer slope --scheduler tcp://10.0.0.5:8786
+        fieldgrid export maps slopes.tif --scheduler tcp://10.0.0.5:8786
     """
     from fieldgrid.export import Selection, export_map, format_of
 

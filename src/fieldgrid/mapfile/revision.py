@@ -125,12 +125,7 @@ def repose(
     if (aligned := metadata.transform.aligned) is not None:
         # What the alignment left was said of the poses that are replaced.
         unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None, beside=())
-        heights = metadata.transform.heights
-        if heights is not None:
-            heights = replace(heights, sigma_m=None)
-        metadata = metadata._replace(
-            transform=replace(metadata.transform, aligned=unsure, heights=heights)
-        )
+        metadata = metadata._replace(transform=replace(metadata.transform, aligned=unsure))
         connection.execute(
             "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
             (metadata.transform.to_text(), session_id),

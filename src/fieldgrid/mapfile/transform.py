@@ -29,6 +29,8 @@ MOST_M, MOST_DEG = 1000.0, 180.0
 
 MOST_KNOTS = 100_000
 
+MOST_TIME_NS = 2**62
+
 _ROUNDING_M = 1e-6
 
 
@@ -48,8 +50,7 @@ class Wander:
                 f"A wander of {n} times, {len(self.east_m)} values east and {len(self.north_m)} "
                 f"north cannot be; give as many of each, 1 to {MOST_KNOTS}."
             )
-        if any(b <= a for a, b in itertools.pairwise(self.time_ns)):
-            raise ConfigError("The times of a wander must increase.")
+        _check_times(self.time_ns, "a wander")
         if not all(math.isfinite(value) and abs(value) <= MOST_M for value in values):
             raise ConfigError(f"A wander goes up to {MOST_M:.0f} m; {max(values)} m cannot be.")
 
@@ -64,12 +65,12 @@ class Wander:
 @dataclass(frozen=True, slots=True)
 class HeightCorrection:
     """What is added to heights at times: metres up, linear between the times and the same before
-    the first and after the last. The times increase. `sigma_m` is the 1-sigma error of the heights
-    then; None where the poses have been estimated anew since."""
+    the first and after the last. The times increase. Heights are no surer than their poses state,
+    and no surer than `least_sigma_m`."""
 
     time_ns: tuple[int, ...]
     up_m: tuple[float, ...]
-    sigma_m: float | None
+    least_sigma_m: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.time_ns)
@@ -78,14 +79,13 @@ class HeightCorrection:
                 f"Heights of {n} times and {len(self.up_m)} values cannot be; give as many of "
                 f"each, 1 to {MOST_KNOTS}."
             )
-        if any(b <= a for a, b in itertools.pairwise(self.time_ns)):
-            raise ConfigError("The times of heights must increase.")
+        _check_times(self.time_ns, "heights")
         if not all(math.isfinite(value) and abs(value) <= MOST_M for value in self.up_m):
             raise ConfigError(
-                f"Heights are moved by up to {MOST_M:.0f} m; {max(self.up_m)} m cannot be."
+                f"Heights are moved by up to {MOST_M:.0f} m; {max(self.up_m, key=abs)} m cannot be."
             )
-        if not (self.sigma_m is None or self.sigma_m >= 0.0):
-            raise ConfigError(f"Heights with an error of {self.sigma_m} m cannot be.")
+        if not 0.0 <= self.least_sigma_m < math.inf:
+            raise ConfigError(f"Heights with an error of {self.least_sigma_m} m cannot be.")
 
     @property
     def mean_m(self) -> float:
@@ -95,6 +95,13 @@ class HeightCorrection:
     def at(self, time_ns: int | Int64) -> Float64:
         """Metres up at times."""
         return _at(time_ns, self.time_ns, self.up_m)
+
+
+def _check_times(time_ns: tuple[int, ...], what: str) -> None:
+    if any(b <= a for a, b in itertools.pairwise(time_ns)):
+        raise ConfigError(f"The times of {what} must increase.")
+    if not -MOST_TIME_NS <= time_ns[0] <= time_ns[-1] <= MOST_TIME_NS:
+        raise ConfigError(f"The times of {what} are beyond what nanoseconds of 64 bits can say.")
 
 
 def _at(time_ns: int | Int64, knots_ns: tuple[int, ...], values: tuple[float, ...]) -> Float64:
@@ -176,15 +183,13 @@ class Transform:
         return is_rigid and self.wander is None and self.heights is None
 
     def pose(self, driven: Pose) -> Pose:
-        """A pose as it is placed in the map. Its height is surer only where heights were aligned,
-        too."""
+        """A pose as it is placed in the map. Only its place is surer after an alignment."""
         if self.is_identity:
             return driven
         up_m, up_sigma_m = driven.up_m, driven.up_sigma_m
         if self.heights is not None:
             up_m += float(self.heights.at(driven.time_ns))
-            if self.heights.sigma_m is not None:
-                up_sigma_m = float(np.fmin(up_sigma_m, self.heights.sigma_m))
+            up_sigma_m = max(up_sigma_m, self.heights.least_sigma_m)
         east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
         heading_deg = driven.heading_deg
         if self.turn_deg:
@@ -361,12 +366,12 @@ def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:
 def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
     if stored is None:
         return None
-    times, up_m, sigma_m = tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["sigma_m"]
-    if not (all(type(t) is int for t in times) and all(map(_is_number, up_m))):
+    times, up_m, least = (
+        tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["least_sigma_m"],
+    )  # fmt: skip
+    if not (all(type(t) is int for t in times) and all(map(_is_number, (*up_m, least)))):
         raise TypeError("its heights are not of numbers")
-    if not (sigma_m is None or _is_number(sigma_m)):
-        raise TypeError("the error of its heights is no number")
-    return HeightCorrection(times, up_m, sigma_m)
+    return HeightCorrection(times, up_m, least)
 
 
 def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
