@@ -45,11 +45,11 @@ def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> No
     ("heights", "up_sigma_m"),
     [
         (None, 0.04),
-        (HeightCorrection((5,), (0.0,), None), 0.04),
-        (HeightCorrection((5,), (0.0,), 0.03), 0.03),
+        (HeightCorrection((5,), (0.0,)), 0.04),
+        (HeightCorrection((5,), (0.0,), 0.07), 0.07),
     ],
 )
-def test_heights_are_no_surer_than_driven_where_places_alone_were_aligned(
+def test_heights_are_no_surer_than_driven_after_an_alignment(
     heights: HeightCorrection | None, up_sigma_m: float, tmp_path: Path
 ) -> None:
     path = write_asymmetric_map(tmp_path / "f.gpkg")

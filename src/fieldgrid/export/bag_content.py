@@ -195,13 +195,12 @@ def messages(content: BagContent) -> Iterator[Stamped]:
 
 
 def _up_sigma_m(universal: MapFile, session: str) -> Float64:
-    """1-sigma errors of the heights of a trajectory: those of GNSS as driven, which alignment
-    makes less only where it aligned heights, too."""
+    """1-sigma errors of the heights of a trajectory: those of GNSS as driven, as only places are
+    surer after an alignment."""
     sigma_m = HEIGHT_SHARE * universal.trajectory(session, as_driven=True).position_sigma_m
     (info,) = (one for one in universal.sessions() if one.name == session)
-    if info.transform.heights is None or info.transform.heights.sigma_m is None:
-        return sigma_m
-    return np.fmin(sigma_m, info.transform.heights.sigma_m)
+    heights = info.transform.heights
+    return sigma_m if heights is None else np.maximum(sigma_m, heights.least_sigma_m)
 
 
 def _occupancy(content: BagContent, selection: Selection) -> Any:
