@@ -27,6 +27,9 @@ import fieldgrid as fg
 TOO_NEAR = 253
 """Costs from here on: within the robot's radius of an obstacle, an obstacle, unknown."""
 
+MOST_STEPS = 1_000_000
+"""A path of more of them is no path of this map: 50 km for cells of 0.1 m."""
+
 WORDS = {253: "too near an obstacle", 254: "in an obstacle", 255: "on ground that was never seen"}
 
 
@@ -52,7 +55,8 @@ class PathCheck(Node):
         return self.declare_parameter(name, usual).value
 
     def _take_plan(self, plan):
-        """Publish whether a path is clear. A path in another frame, or without poses, is not."""
+        """Publish whether a path is clear. A path in another frame, without poses, with one that is
+        not finite, or of no sensible length is not."""
         if plan.header.frame_id != self._frame or not plan.poses:
             self.get_logger().warning(
                 f"A path of {len(plan.poses)} poses in the frame {plan.header.frame_id!r}; "
@@ -61,7 +65,16 @@ class PathCheck(Node):
             self._clear.publish(Bool(data=False))
             return
         points_m = np.array([(p.pose.position.x, p.pose.position.y) for p in plan.poses])
-        east_m, north_m = along(points_m, self._step_m).T
+        steps = steps_between(points_m, self._step_m)
+        if not steps.sum() <= MOST_STEPS:
+            odd = np.count_nonzero(~np.isfinite(points_m).all(axis=1))
+            self.get_logger().warning(
+                f"A path of {len(points_m)} poses, {odd} of them not finite, which takes "
+                f"{steps.sum():.0f} steps of {self._step_m:g} m; up to {MOST_STEPS} are compared."
+            )
+            self._clear.publish(Bool(data=False))
+            return
+        east_m, north_m = along(points_m, steps).T
         costs = self.costmap.cost(east_m, north_m)
         bad = np.flatnonzero(costs >= TOO_NEAR)
         self._clear.publish(Bool(data=not len(bad)))
@@ -79,11 +92,18 @@ class PathCheck(Node):
             )
 
 
-def along(points_m, step_m):
-    """Points of a line at most `step_m` apart, and its corners; [n, 2] of metres."""
+def steps_between(points_m, step_m):
+    """How many steps of at most `step_m` lead to each point, none to the first; NaN or infinite
+    where a point is not finite or too far away."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths_m = np.hypot(*np.diff(points_m, axis=0, prepend=points_m[:1]).T)
+        return np.append(0.0 * lengths_m[:1], np.maximum(1.0, np.ceil(lengths_m[1:] / step_m)))
+
+
+def along(points_m, steps):
+    """The points of a line and those of the steps between them; [n, 2] of metres."""
     parts = [points_m[:1]]
-    for start, end in pairwise(points_m):
-        count = max(1, int(np.ceil(np.hypot(*(end - start)) / step_m)))
+    for (start, end), count in zip(pairwise(points_m), steps[1:].astype(int), strict=True):
         parts.append(start + (end - start) * np.linspace(0.0, 1.0, count + 1)[1:, np.newaxis])
     return np.concatenate(parts)
 

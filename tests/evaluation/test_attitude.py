@@ -78,7 +78,7 @@ def test_frames_that_count(tmp_path: Path) -> None:
 def test_the_example_drive(two_lanes_map: Path) -> None:
     truth = read_truth(TWO_LANES / "truth")
     with open_map(two_lanes_map) as universal:
-        scores = evaluate(universal, truth, attitudes=attitudes_of(universal)).attitude
+        scores = evaluate(universal, truth, attitudes=attitudes_of(universal).by_session).attitude
         assert evaluate(universal, truth).attitude is None
     assert scores is not None
     assert scores.frames == 50
@@ -88,7 +88,7 @@ def test_the_example_drive(two_lanes_map: Path) -> None:
 
 def test_a_session_without_fixes_has_no_attitude(tmp_path: Path) -> None:
     with open_map(write_map(tmp_path / "m.gpkg", [drive(2)])) as universal:
-        assert attitudes_of(universal) == {}
+        assert attitudes_of(universal) == ({}, {})
 
 
 def test_a_truth_with_one_of_both_is_refused(tmp_path: Path) -> None:

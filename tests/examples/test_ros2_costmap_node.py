@@ -83,3 +83,30 @@ def test_what_the_map_does_not_know_is_not_clear(node: Any) -> None:
     assert answer(node, plan())[0] is False
     assert answer(node, plan((0.0, 0.0), frame="odom"))[0] is False
     assert "'odom'" in node.logger.said[-1][1]
+
+
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(NAN, 0.0)],
+        [(0.0, 0.0), (NAN, 1.0)],
+        [(INF, 0.0), (INF, 1.0)],
+        [(0.0, -INF)],
+        [(0.0, 0.0), (1e9, 1e9)],
+        [(-1e308, 0.0), (1e308, 0.0)],
+    ],
+)
+def test_a_path_that_cannot_be_is_not_clear(node: Any, points: list[tuple[float, float]]) -> None:
+    assert answer(node, plan(*points)) == (False, None, None)
+    level, text = node.logger.said[-1]
+    assert level == "warning"
+    assert "not finite" in text
+
+
+@pytest.mark.parametrize("far_m", [1e9, -1e9, 1e19, 1e300])
+def test_a_short_path_far_away_is_not_clear(node: Any, far_m: float) -> None:
+    clear, clearance_m, place = answer(node, plan((far_m, 0.0), (far_m, 0.0)))
+    assert (clear, clearance_m, place) == (False, None, (far_m, 0.0))

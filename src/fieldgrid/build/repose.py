@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -17,7 +17,7 @@ from fieldgrid.build.inputs import Inputs, from_arrays
 from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.build.stuck import StuckCamera
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ConfigError, FieldgridError
 from fieldgrid.mapfile import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.rig import Lidar, Rig
@@ -77,20 +77,39 @@ def repose_map(
         return [_repose(universal, session, pose_settings or {}) for session in sessions]
 
 
-def attitudes_of(universal: MapFile) -> dict[str, Attitude]:
-    """Roll and pitch of the active sessions that tell them, by name, estimated again from what the
-    map keeps. Sessions without their fixes are left out."""
-    found = {}
+class Attitudes(NamedTuple):
+    """Roll and pitch by session, and why those of others cannot be estimated."""
+
+    by_session: dict[str, Attitude]
+    left_out: dict[str, str]
+
+
+def attitudes_of(universal: MapFile) -> Attitudes:
+    """Roll and pitch of the active sessions that tell them, estimated again from what the map
+    keeps. Sessions without their fixes are passed over; one that cannot be estimated again, as of
+    settings that this version does not take, is left out, and the reason given."""
+    found = Attitudes({}, {})
     for session in universal.sessions():
-        arrays = universal.session_inputs(session.name) if session.active else {}
-        if "fix.time_ns" not in arrays:
+        if not session.active:
             continue
-        inputs = from_arrays(arrays)
-        rig = rig_from_config(session.config.get("rig", {}), session.name)
-        estimate = _estimate(universal, session, inputs, rig, _settings(session, {}))
-        if estimate.report.attitude is not None:
-            found[session.name] = estimate.report.attitude
+        try:
+            attitude = _attitude(universal, session)
+        except FieldgridError as error:
+            found.left_out[session.name] = str(error)
+        else:
+            if attitude is not None:
+                found.by_session[session.name] = attitude
     return found
+
+
+def _attitude(universal: MapFile, session: SessionInfo) -> Attitude | None:
+    arrays = universal.session_inputs(session.name)
+    if "fix.time_ns" not in arrays:
+        return None
+    inputs = from_arrays(arrays)
+    rig = rig_from_config(session.config.get("rig", {}), session.name)
+    settings = _settings(session, {})
+    return _estimate(universal, session, inputs, rig, settings).report.attitude
 
 
 def _repose(

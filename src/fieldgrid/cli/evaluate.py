@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -76,20 +77,29 @@ def command(
         if is_survey:
             _survey(universal, truth, within, crop, things, as_json)
             return
-        from fieldgrid.build.repose import attitudes_of
+        from fieldgrid.build.repose import Attitudes, attitudes_of
         from fieldgrid.evaluation import evaluate, read_truth
         from fieldgrid.evaluation.scores import OBSERVABLE_PIXELS
 
+        true = read_truth(truth)
+        has_attitude = any(math.isfinite(pose.roll_deg) for pose in true.poses)
+        attitudes = attitudes_of(universal) if has_attitude else Attitudes({}, {})
         result = evaluate(
             universal,
-            read_truth(truth),
+            true,
             observable_pixels=min_pixels or OBSERVABLE_PIXELS,
-            attitudes=attitudes_of(universal),
+            attitudes=attitudes.by_session,
         )
+    notes = [
+        f"roll and pitch of {name} are not compared: {reason}"
+        for name, reason in attitudes.left_out.items()
+    ]
     if as_json:
-        output.print_json(result.as_dict())
+        output.print_json({**result.as_dict(), "notes": notes})
         return
     _print_scores(result)
+    for note in notes:
+        output.print_line(f"note: {note}")
     if frames:
         _print_frames(result)
 

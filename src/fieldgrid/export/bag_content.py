@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.cost import CostCurve
 from fieldgrid.errors import CalibrationError, ConfigError, MapError
 from fieldgrid.export import ros_messages
@@ -27,7 +27,7 @@ from fieldgrid.mapfile import MapFile
 from fieldgrid.rig import Rig
 from fieldgrid.ros.gnss import datum_message
 from fieldgrid.ros.messages import ANTENNA, BASE, text, transforms
-from fieldgrid.trajectory import Trajectory
+from fieldgrid.trajectory import HEIGHT_SHARE, Trajectory
 
 TILE_CELLS = 2048
 """Cells along a side of a tile of what is too large for one message."""
@@ -174,12 +174,13 @@ def messages(content: BagContent) -> Iterator[Stamped]:
     for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
         wanted = track.accepted & _inside(track, area)
         base, antenna = vehicles[name]
+        up_sigma_m = _up_sigma_m(content.universal, name)
         rows = np.flatnonzero(wanted & np.isfinite(track.heading_deg))
         # Both are in the order of time, and so are they together.
         yield from heapq.merge(
             (
                 Stamped(f"/{names[name]}/fix", fix, time_ns, False)
-                for time_ns, fix in ros_messages.fixes(track, wanted, base, antenna)
+                for time_ns, fix in ros_messages.fixes(track, wanted, base, antenna, up_sigma_m)
             ),
             (
                 one
@@ -191,6 +192,15 @@ def messages(content: BagContent) -> Iterator[Stamped]:
             ),
             key=lambda one: one.time_ns,
         )
+
+
+def _up_sigma_m(universal: MapFile, session: str) -> Float64:
+    """1-sigma errors of the heights of a trajectory: those of GNSS as driven, as only places are
+    surer after an alignment."""
+    sigma_m = HEIGHT_SHARE * universal.trajectory(session, as_driven=True).position_sigma_m
+    (info,) = (one for one in universal.sessions() if one.name == session)
+    heights = info.transform.heights
+    return sigma_m if heights is None else np.maximum(sigma_m, heights.least_sigma_m)
 
 
 def _occupancy(content: BagContent, selection: Selection) -> Any:

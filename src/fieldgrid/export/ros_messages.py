@@ -117,13 +117,14 @@ def antenna_on(base: str, antenna: Antenna, time_ns: int) -> Any:
 
 
 def fixes(
-    track: Trajectory, wanted: Bool, base: str, antenna: Antenna | None
+    track: Trajectory, wanted: Bool, base: str, antenna: Antenna | None, up_sigma_m: Float64
 ) -> Iterator[tuple[int, Any]]:
     """The time in ns and the sensor_msgs/NavSatFix of each wanted row that a fix gave.
 
     The positions are those of the antenna, where the pose has it, in its own frame; where nothing
-    tells the antenna, of the vehicle's grid origin, the frame `base`. The height's variance is not
-    estimated; twice the horizontal sigma is usual.
+    tells the antenna, of the vehicle's grid origin, the frame `base`. `up_sigma_m` are the 1-sigma
+    errors of the heights by row, which places that were aligned do not tell; where one is not
+    known, its variance is 10^6.
     """
     given = wanted & (track.quality != Quality.ESTIMATED)
     arm = LeverArm(0.0, 0.0, 0.0) if antenna is None else antenna.at
@@ -147,7 +148,11 @@ def fixes(
             Quality(track.quality[k]),
             sigma_m=sigma_m if math.isfinite(sigma_m) else None,
         )
-        yield time_ns, nav_sat_fix(fix, base if antenna is None else antenna.frame)
+        message = nav_sat_fix(fix, base if antenna is None else antenna.frame)
+        if fix.sigma_m:
+            up_m = float(up_sigma_m[k])
+            message.position_covariance[8] = up_m * up_m if math.isfinite(up_m) else NOT_SAID
+        yield time_ns, message
 
 
 def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any, Any]]:

@@ -11,7 +11,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.gnss import NmeaStream, UbxParser
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Address, LinkEndedError, check_link, open_link, parse_address
-from fieldgrid.recording.stream_log import looks_like_stream
+from fieldgrid.live.own_log import may_go_on
 
 POLL_S = 0.25
 
@@ -72,20 +72,13 @@ class ReceiverStream:
         return "no sentence of NMEA and no message of UBX is whole; check the baud rate"
 
 
-def _head(log: Path) -> bytes:
-    if not log.is_file():
-        return b""  # a pipe or a device
-    with log.open("rb") as file:
-        return file.read(1 << 16)
-
-
 class Receiver:
     """A receiver as a source of fixes; `address` is written as `--gnss` has it.
 
     The stream goes on over losses of the link, so that a date that was told once holds. What comes
     is appended to the file `log` as well, where one is given. Raises ConfigError for what is no
-    address, for a serial port without pyserial, and for a log that cannot be written or has
-    something else in it.
+    address, for a serial port without pyserial, and for a log that cannot be written or is
+    recognised as something else.
     """
 
     def __init__(self, address: str | Address, log: Path | None = None) -> None:
@@ -95,7 +88,7 @@ class Receiver:
         self._log, self._log_problem = log, ""
         if why := self._keep(b""):
             raise ConfigError(f"The log {log} cannot be written: {why}; give another place.")
-        if log is not None and (head := _head(log)) and not looks_like_stream(head):
+        if log is not None and not may_go_on(log):
             raise ConfigError(f"{log} is no log of a receiver to append to; give another name.")
 
     @property
