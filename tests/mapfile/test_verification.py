@@ -209,22 +209,43 @@ def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path
             '"fieldgrid_session" BEGIN UPDATE gpkg_ogr_contents SET feature_count = feature_count '
             "+ 1 WHERE lower(table_name) = lower('fieldgrid_session'); END"
         )
+    assert problems(path) == ()
     with open_map(path, writable=True) as universal:
         before = len(universal.sessions())
         write_session(universal, "more", drive(1))
         assert len(universal.sessions()) == before + 1
 
 
+def test_a_trigger_that_looks_up_another_layer_is_none_of_ours(sound: Path, tmp_path: Path) -> None:
+    """As GDAL makes it for tiles that it adds to the file."""
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("CREATE TABLE photo (zoom_level INTEGER)")
+        database.execute(
+            "CREATE TRIGGER photo_zoom_insert BEFORE INSERT ON photo BEGIN SELECT RAISE(ABORT, "
+            "'no such level') WHERE NOT (NEW.zoom_level IN (SELECT zoom_level FROM "
+            "gpkg_tile_matrix WHERE lower(table_name) = lower('photo'))); END"
+        )
+    assert problems(path) == ()
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("0")
+
+
 def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
     sound: Path, tmp_path: Path
 ) -> None:
     """Also where the trigger is one of another program's own table, or of a view."""
-    for setting_off in ("UPDATE ON gpkg_contents", "INSERT ON more"):
+    for setting_off, deletes in (
+        ("UPDATE ON gpkg_contents", "fieldgrid_frame"),
+        ("INSERT ON more", "fieldgrid_frame"),
+        ("UPDATE ON gpkg_spatial_ref_sys", "more"),
+        ("DELETE ON more", '"Density"'),
+    ):
         path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
         with closing(sqlite3.connect(path, isolation_level=None)) as database:
             database.execute("CREATE TABLE more (a)")
             database.execute(
-                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM fieldgrid_frame; END"
+                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM {deletes}; END"
             )
         before = path.read_bytes()
         with open_map(path, writable=True) as universal:
@@ -237,6 +258,23 @@ def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
                     change(universal)
         assert path.read_bytes()[100:] == before[100:]
         assert "trigger gone" in problems(path)[0]
+
+
+def test_a_trigger_of_a_layer_is_gone_when_the_layer_is_made_again(
+    sound: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(
+            "CREATE TRIGGER gone AFTER DELETE ON FRAME_POSITION BEGIN DELETE FROM density; END"
+        )
+    with open_map(path, writable=True) as universal:
+        with pytest.raises(MapError, match="gone"):
+            universal.remove_session("0")
+        assert "trigger gone" in universal.verify().problems[0]
+        assert universal.repair() == ()
+        universal.remove_session("0")
+        assert universal.verify().sound
 
 
 @pytest.mark.parametrize(

@@ -67,14 +67,13 @@ def check_layout(subject: Subject) -> Iterator[str]:
         )
     )
     tables = {*(row[2] for row in known), "layer_styles"}
-    meddling = set(meddling_triggers(connection))
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
     for kind, name, table, sql in sorted(ours - known):
-        if kind == "trigger" and (table in tables or shortened(name, 60) in meddling):
-            yield f"A trigger {name} of {table} changes the map behind its back; drop it."
         if kind == "index" and table in tables and not _OF_COLUMNS.fullmatch(str(sql)):
             yield f"The index {name} of {table} may refuse new rows; drop it."
+    for name, table in meddling_triggers(connection):
+        yield f"A trigger {name} of {table} changes the map behind its back; drop it."
     for (table,) in connection.execute(
         "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
     ):
