@@ -176,6 +176,8 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
         ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
         ("CREATE INDEX one ON fieldgrid_frame (abs(east_m))", "index one of fieldgrid_frame"),
         ("CREATE INDEX one ON fieldgrid_frame (id) WHERE abs(id)", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON fieldgrid_frame (id) WHERE quality", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON density (tile_row /* ) */, abs(id))", "index one of density"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
     ],
@@ -191,13 +193,33 @@ def test_the_layout_of_the_tables_is_checked(
     assert problem in problems(path)[0]
 
 
+@pytest.mark.parametrize(
+    "index",
+    [
+        'one ON fieldgrid_frame ("east_m", north_m DESC)',
+        "one ON frame_position ([fid])",
+        "one ON frame_position (frame_id COLLATE nocase)",
+        '"one(1)" ON frame_position (`fid`) -- of another program',
+        "one/**/ON frame_position (session)",
+    ],
+)
 def test_an_index_of_another_program_that_takes_any_row_is_none_of_ours(
+    sound: Path, tmp_path: Path, index: str
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(f"CREATE INDEX {index}")
+    assert problems(path) == ()
+
+
+def test_an_index_in_an_order_that_only_another_program_has_is_told_of(
     sound: Path, tmp_path: Path
 ) -> None:
     path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
-        database.execute('CREATE INDEX one ON fieldgrid_frame ("east_m", north_m DESC)')
-    assert problems(path) == ()
+        database.create_collation("theirs", lambda a, b: (a > b) - (a < b))
+        database.execute("CREATE INDEX one ON frame_position (frame_id COLLATE theirs)")
+    assert any("index one of frame_position" in problem for problem in problems(path))
 
 
 def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path) -> None:
