@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid import file_locks
-from fieldgrid.file_locks import lock, lock_within
+from fieldgrid.file_locks import let_go, lock, lock_within
 
 
 @contextmanager
@@ -65,3 +65,43 @@ def test_a_file_system_without_locks_says_so(
     monkeypatch.setattr(file_locks, "lock", none)
     with opened(tmp_path) as ours, pytest.raises(OSError, match="no locks"):
         lock_within(ours, 60.0)
+
+
+def test_a_copy_of_a_descriptor_that_was_forked_keeps_no_lock(tmp_path: Path) -> None:
+    ours = os.open(tmp_path, os.O_RDONLY)
+    copy = os.dup(ours)  # as fork() makes it in the other process
+    try:
+        lock(ours, wait=False)
+        let_go(ours)
+        with opened(tmp_path) as other:
+            lock(other, wait=False)
+    finally:
+        os.close(copy)
+
+
+def test_a_lock_that_comes_too_late_is_let_go_of_whoever_has_a_copy(tmp_path: Path) -> None:
+    with opened(tmp_path) as copied:
+        with opened(tmp_path) as theirs:
+            lock(theirs, wait=False)
+            assert not lock_within(copied, 0.01)
+            waiting = [one for one in threading.enumerate() if one.name == "fieldgrid-lock"]
+        for thread in waiting:
+            thread.join(60.0)
+        with opened(tmp_path) as other:
+            lock(other, wait=False)
+
+
+def test_a_thread_that_cannot_start_leaves_nothing_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(_self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with opened(tmp_path) as theirs, opened(tmp_path) as ours:
+        lock(theirs, wait=False)
+        before = os.listdir("/proc/self/fd")
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", start)
+            with pytest.raises(RuntimeError):
+                lock_within(ours, 60.0)
+        assert len(os.listdir("/proc/self/fd")) == len(before)

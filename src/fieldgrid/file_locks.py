@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
 
 try:
     import fcntl
@@ -17,19 +18,36 @@ def lock(descriptor: int, *, wait: bool) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
 
 
+def let_go(descriptor: int) -> None:
+    """Unlock an open file or folder, and close it. Closing alone leaves it locked as long as a
+    process has a copy of it that was forked meanwhile."""
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+    os.close(descriptor)
+
+
 def lock_within(descriptor: int, wait_s: float) -> bool:
     """Lock an open file or folder for this program, in turn, as soon as no other one has it; False
     where that takes too long. OSError where the file system has no locks.
 
     The system can wait without end only, or until a signal, which a library has none of. So a
-    thread waits. One that is given up waits on, with the open file to itself, and lets go at once.
+    thread waits. One that is given up waits on, with the open file to itself, and lets go at once;
+    the caller, too, calls `let_go` then: the thread may have had the lock in that moment.
     """
     try:
         lock(descriptor, wait=False)
     except BlockingIOError:
         waiting = _Waiting(os.dup(descriptor))
-        waiting.start()
-        waiting.join(wait_s)
+        try:
+            waiting.start()
+        except RuntimeError:  # no more threads
+            waiting.close()
+            raise
+        try:
+            waiting.join(wait_s)
+        finally:
+            if waiting.is_alive():
+                waiting.give_up()
         return waiting.has_it()
     return True
 
@@ -42,6 +60,7 @@ class _Waiting(threading.Thread):
         super().__init__(name="fieldgrid-lock", daemon=True)
         self._descriptor = descriptor
         self._problem: OSError | None = None
+        self._is_given_up = False
 
     def run(self) -> None:
         try:
@@ -49,10 +68,21 @@ class _Waiting(threading.Thread):
         except OSError as error:
             self._problem = error
         finally:
+            self.close()
+
+    def close(self) -> None:
+        """Close its descriptor, and unlock the file where nobody waits for it any more."""
+        if self._is_given_up:
+            let_go(self._descriptor)
+        else:
             os.close(self._descriptor)
+
+    def give_up(self) -> None:
+        """Nobody waits for the lock any more."""
+        self._is_given_up = True
 
     def has_it(self) -> bool:
         """Whether the lock was had in time. OSError where it cannot be."""
         if self._problem is not None:
             raise self._problem
-        return not self.is_alive()
+        return not self._is_given_up

@@ -261,3 +261,19 @@ def test_a_folder_that_takes_the_place_of_the_set_meanwhile_is_left_alone(tmp_pa
     assert [(tmp_path / name).read_text() for name in new] == ["new", "new"]
     assert not any((tmp_path / name).is_symlink() for name in new)
     assert list((tmp_path / "aside").iterdir()) == []
+
+
+def test_a_program_that_was_forked_meanwhile_does_not_keep_the_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(name_set, "WAIT_S", 0.05)
+    copies: list[int] = []
+    with held_set(tmp_path / "a") as held:
+        assert held is not None
+        copies += [os.dup(int(held.inside.name))]  # as fork() makes it in the other process
+        (held.name / "note").write_text("of somebody else, so that the folder stays")
+    try:
+        with held_set(tmp_path / "a") as again:  # not "is in use"
+            assert again is None
+    finally:
+        os.close(copies[0])

@@ -106,7 +106,7 @@ def test_no_points_are_kept_below_the_reserve(
         assert kept.add(RECORD, 3) is None
 
 
-@pytest.mark.parametrize("dtype", ["int16", "int32", "float64"])
+@pytest.mark.parametrize("dtype", ["int16", "int32", "float64", ">f4", ">f8", ">i2", "f2"])
 def test_points_of_any_numbers_are_kept(dtype: str, tmp_path: Path) -> None:
     points = np.array([[1, 2, 3], [90, 0, 0]], dtype)
     with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as kept:
@@ -115,6 +115,21 @@ def test_points_of_any_numbers_are_kept(dtype: str, tmp_path: Path) -> None:
     assert isinstance(found, Sweep)
     assert np.array_equal(found.points_m[0], points[0])
     assert np.isnan(found.points_m[1]).all()
+    assert found.points_m.dtype.isnative
+
+
+def test_records_that_hold_points_in_another_byte_order_are_read(tmp_path: Path) -> None:
+    """Those of earlier versions."""
+    points = np.array([[1.5, -2.0, 3.0], [4.0, 5.0, 6.0]], ">f4")
+    head = b'[false, 0, [[">f4", [2, 3], false]]]'
+    data = zlib.compress(points.reshape(-1, 1).view(np.uint8).reshape(-1, 4).T.tobytes())
+    check = zlib.crc32(data, zlib.crc32(head))
+    with PointsFile(tmp_path / POINTS) as file:
+        place = file.append(_RECORD.pack(_MARK, len(head), len(data), check) + head + data)
+        found = file.read(place, None)  # type: ignore[arg-type]
+    assert isinstance(found, Sweep)
+    assert found.points_m.dtype == np.float32
+    assert np.array_equal(found.points_m, points)
 
 
 BOMB = zlib.compress(bytes(80 << 20))
@@ -127,6 +142,11 @@ BOMB = zlib.compress(bytes(80 << 20))
         ('[false, 0, [["float32", [2, 3], false]]]', BOMB),
         ('[false, 0, [["float32", [2, 3], false]]]', zlib.compress(bytes(23))),
         ('[false, 0, [["float32", [-2, 3], false]]]', zlib.compress(b"")),
+        ('[false, 0, [["float32", [-2, -3], false]]]', zlib.compress(bytes(24))),
+        (
+            '[false, 0, [["float32", [-1, 3], false], ["float32", [9], false]]]',
+            zlib.compress(bytes(24)),
+        ),
         ('[false, 0, [["O", [1], false]]]', zlib.compress(bytes(8))),
         ('[false, 0, [["i4,i4", [1], false]]]', zlib.compress(bytes(8))),
         ('[false, 0, [[1, [1], false]]]', zlib.compress(bytes(8))),

@@ -20,6 +20,7 @@ from fieldgrid.mapfile.codec import (
     encode_channels,
     inflate,
 )
+from fieldgrid.mapfile.staging import stage
 
 SPEC = GridSpec(1.0, 1.0, 0.25)
 
@@ -66,12 +67,37 @@ def test_the_hash_of_cells_tells_every_change() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [np.zeros((3, 4)), np.array(["a"] * 16).reshape(4, 4), np.zeros((4, 4), "c16")]
+    "values",
+    [
+        np.zeros((3, 4)),
+        np.array(["a"] * 16).reshape(4, 4),
+        np.zeros((4, 4), "c16"),
+        np.zeros((4, 4), np.longdouble),
+        np.zeros((4, 4), object),
+        np.zeros((4, 4), "u1,u1"),
+    ],
 )
 def test_a_channel_that_cannot_be_stored_is_refused(values: np.ndarray) -> None:
     grid = LocalGrid(SPEC, np.zeros(SPEC.shape, np.uint8), np.ones(SPEC.shape, np.bool_))
     with pytest.raises(ConfigError, match="channel 'x' of a frame has"):
         encode_channels(grid, {"x": values})
+
+
+@pytest.mark.parametrize(
+    ("density", "observed"), [("u2", "?"), ("i8", "?"), ("f4", "?"), ("u1", "u1"), ("u1", "f8")]
+)
+def test_a_local_grid_of_other_types_is_refused(density: str, observed: str) -> None:
+    """Whoever folds it without decoding it first would go by what cannot be stored."""
+    grid = LocalGrid(SPEC, np.full(SPEC.shape, 3, density), np.ones(SPEC.shape, observed))
+    with pytest.raises(ConfigError, match="of a local grid has"):
+        stage(grid, "0", 0)
+
+
+@pytest.mark.parametrize("name", ["density", "observed", 5])
+def test_a_further_channel_cannot_take_the_place_of_the_grids_own(name: str) -> None:
+    grid = LocalGrid(SPEC, np.zeros(SPEC.shape, np.uint8), np.ones(SPEC.shape, np.bool_))
+    with pytest.raises(ConfigError, match="cannot be named"):
+        stage(grid, "0", 0, channels={name: np.ones(SPEC.shape, np.bool_)})
 
 
 @pytest.mark.parametrize(

@@ -185,3 +185,35 @@ def test_an_index_that_a_gis_adds_to_a_layer_is_no_damage(field: Path) -> None:
         database.execute("CREATE INDEX lanes ON found_lane (id)")
     with open_map(field) as universal:
         assert universal.verify().sound
+
+
+@pytest.mark.parametrize("has_digest", [True, False])
+def test_a_view_in_place_of_a_layer_is_told_of_and_not_read(field: Path, has_digest: bool) -> None:
+    """Its rows have no end."""
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute("DROP TABLE found_lane")
+        database.execute(
+            "CREATE VIEW Found_Lane AS WITH RECURSIVE r(x) AS (SELECT 1 UNION ALL SELECT x + 1 "
+            "FROM r) SELECT x AS fid, NULL AS geom FROM r"
+        )
+        if not has_digest:
+            database.execute("DELETE FROM fieldgrid_meta WHERE key = 'found_sha256'")
+    with open_map(field, writable=True) as universal:
+        for deep in (False, True):
+            assert "found_lane" in universal.verify(deep=deep).problems[0]
+        with pytest.raises(MapError, match="no table"):
+            universal.kept_features()
+        universal.keep_features(FOUND, universal.root_sha256)
+        assert universal.verify().sound
+
+
+def test_layers_that_are_gone_can_be_found_again(field: Path) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:
+        database.execute("DROP TABLE found_lane")
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+        assert universal.verify().sound

@@ -176,6 +176,8 @@ def test_the_root_digest_changes_with_each_commit_and_comes_back(
         ("CREATE UNIQUE INDEX once ON fieldgrid_session (accepted)", "index once of fieldgrid_ses"),
         ("CREATE INDEX one ON fieldgrid_frame (abs(east_m))", "index one of fieldgrid_frame"),
         ("CREATE INDEX one ON fieldgrid_frame (id) WHERE abs(id)", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON fieldgrid_frame (id) WHERE quality", "index one of fieldgrid_frame"),
+        ("CREATE INDEX one ON density (tile_row /* ) */, abs(id))", "index one of density"),
         ("DROP INDEX trajectory_by_session", "index trajectory_by_session is not laid out"),
         ("ALTER TABLE fieldgrid_frame ADD COLUMN more TEXT", "table fieldgrid_frame is not laid"),
     ],
@@ -191,13 +193,33 @@ def test_the_layout_of_the_tables_is_checked(
     assert problem in problems(path)[0]
 
 
+@pytest.mark.parametrize(
+    "index",
+    [
+        'one ON fieldgrid_frame ("east_m", north_m DESC)',
+        "one ON frame_position ([fid])",
+        "one ON frame_position (frame_id COLLATE nocase)",
+        '"one(1)" ON frame_position (`fid`) -- of another program',
+        "one/**/ON frame_position (session)",
+    ],
+)
 def test_an_index_of_another_program_that_takes_any_row_is_none_of_ours(
+    sound: Path, tmp_path: Path, index: str
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(f"CREATE INDEX {index}")
+    assert problems(path) == ()
+
+
+def test_an_index_in_an_order_that_only_another_program_has_is_told_of(
     sound: Path, tmp_path: Path
 ) -> None:
     path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
-        database.execute('CREATE INDEX one ON fieldgrid_frame ("east_m", north_m DESC)')
-    assert problems(path) == ()
+        database.create_collation("theirs", lambda a, b: (a > b) - (a < b))
+        database.execute("CREATE INDEX one ON frame_position (frame_id COLLATE theirs)")
+    assert any("index one of frame_position" in problem for problem in problems(path))
 
 
 def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path) -> None:
@@ -209,22 +231,43 @@ def test_a_map_whose_rows_gdal_counts_can_be_changed(sound: Path, tmp_path: Path
             '"fieldgrid_session" BEGIN UPDATE gpkg_ogr_contents SET feature_count = feature_count '
             "+ 1 WHERE lower(table_name) = lower('fieldgrid_session'); END"
         )
+    assert problems(path) == ()
     with open_map(path, writable=True) as universal:
         before = len(universal.sessions())
         write_session(universal, "more", drive(1))
         assert len(universal.sessions()) == before + 1
 
 
+def test_a_trigger_that_looks_up_another_layer_is_none_of_ours(sound: Path, tmp_path: Path) -> None:
+    """As GDAL makes it for tiles that it adds to the file."""
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("CREATE TABLE photo (zoom_level INTEGER)")
+        database.execute(
+            "CREATE TRIGGER photo_zoom_insert BEFORE INSERT ON photo BEGIN SELECT RAISE(ABORT, "
+            "'no such level') WHERE NOT (NEW.zoom_level IN (SELECT zoom_level FROM "
+            "gpkg_tile_matrix WHERE lower(table_name) = lower('photo'))); END"
+        )
+    assert problems(path) == ()
+    with open_map(path, writable=True) as universal:
+        universal.remove_session("0")
+
+
 def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
     sound: Path, tmp_path: Path
 ) -> None:
     """Also where the trigger is one of another program's own table, or of a view."""
-    for setting_off in ("UPDATE ON gpkg_contents", "INSERT ON more"):
+    for setting_off, deletes in (
+        ("UPDATE ON gpkg_contents", "fieldgrid_frame"),
+        ("INSERT ON more", "fieldgrid_frame"),
+        ("UPDATE ON gpkg_spatial_ref_sys", "more"),
+        ("DELETE ON more", '"Density"'),
+    ):
         path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
         with closing(sqlite3.connect(path, isolation_level=None)) as database:
             database.execute("CREATE TABLE more (a)")
             database.execute(
-                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM fieldgrid_frame; END"
+                f"CREATE TRIGGER gone AFTER {setting_off} BEGIN DELETE FROM {deletes}; END"
             )
         before = path.read_bytes()
         with open_map(path, writable=True) as universal:
@@ -237,6 +280,23 @@ def test_a_map_whose_frames_a_trigger_would_delete_is_not_changed(
                     change(universal)
         assert path.read_bytes()[100:] == before[100:]
         assert "trigger gone" in problems(path)[0]
+
+
+def test_a_trigger_of_a_layer_is_gone_when_the_layer_is_made_again(
+    sound: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(
+            "CREATE TRIGGER gone AFTER DELETE ON FRAME_POSITION BEGIN DELETE FROM density; END"
+        )
+    with open_map(path, writable=True) as universal:
+        with pytest.raises(MapError, match="gone"):
+            universal.remove_session("0")
+        assert "trigger gone" in universal.verify().problems[0]
+        assert universal.repair() == ()
+        universal.remove_session("0")
+        assert universal.verify().sound
 
 
 @pytest.mark.parametrize(

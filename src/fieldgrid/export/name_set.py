@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import MapWriteError
-from fieldgrid.file_locks import lock_within
+from fieldgrid.file_locks import let_go, lock_within
 from fieldgrid.publish import NO_HARD_LINKS, hold, sync, writing
 
 WAIT_S = 30.0
@@ -69,7 +69,7 @@ def held_set(main: Path) -> Iterator[NameSet | None]:
     finally:
         with suppress(OSError):  # what another program has put there stays
             folder.rmdir()
-        os.close(descriptor)
+        let_go(descriptor)
 
 
 def show(held: NameSet, new: Mapping[str, Path], gone: Sequence[str]) -> bool:
@@ -221,15 +221,15 @@ def _held(folder: Path) -> int | None:
             if os.fstat(descriptor).st_uid != os.geteuid():
                 if is_new:  # on a file system that makes all files those of one user
                     folder.rmdir()
-                os.close(descriptor)
+                let_go(descriptor)
                 return None
             _wait(descriptor, folder)
             if hold(descriptor, folder):
                 return descriptor
         except BaseException:
-            os.close(descriptor)
+            let_go(descriptor)
             raise
-        os.close(descriptor)
+        let_go(descriptor)
 
 
 def _wait(descriptor: int, folder: Path) -> None:

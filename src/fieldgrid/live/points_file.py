@@ -146,6 +146,7 @@ def packed(seen: Seen, reach_m: float) -> bytes:
     else:
         arrays = [_near(seen.points_m, reach_m)]
         arrays += [] if seen.after_s is None else [seen.after_s]
+    arrays = [a.astype(a.dtype.newbyteorder("="), copy=False) for a in arrays]
     # One after the other along rows: neighbours differ little, and so do bytes of equal weight.
     kinds = [(str(a.dtype), list(a.shape), _is_by_columns(a)) for a in arrays]
     header = json.dumps([isinstance(seen, CodedDepth), row_start, kinds]).encode()
@@ -162,6 +163,8 @@ def packed(seen: Seen, reach_m: float) -> bytes:
 
 def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
     is_coded, row_start, kinds = parse_json(header)
+    if any(length < 0 for _, shape, _ in kinds for length in shape):
+        raise ValueError("a length is below 0")
     counts = [math.prod(shape) * _dtype(dtype).itemsize for dtype, shape, _ in kinds]
     Budget("a record of points", len(data)).spend(sum(counts))
     raw, arrays = zlib.decompressobj().decompress(data, sum(counts) + 1), list[AnyArray]()
@@ -173,8 +176,10 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
             codes = np.frombuffer(part, np.int16).reshape(shape)
             arrays.append(np.add.accumulate(codes, axis=1, dtype=np.int16))
             continue
-        planes = np.frombuffer(part, np.uint8).reshape(np.dtype(dtype).itemsize, -1)
-        values = np.ascontiguousarray(planes.T).view(dtype).ravel()
+        kind = _dtype(dtype)
+        planes = np.frombuffer(part, np.uint8).reshape(kind.itemsize, -1)
+        values = np.ascontiguousarray(planes.T).view(kind).ravel()
+        values = values.astype(kind.newbyteorder("="), copy=False)
         arrays.append(values.reshape(shape, order="F" if by_column else "C"))
     if is_coded:
         return gridder.coded(arrays[0], row_start)
@@ -182,8 +187,9 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
 
 
 def _dtype(name: str) -> np.dtype[Any]:
-    """A type by its name. ValueError for another text, which NumPy would parse as Python."""
-    if not name.isalnum():
+    """A type by its name, that of another byte order too. ValueError for another text, which NumPy
+    would parse as Python."""
+    if not name.removeprefix(">").removeprefix("<").isalnum():
         raise ValueError(f"{name!r} is no type of numbers")
     return np.dtype(name)
 

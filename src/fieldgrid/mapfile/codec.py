@@ -79,16 +79,29 @@ def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[Enc
 
     The density of a cell that was not observed means nothing and is stored as 0.
     """
-    density = np.where(grid.observed, grid.density, np.uint8(0))
-    arrays = {"density": density, "observed": grid.observed, **extra}
-    return tuple(_encode(name, array, grid.spec) for name, array in sorted(arrays.items()))
+    own: dict[str, AnyArray] = {"density": grid.density, "observed": grid.observed}
+    for (name, array), dtype in zip(own.items(), (np.uint8, np.bool_), strict=True):
+        if array.dtype != dtype:
+            raise ConfigError(
+                f"The {name} of a local grid has {array.dtype}; give an array of "
+                f"{np.dtype(dtype)}, for example by astype()."
+            )
+    for name in extra:
+        if name in own or not isinstance(name, str):
+            raise ConfigError(
+                f"A further channel of a frame cannot be named {name!r}; give it another name, a "
+                "text that is neither 'density' nor 'observed'."
+            )
+    own["density"] = np.where(grid.observed, grid.density, np.uint8(0))
+    arrays = sorted({**own, **extra}.items())
+    return tuple(_encode(name, array, grid.spec) for name, array in arrays)
 
 
 def _encode(name: str, array: AnyArray, spec: GridSpec) -> EncodedChannel:
-    if array.shape != spec.shape or array.dtype.kind not in _KINDS:
+    if array.shape != spec.shape or not _is_stored(array.dtype):
         raise ConfigError(
             f"The channel {name!r} of a frame has {array.dtype} in shape {array.shape}; give "
-            f"numbers in shape {spec.shape}, one a cell of the local grid."
+            f"numbers of at most 64 bits in shape {spec.shape}, one a cell of the local grid."
         )
     raw = _raw(array)
     if array.dtype.kind == "b":
@@ -107,6 +120,11 @@ def stored_dtype(text: object) -> np.dtype[Any]:
     return np.dtype(str(text))
 
 
+def _is_stored(kind: np.dtype[Any]) -> bool:
+    """Whether a channel may have values of that type: the same when it is written and read."""
+    return kind.kind in _KINDS and not kind.fields and kind.itemsize <= 8
+
+
 def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> AnyArray:
     """The values of a stored channel [n_y, n_x]; `what` names it when it is damaged."""
     cells = spec.n_x * spec.n_y
@@ -115,7 +133,7 @@ def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> An
         return np.unpackbits(bits, count=cells).view(np.bool_).reshape(spec.shape)
     try:
         kind = stored_dtype(dtype)
-        if kind.kind not in _KINDS or kind.fields or kind.itemsize > 8:
+        if not _is_stored(kind):
             raise TypeError(f"its type is {kind}")
     except (TypeError, ValueError) as error:
         raise damaged(what, str(error)) from error

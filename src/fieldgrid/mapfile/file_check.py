@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -30,11 +29,14 @@ _STORED = {
 }
 """What SQLite holds in a column of a type, and how that is called; a blob in all others."""
 
-_OF_COLUMNS = re.compile(
-    r"""\s*CREATE\s+INDEX\s+[^()]+\(\s*[\w"]+(\s+ASC|\s+DESC)?(\s*,\s*[\w"]+(\s+ASC|\s+DESC)?)*\s*\)\s*""",
-    re.IGNORECASE,
-)
-"""An index that takes any row: not unique, without expressions, which may fail, and conditions."""
+_TAKES_ANY_ROW = """
+SELECT NOT i."unique" AND NOT i.partial AND NOT EXISTS (
+    SELECT 1 FROM pragma_index_xinfo(i.name) AS x
+    WHERE x.key AND (x.cid = -2 OR upper(x.coll) NOT IN ('BINARY', 'NOCASE', 'RTRIM'))
+) FROM pragma_index_list(?) AS i WHERE i.name = ?
+"""
+"""Of an index: that it is not unique, and without conditions, expressions, which may fail, and
+orders of text that SQLite itself does not have."""
 
 _LARGEST_ID = 1 << 53
 """SQLite takes no row behind the largest number that it has; some programs count no further."""
@@ -67,19 +69,22 @@ def check_layout(subject: Subject) -> Iterator[str]:
         )
     )
     tables = {*(row[2] for row in known), "layer_styles"}
-    meddling = set(meddling_triggers(connection))
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
-    for kind, name, table, sql in sorted(ours - known):
-        if kind == "trigger" and (table in tables or shortened(name, 60) in meddling):
-            yield f"A trigger {name} of {table} changes the map behind its back; drop it."
-        if kind == "index" and table in tables and not _OF_COLUMNS.fullmatch(str(sql)):
+    for kind, name, table, _ in sorted(ours - known):
+        if kind == "index" and table in tables and not _takes_any_row(connection, table, name):
             yield f"The index {name} of {table} may refuse new rows; drop it."
+    for name, table in meddling_triggers(connection):
+        yield f"A trigger {name} of {table} changes the map behind its back; drop it."
     for (table,) in connection.execute(
         "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
     ):
         yield f"The time at which the layer {table} was last changed is none."
     yield from _sequences(connection)
+
+
+def _takes_any_row(connection: sqlite3.Connection, table: str, index: str) -> bool:
+    return bool(connection.execute(_TAKES_ANY_ROW, (table, index)).fetchall() == [(1,)])
 
 
 def check_types(subject: Subject) -> Iterator[str]:

@@ -71,7 +71,6 @@ class MapFile(MapReader):
         patience: Patience = USUAL_PATIENCE,
     ) -> None:
         super().__init__(path, connection, header)
-        keep_freed_memory()
         self._patience = patience
         self._draft = draft
         self._writable = writable
@@ -324,6 +323,7 @@ class MapFile(MapReader):
         The frames of a session that it will be `without` need not be readable.
         """
         before = self._header
+        keep_freed_memory()
         try:
             with writing(self._connection, self.path, self._patience):
                 if keep is not None:

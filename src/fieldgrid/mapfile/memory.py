@@ -16,5 +16,9 @@ def keep_freed_memory() -> None:
     what is done with the cells of a tile. The threshold starts at 128 KB and becomes the size of
     any larger block that is freed, up to 32 MB; a tile has 512 KB (mallopt(3)). So a large block is
     freed here, of which no page was ever touched: two system calls. Other allocators do not mind.
+
+    The cost: from then on the whole process, other programs' code in it too, keeps up to 64 MB of
+    what each of its threads' arenas has freed (with 4 threads 547 MB were resident instead of 340).
+    There is no way back, so only what folds or writes drives calls this, and no reader.
     """
     np.empty(_LARGEST_BYTES, np.uint8)

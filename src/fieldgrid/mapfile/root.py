@@ -17,7 +17,7 @@ from typing import NamedTuple
 from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.digest import as_json
 from fieldgrid.mapfile.marks import has_marks
-from fieldgrid.mapfile.schema import SRS_ID
+from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID
 from fieldgrid.mapfile.stored_features import FOUND_KEY
 
 _KEY = "root_sha256"
@@ -28,6 +28,9 @@ _COUNTS_ROWS = re.compile(
     r"""CREATE TRIGGER "?\w+"? AFTER (INSERT|DELETE) ON "?\w+"? BEGIN UPDATE gpkg_ogr_contents """
     r"""SET feature_count = feature_count [+-] 1 WHERE lower\(table_name\) = lower\('\w+'\); ?END"""
 )
+
+_NAMES_OURS = re.compile(rf"fieldgrid_|\b({'|'.join(COUNTED_TABLES)})\b", re.IGNORECASE)
+"""Not the tables of GeoPackage: triggers of others' layers look up in them what is announced."""
 
 _DRIVES = "The drives in this map"
 
@@ -95,26 +98,26 @@ def seal(connection: sqlite3.Connection) -> None:
     )
 
 
-def meddling_triggers(connection: sqlite3.Connection) -> list[str]:
-    """The triggers of a map that name a table of our own, whatever sets them off. None is ours,
-    and those by which GDAL counts the rows of a layer do no harm."""
-    rows = connection.execute(
-        "SELECT name, sql FROM sqlite_schema "
-        "WHERE type = 'trigger' AND instr(lower(sql), 'fieldgrid_')"
-    )
+def meddling_triggers(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    """The triggers of a map that may change what is ours, each with the table that it is of:
+    those of our tables, and those of any other that name one of ours. None is made by us; those by
+    which GDAL counts the rows of a layer do no harm."""
+    query = "SELECT name, tbl_name, sql FROM sqlite_schema WHERE type = 'trigger'"
     return [
-        shortened(name, 60)
-        for name, sql in rows
-        if not _COUNTS_ROWS.fullmatch(" ".join(str(sql).split()))
+        (shortened(name, 60), shortened(table, 60))
+        for name, table, sql in connection.execute(query)
+        if (str(table).lower() in GEOPACKAGE_TABLES or _NAMES_OURS.search(str(sql)))
+        and not _COUNTS_ROWS.fullmatch(" ".join(str(sql).split()))
     ]
 
 
 def check_root(connection: sqlite3.Connection, path: Path) -> None:
     """Raise MapError when a map is not as it was left: a change would hide that for good. So would
     a trigger that the change sets off."""
-    if names := meddling_triggers(connection):
+    if found := meddling_triggers(connection):
+        names = ", ".join(name for name, _ in found)
         raise MapError(
-            f"{path} has triggers that change its tables behind its back ({', '.join(names)}). "
+            f"{path} has triggers that change its tables behind its back ({names}). "
             "Nothing was written; drop them with another program, or restore a copy of the map."
         )
     if not read_root(connection).trusted:

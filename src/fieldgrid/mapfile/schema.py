@@ -248,6 +248,12 @@ COUNTED_TABLES = ("fieldgrid_session", "fieldgrid_frame", "density", *GEOMETRIES
 DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
 """Those of our own that follow from the evidence."""
 
+GEOPACKAGE_TABLES = (
+    "gpkg_spatial_ref_sys", "gpkg_contents", "gpkg_geometry_columns", "gpkg_tile_matrix_set",
+    "gpkg_tile_matrix",
+)  # fmt: skip
+"""Those of GeoPackage in which layers are announced, ours and others."""
+
 OWN_TABLES = ("fieldgrid_meta", *EVIDENCE_TABLES, *DERIVED_TABLES)
 """All tables of our own."""
 

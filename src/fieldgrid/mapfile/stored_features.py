@@ -37,10 +37,12 @@ def keep_features(
     connection: sqlite3.Connection, features: Sequence[Feature], root_sha256: str
 ) -> None:
     """Put features into a map in place of those that it has, within the caller's transaction."""
-    for table, _ in _tables(connection):
+    for table, _, kind in _announced(connection):
         for of in ("gpkg_geometry_columns", "gpkg_contents"):
             connection.execute(f"DELETE FROM {of} WHERE table_name = ?", (table,))
-        connection.execute(f"DROP TABLE {_quoted(table)}")
+        if kind is not None:
+            what = "VIEW" if kind == "view" else "TABLE"
+            connection.execute(f"DROP {what} {_quoted(table)}")
     for kind in dict.fromkeys(feature.kind for feature in features):
         _keep(connection, kind, [one for one in features if one.kind == kind], root_sha256)
     connection.execute("DELETE FROM fieldgrid_meta WHERE key = ?", (FOUND_KEY,))
@@ -55,14 +57,18 @@ def check_stored(connection: sqlite3.Connection) -> Iterator[str]:
     kept = connection.execute(
         "SELECT value FROM fieldgrid_meta WHERE key = ?", (FOUND_KEY,)
     ).fetchone()
-    if kept is None:
-        return
-    try:
-        digest = _digest(connection)
-    except sqlite3.DatabaseError as error:
-        digest = shortened(error)
-    if kept[0] != digest:
-        names = ", ".join(shortened(table, 60) for table, _ in _tables(connection))
+    layers = _announced(connection)
+    if all(kind == "table" for *_, kind in layers):
+        if kept is None:
+            return
+        try:
+            digest = _digest(connection)
+        except sqlite3.DatabaseError as error:
+            digest = shortened(error)
+    else:
+        digest = "one of them is no table"
+    if kept is None or kept[0] != digest:
+        names = ", ".join(shortened(table, 60) for table, *_ in layers)
         yield (
             f"The layers that `fieldgrid rows --keep` stored in the map ({names or 'none is left'})"
             " are not as they were stored; run it again."
@@ -73,9 +79,11 @@ def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | Non
     """The features that a map keeps, None where it keeps none; MapError for damaged ones."""
     found: list[Feature] = []
     root = ""
-    for table, says in _tables(connection):
+    for table, says, kind in _announced(connection):
         root = says.removeprefix(_SAYS)
         try:
+            if kind != "table":
+                raise ValueError("it is no table")
             rows = connection.execute(f"SELECT * FROM {_quoted(table)} ORDER BY fid")
             names = [column[0] for column in rows.description][2:]
             found += [
@@ -94,12 +102,16 @@ def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | Non
     return StoredFeatures(tuple(found), root) if found else None
 
 
-def _tables(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    """The tables of kept features with their descriptions, in the order they were made. By both
-    name and description: no other table is dropped, whatever a map says of it."""
+def _announced(connection: sqlite3.Connection) -> list[tuple[str, str, str | None]]:
+    """The layers of kept features in the order they were made: name, description, and what SQLite
+    has by that name, None for nothing. By both name and description: no other table is dropped,
+    whatever a map says of it. A view is not to be read: its rows may have no end."""
     return connection.execute(
-        "SELECT table_name, description FROM gpkg_contents WHERE substr(description, 1, ?) = ? "
-        "AND substr(table_name, 1, ?) = ? ORDER BY rowid",
+        "SELECT table_name, description, (SELECT "
+        "CASE WHEN type = 'view' THEN type WHEN rootpage > 0 THEN type ELSE 'virtual table' END "
+        "FROM sqlite_schema WHERE name = table_name COLLATE NOCASE AND type IN ('table', 'view')) "
+        "FROM gpkg_contents WHERE substr(description, 1, ?) = ? AND substr(table_name, 1, ?) = ? "
+        "ORDER BY rowid",
         (len(_SAYS), _SAYS, len(_PREFIX), _PREFIX),
     ).fetchall()
 
@@ -107,7 +119,7 @@ def _tables(connection: sqlite3.Connection) -> list[tuple[str, str]]:
 def _digest(connection: sqlite3.Connection) -> str:
     """Of the tables of stored features: their rows, their layout and what a GIS is told of them."""
     hashed = hashlib.sha256()
-    for table, _ in _tables(connection):
+    for table, *_ in _announced(connection):
         of = f"table_name = {_literal(table)}"
         for rows in (
             _quoted(table),
