@@ -28,7 +28,6 @@ from fieldgrid.mapfile.derived import settle
 from fieldgrid.mapfile.header import Header, reread
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
-from fieldgrid.mapfile.memory import keep_freed_memory
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.mapfile.records import sessions_html
 from fieldgrid.mapfile.root import check_root, seal
@@ -323,7 +322,6 @@ class MapFile(MapReader):
         The frames of a session that it will be `without` need not be readable.
         """
         before = self._header
-        keep_freed_memory()
         try:
             with writing(self._connection, self.path, self._patience):
                 if keep is not None:

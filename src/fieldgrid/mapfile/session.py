@@ -19,7 +19,6 @@ from fieldgrid.mapfile.codec import as_decoded
 from fieldgrid.mapfile.database import explained
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.memory import keep_freed_memory
 from fieldgrid.mapfile.metadata import (
     SessionMetadata,
     name_is_taken,
@@ -181,7 +180,6 @@ class Session:
         check_pose(self._metadata.transform.pose(pose))
 
     def _commit(self) -> None:
-        keep_freed_memory()
         place = self._metadata.transform.pose
         frames = [
             PlacedFrame(place(frame.pose), self._spec, _cells_of(frame))
