@@ -283,6 +283,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in [*ROOT.glob("README.md"), *sorted(ROOT.glob("docs/*.md"))]
     ]
     report = Report()
+    tables.layers_table()  # before a document adds a layer of its own
     for document in documents:
         check_document(document, ROOT / "examples", Path(sys.executable).parent, report)
     for failure in report.failures:

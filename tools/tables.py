@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,8 +62,9 @@ def export_options_table() -> str:
     return markdown(("flag", "in Python", "default", "formats", "meaning"), list(rows.values()))
 
 
+@cache
 def layers_table() -> str:
-    """Every built-in layer of a map."""
+    """Every built-in layer of a map: those that are registered when it is first asked for."""
     from fieldgrid.layers import LAYERS
 
     rows = [(f"`{one.name}`", one.unit or "-", one.dtype, one.meaning) for one in LAYERS.values()]
