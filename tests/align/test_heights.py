@@ -146,9 +146,12 @@ def stated_m(path: Path, name: str, correction: HeightCorrection) -> Float64:
 def test_two_that_contradict_each_other_are_less_sure_than_they_state(
     tmp_path: Path, off_m: float
 ) -> None:
-    drives = {"good": (0.02, rises(0.0)), "wrong": (0.02, rises(off_m))}
-    path = write(tmp_path / "m.gpkg", drives)
+    drives = {"good": (0.02, rises(0.0)), "wrong": (0.02, rises(off_m)), "far": (0.02, rises(0.0))}
+    # One that saw other ground says nothing of which is right.
+    path = write(tmp_path / "m.gpkg", drives, lanes={"far": (60.0, 62.6)})
     found = levelled(path)
+    assert found["far"] is not None
+    assert found["far"].least_sigma_m == pytest.approx(0.0, abs=0.05)
     for name, error in (("good", rises(0.0)), ("wrong", rises(off_m))):
         correction = found[name]
         assert correction is not None

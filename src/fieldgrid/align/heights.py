@@ -81,14 +81,16 @@ def level(
         return corrections
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
     stated_m = np.concatenate([_stated_m(*one) for one in zip(own, placed, strict=True)])
-    up_m, met = _solve(seen, own, stated_m, parts)
+    up_m, normal = _solve(seen, own, stated_m, parts)
     far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
     if far:
         return level(drives, transforms, {*doubtful, *far})
     least_m = _turned_out(
         np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
         np.array([np.median(stated_m[part]) for part in parts]),
+        np.array([[normal[np.ix_(one, other)].any() for other in parts] for one in parts]),
     )
+    met = normal.diagonal() > 0.0
     for n, drive, part, sigma_m in zip(chosen, own, parts, least_m.tolist(), strict=True):
         if drive.role is Role.MOVES and met[part].any():
             corrections[n] = HeightCorrection(
@@ -97,18 +99,20 @@ def level(
     return corrections
 
 
-def _turned_out(found_m: Float64, stated_m: Float64) -> Float64:
+def _turned_out(found_m: Float64, stated_m: Float64, shares: Bool) -> Float64:
     """What the heights of each drive err by at least, as it turned out: 0 where that is what its
-    receiver states.
+    receiver states. `shares` [n, n] are the drives that saw ground of one place.
 
     Heights come to those of better receivers, but how good these are nobody measures. And of drives
     that contradict each other, without two that agree, each may be the wrong one.
     """
     least_m = np.where(found_m > stated_m, found_m, 0.0)
     wrong = found_m > FAR_SIGMAS * stated_m
-    if wrong.any() and np.count_nonzero(~wrong) < 2:
-        alike = FAR_SIGMAS * stated_m >= stated_m[wrong].min()
-        least_m[alike] = np.maximum(least_m[alike], found_m[wrong].max())
+    for n in np.flatnonzero(wrong):
+        others = shares[n] & ~wrong
+        if np.count_nonzero(others) < 2:
+            alike = others & (FAR_SIGMAS * stated_m >= stated_m[n])
+            least_m[alike] = np.maximum(least_m[alike], found_m[n])
     return least_m
 
 
@@ -128,9 +132,9 @@ def _stated_m(drive: Drive, transform: Transform) -> Float64:
 
 def _solve(
     seen: _Seen, drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]
-) -> tuple[Float64, Bool]:
-    """The heights of submaps [count], and which share a place with others; `parts` are the submaps
-    of each drive."""
+) -> tuple[Float64, Float64]:
+    """The heights of submaps [count], and what the ground says of them [count, count], not 0 of
+    two that share a place; `parts` are the submaps of each drive."""
     count = len(stated_m)
     prior = _prior(drives, stated_m, parts)
     up_m: Float64 = np.zeros(count)
@@ -149,7 +153,7 @@ def _solve(
         for part in parts:
             off = np.mean((up_m[part] / stated_m[part]) ** 2)
             trust[part] = (FREEDOM + 1.0) / (FREEDOM + off)
-    return up_m, normal.diagonal() > 0.0
+    return up_m, normal
 
 
 def _ground(drives: Sequence[Drive], transforms: Sequence[Transform]) -> _Seen:
