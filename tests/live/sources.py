@@ -13,6 +13,7 @@ from typing import Any
 
 from fieldgrid.fixes import Fix
 from fieldgrid.live import LiveResult, Pauses, Sources, What
+from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.recording import Frame
 from fieldgrid.rig import Rig
 from tests.live.making import Told
@@ -51,6 +52,7 @@ class Notes:
     def __init__(self, rig: Rig | None = None) -> None:
         self.rig = rig or paper_rig()
         self.fixes: list[Fix] = []
+        self.rows: list[tuple[str, Rows]] = []
         self.frames: list[Frame] = []
         self.told: list[str] = []
         self._changed = threading.Condition()
@@ -63,8 +65,8 @@ class Notes:
     def push_fix(self, fix: Fix) -> None:
         self._note(self.fixes, fix)
 
-    def push_rows(self, part: str, rows: Any) -> None:
-        assert part in ("gyro", "wheels")
+    def push_rows(self, part: str, rows: Rows) -> None:
+        self._note(self.rows, (part, rows))
 
     def push_frame(self, frame: Frame) -> bool:
         self._note(self.frames, frame)

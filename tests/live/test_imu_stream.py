@@ -10,6 +10,7 @@ import pytest
 
 from fieldgrid.live.imu_stream import HELD, ImuStream
 from fieldgrid.live.sensor_rows import Rows
+from fieldgrid.recording.bag.transforms import Transforms
 
 G = 9.81
 
@@ -108,3 +109,52 @@ def test_few_messages_are_given_at_the_end() -> None:
     one = message((0.1, 0.2, 0.3), (0.0, 0.0, G))
     assert not slow.take(one, 10**9)
     assert [part for part, _ in slow.take(one, 2 * 10**9)] == ["gyro", "inertial"]
+
+
+def placed(transforms: Transforms, child: str, parent: str, *xyzw: float) -> None:
+    names = SimpleNamespace(frame_id=parent)
+    turn = SimpleNamespace(**dict(zip("xyzw", xyzw, strict=True)))
+    place = SimpleNamespace(translation=SimpleNamespace(x=0.0, y=0.0, z=1.0), rotation=turn)
+    one = SimpleNamespace(header=names, child_frame_id=child, transform=place)
+    transforms.add(SimpleNamespace(transforms=[one]))
+
+
+UPSIDE_DOWN = 1.0, 0.0, 0.0, 0.0
+
+
+def test_static_transforms_come_before_gravity_and_after_the_mounting() -> None:
+    transforms = Transforms()
+    placed(transforms, "imu", "base_link", *UPSIDE_DOWN)
+    stream = ImuStream("flu", transforms)
+    found = said(stream, message((0.1, -0.2, -0.3), (0.5, -0.6, -G)))
+    turned, felt = joined(found["inertial"])
+    assert turned == pytest.approx(np.tile([-0.2, 0.1, 0.3], (HELD + 2, 1)))
+    assert felt == pytest.approx(np.tile([-0.6, 0.5, G], (HELD + 2, 1)))
+    assert not stream.notes
+    named = ImuStream("frd", transforms)
+    assert joined(said(named, message((0.1, 0.2, 0.3), (0.0, 0.0, -G)))["inertial"])[0][
+        0
+    ] == pytest.approx([0.2, 0.1, -0.3])
+
+
+def test_transforms_that_come_late_or_lead_in_a_circle_are_reported_once() -> None:
+    transforms = Transforms()
+    stream = ImuStream("flu", transforms)
+    said(stream, message((0.1, 0.2, 0.3), (0.5, 0.6, G)))
+    placed(transforms, "imu", "base_link", 0.0, 0.0, 0.0, 1.0)
+    stream.check_transforms()
+    assert not stream.notes  # they say what was taken
+    for _ in range(2):
+        placed(transforms, "imu", "base_link", *UPSIDE_DOWN)
+        stream.check_transforms()
+    (note,) = stream.notes
+    assert "came after its first messages" in note
+    circle = Transforms()
+    placed(circle, "imu", "a", *UPSIDE_DOWN)
+    placed(circle, "a", "imu", *UPSIDE_DOWN)
+    placed(circle, "camera", "base_link", *UPSIDE_DOWN)
+    lost = ImuStream("flu", circle)
+    assert set(said(lost, message((0.1, 0.2, 0.3), (0.0, 0.0, G)))) == {"gyro", "inertial"}
+    lost.check_transforms()
+    (note,) = lost.notes
+    assert "in a circle" in note

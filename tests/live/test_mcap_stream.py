@@ -167,6 +167,44 @@ def test_the_map_out_of_a_pipe_with_an_imu_is_that_of_a_build(
             assert ours[kind] == theirs[kind], kind
 
 
+def turned_imu(bag: Path, out: Path) -> Path:
+    """The same drive from an IMU that is mounted upside down, as the static transforms say."""
+    ros = Maker("mcap")
+
+    def turned(one: Written) -> Written:
+        type_ = one[3]
+        if one[1] not in ("/tf_static", "/imu/data"):
+            return one
+        message = ros.store.deserialize_cdr(one[-1], type_)
+        if one[1] == "/tf_static":
+            (imu,) = (each for each in message.transforms if each.child_frame_id == "imu")
+            imu.transform.rotation = ros.quaternion(1.0, 0.0, 0.0, 0.0)
+        else:
+            for vector in (message.angular_velocity, message.linear_acceleration):
+                vector.y, vector.z = -vector.y, -vector.z
+        return (*one[:-1], bytes(ros.store.serialize_cdr(message, type_)))
+
+    return write_as_it_comes(out, (turned(one) for one in messages_of(bag)))
+
+
+def test_static_transforms_say_how_an_imu_sits_as_in_a_bag(
+    short_drive: Path, recorded_leaning: Path, pipe: Path, tmp_path: Path
+) -> None:
+    bag = turned_imu(recorded_leaning, tmp_path / "turned.mcap")
+    with open_recording(recorded_leaning) as one, open_recording(bag) as other:
+        motion, same = other.motion(), one.motion()
+    assert np.array_equal(motion.gyro.rate_rad_s, same.gyro.rate_rad_s)  # type: ignore[union-attr]
+    inertial = motion.inertial
+    assert inertial is not None
+    with running(stream(short_drive, pipe)) as notes:
+        write(pipe, bag.read_bytes())
+        notes.wait(lambda: sum(len(r.time_ns) for p, r in notes.rows if p == "inertial") >= 500)
+    columns = [rows.columns for part, rows in notes.rows if part == "inertial"]
+    rates, forces = (np.concatenate([one[k] for one in columns]) for k in range(2))
+    assert np.array_equal(rates, inertial.rate_rad_s[: len(rates)])
+    assert np.array_equal(forces, inertial.force_mps2[: len(forces)])
+
+
 def test_the_map_out_of_a_pipe_is_that_of_a_build(
     short_drive: Path, recorded: Path, pipe: Path, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
+from fieldgrid.errors import CalibrationError
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.recording.bag.content import (
     OPTICAL_AXES,
@@ -15,7 +16,8 @@ from fieldgrid.recording.bag.content import (
     rate_about,
     turns_across,
 )
-from fieldgrid.recording.bag.mounts import is_optical
+from fieldgrid.recording.bag.mounts import imu_rotation, is_optical
+from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.motion_files import (
     AXES,
     R_VEHICLE_FLU,
@@ -47,12 +49,15 @@ class _Axes(NamedTuple):
 class ImuStream:
     """Takes messages of an IMU, and gives rows of gyro and, with all axes, of an inertial sensor.
 
-    `axes` say how it sits; where those are the usual ones, the name of its frame and gravity may
-    say others, as in a bag.
+    `axes` say how it sits; where those are the usual ones, the static transforms, the name of its
+    frame and gravity may say others, as in a bag. Of `transforms` those count that are known when
+    the first messages are.
     """
 
-    def __init__(self, axes: str) -> None:
+    def __init__(self, axes: str, transforms: Transforms | None = None) -> None:
         self._said = axes
+        self._transforms = Transforms() if transforms is None else transforms
+        self._frame = ""
         self._held: list[tuple[int, Float64]] = []
         self._axes: _Axes | None = None
         self._unturned: deque[tuple[int, Float64]] | None = deque(maxlen=MOST_UNTURNED)
@@ -69,11 +74,22 @@ class ImuStream:
             felt = (np.nan, np.nan, np.nan)
         self._held.append((time_ns, np.array([rates.x, rates.y, rates.z, *felt])))
         if self._axes is None:
+            self._frame = str(message.header.frame_id)
             if len(self._held) < HELD and time_ns - self._held[0][0] < HELD_NS:
                 return []
-            if self._said == AXES and is_optical(str(message.header.frame_id)):
-                self._said = OPTICAL_AXES
         return self.finish()
+
+    def check_transforms(self) -> None:
+        """Note transforms that came after the axes were decided, and say others."""
+        if self._axes is not None and self._said == AXES:
+            R_flu_imu = self._by_transforms()
+            if R_flu_imu is not None and not np.array_equal(
+                R_VEHICLE_FLU @ R_flu_imu, self._axes.R_vehicle_imu
+            ):
+                self._note(
+                    "has a static transform of the IMU that came after its first messages, and is "
+                    "not used; record /tf_static from the start, or say imu_axes in mounting.json."
+                )
 
     def finish(self) -> list[tuple[str, Rows]]:
         """The rows of all messages that are held."""
@@ -90,9 +106,26 @@ class ImuStream:
         )
         return made + self._inertial(self._axes, held)
 
+    def _by_transforms(self) -> Float64 | None:
+        """From its axes to forward, left, up [3, 3]; None where no static transform tells it."""
+        try:
+            return imu_rotation(self._frame, self._transforms)
+        except CalibrationError as problem:
+            self._note(f"has transforms that do not say how the IMU sits: {problem}")
+            return None
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+
     def _decided(self, times_ns: Int64, sensed: Float64) -> _Axes:
-        R_flu_imu = np.array(directions(self._said), dtype=np.float64).T
-        if self._said == AXES and (felt := felt_upward(sensed[:, 3:])) is not None:
+        R_flu_imu = self._by_transforms() if self._said == AXES else None
+        is_taken = R_flu_imu is None and self._said == AXES and not is_optical(self._frame)
+        if R_flu_imu is None:
+            is_named = self._said == AXES and is_optical(self._frame)
+            axes = OPTICAL_AXES if is_named else self._said
+            R_flu_imu = np.array(directions(axes), dtype=np.float64).T
+        if is_taken and (felt := felt_upward(sensed[:, 3:])) is not None:
             self.notes.append(
                 "has an IMU that does not lie flat: it is taken as turned so that gravity is felt "
                 f"upward, along {felt.astype(int).tolist()}, and roll and pitch are not used; say "

@@ -24,7 +24,7 @@ from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
 from fieldgrid.recording.bag.mounts import is_optical, optical
 from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
-from fieldgrid.recording.bag.topics import ODOMETRY
+from fieldgrid.recording.bag.topics import ODOMETRY, TF, TF_STATIC
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.cloud_files import CloudKind
 from fieldgrid.recording.motion_files import AXES
@@ -133,7 +133,8 @@ class McapStream:
                 raise ConfigError(
                     f"No topic of a stream is {role!r}; give one of {', '.join(ROLES)}."
                 )
-        self._kind, self._imu = kind, ImuStream(imu_axes)
+        self._transforms = Transforms()
+        self._kind, self._imu = kind, ImuStream(imu_axes, self._transforms)
         self._takes_fixes, self._poses = takes_fixes, poses
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
@@ -190,6 +191,8 @@ class McapStream:
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
+                if _is_static(channel.connection):
+                    self._static(message, intake)
                 if channel.role and (self._takes_fixes or channel.role not in FIXES):
                     self._take(channel.role, message, intake)
                 if channel.is_pose:
@@ -241,15 +244,26 @@ class McapStream:
         except (ConfigError, RecordingError) as problem:
             self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
 
+    def _static(self, message: Message, intake: Intake) -> None:
+        """Take the places of frames on the vehicle."""
+        try:
+            self._transforms.add(decode(message))
+        except RecordingError as problem:
+            self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
+            return
+        self._imu.check_transforms()
+        self._push_imu([], intake)
+
     def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
-        """Give a cloud, whose frame tells by its name when its axes are those of a camera."""
+        """Give a cloud, whose frame tells by its name or place when its axes are a camera's."""
         kind = self._kind
         if not isinstance(kind, CloudKind):
             raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
         topic = message.topic
         if topic not in self._turned:
             frame = str(decode(message).header.frame_id)
-            R = np.eye(3) if is_optical(frame) else optical(frame, Transforms(), kind.axes)
+            axes = None if is_optical(frame) else kind.axes
+            R = optical(frame, self._transforms, axes)
             self._turned[topic] = CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
         maker = self._turned[topic]
         intake.push_frame(maker.frame(self._frames, time_ns, (Taken(message, time_ns),)))
@@ -331,6 +345,11 @@ class McapStream:
         if text not in self._told and len(self._told) < 100:
             self._told.add(text)
             intake.tell(text)
+
+
+def _is_static(connection: Connection) -> bool:
+    """Whether a topic has the places of frames that do not move on the vehicle."""
+    return connection.type in TF and connection.topic.endswith(TF_STATIC)
 
 
 def _connection(channel: Any, schema: Any) -> Connection:
