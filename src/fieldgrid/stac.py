@@ -23,6 +23,7 @@ from fieldgrid.farm import Block, Farm
 from fieldgrid.lattice import Window
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.publish import mentions, replacing_folder
+from fieldgrid.recording.files import read_text
 
 _MOST_CELLS = 64
 """Cells along a side of the grid from which the outline of a map is traced."""
@@ -246,7 +247,7 @@ def _is_ours(folder: Path) -> bool:
     if not collection.is_file():
         return False
     try:
-        found = parse_json(collection.read_text(encoding="utf-8"))
+        found = parse_json(read_text(collection))
         items = [str(link["href"]) for link in found["links"] if link["rel"] == "item"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
