@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from shapely import LineString
 
+from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import ConfigError
 from fieldgrid.rows import Planting as Found
 from fieldgrid.rows import rows_of_view
@@ -41,6 +45,27 @@ def test_one_turned_row_stands_out() -> None:
     turns = [q.turn_deg for q in row_quality(found)]
     assert int(np.argmax(np.abs(turns))) in (0, 3)
     assert block_quality(found)[0].parallel_deg > 0.3
+
+
+def test_rows_count_by_their_lengths_in_whatever_direction_they_run(found: Found) -> None:
+    first, *others = found.rows
+    start = np.array(first.line.coords[0])
+    along = np.subtract(first.line.coords[-1], start)
+    turn = np.radians(2.0)
+    R = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # clockwise
+    short = first._replace(line=LineString([start, start + 0.2 * R @ along]))
+    for way in (1, -1):
+        rows = tuple(r._replace(line=LineString(r.line.coords[::way])) for r in (short, *others))
+        block = found.blocks[0]._replace(
+            heading_deg=wrap_deg(found.blocks[0].heading_deg + (0.0 if way == 1 else 180.0))
+        )
+        turned = replace(found, rows=rows, blocks=(block,))
+        assert [q.turn_deg for q in row_quality(turned)] == pytest.approx(
+            [2.0, 0.0, 0.0, 0.0], abs=0.2
+        )
+        assert block_quality(turned)[0].parallel_deg == pytest.approx(
+            2.0 * (0.2 / 3.2) ** 0.5, abs=0.1
+        )
 
 
 def test_a_survey_tells_the_offset_with_its_sign(found: Found, posts: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import shapely
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.polyline import lengths, project
-from fieldgrid.rows.result import Planting, Row
+from fieldgrid.rows.result import Block, Planting, Row
 
 _NEAR_M = 1.0
 """A surveyed point belongs to a row that is at most so far beside it."""
@@ -18,7 +19,7 @@ _NEAR_M = 1.0
 
 class RowQuality(NamedTuple):
     """Of one row: how far it bends off its chord (RMS and most), and by how much its heading
-    differs from that of its block (mean of its rows)."""
+    differs from that of its block."""
 
     row: str
     bend_m: float
@@ -28,7 +29,8 @@ class RowQuality(NamedTuple):
 
 class BlockQuality(NamedTuple):
     """Of one block: mean and standard deviation of the distances between neighbouring rows, the
-    spread of their headings, and their RMS bend."""
+    RMS turn of the rows from the block's heading, weighted by their lengths as that heading is, and
+    their RMS bend."""
 
     block: str
     spacing_m: float
@@ -53,12 +55,10 @@ def row_quality(planting: Planting) -> list[RowQuality]:
     found = []
     for block in planting.blocks:
         rows = [row for row in planting.rows if row.block == block.id]
-        headings = np.array([_heading_deg(row) for row in rows])
-        turns = headings - headings.mean()
-        for row, turn in zip(rows, turns, strict=True):
+        for row, turn in zip(rows, _turns_deg(rows, block).tolist(), strict=True):
             bend = _bend(row)
             rms = float(np.sqrt((bend**2).mean()))
-            found.append(RowQuality(row.id, rms, float(np.abs(bend).max()), float(turn)))
+            found.append(RowQuality(row.id, rms, float(np.abs(bend).max()), turn))
     return found
 
 
@@ -74,7 +74,9 @@ def block_quality(planting: Planting) -> list[BlockQuality]:
                 middle = np.asarray(lane.line.coords)
                 left, right = (project(middle, lines[name])[1] for name in lane.rows)
                 apart.append(float(np.median(np.abs(left) + np.abs(right))))
-        headings = [_heading_deg(row) for row in rows]
+        spread_deg = np.sqrt(
+            np.average(_turns_deg(rows, block) ** 2, weights=[row.line.length for row in rows])
+        )
         bends = np.concatenate([_bend(row) for row in rows])
         several = len(rows) > 1
         found.append(
@@ -82,18 +84,20 @@ def block_quality(planting: Planting) -> list[BlockQuality]:
                 block.id,
                 float(np.mean(apart)) if apart else float("nan"),
                 float(np.std(apart)) if len(apart) > 1 else float("nan"),
-                float(np.std(headings)) if several else float("nan"),
+                float(spread_deg) if several else float("nan"),
                 float(np.sqrt((bends**2).mean())),
             )
         )
     return found
 
 
-def _heading_deg(row: Row) -> float:
-    line = np.asarray(row.line.coords)
-    # Rows of a block run the same way, and headings about south do not jump.
-    step = line[-1] - line[0]
-    return float(np.degrees(np.arctan2(step[0], step[1])))
+def _turns_deg(rows: Sequence[Row], block: Block) -> Float64:
+    """By how much rows are turned clockwise from their block's heading, [n]."""
+    steps = np.array([np.subtract(row.line.coords[-1], row.line.coords[0]) for row in rows])
+    heading = np.radians(block.heading_deg)
+    ahead = steps @ [np.sin(heading), np.cos(heading)]
+    right = steps @ [np.cos(heading), -np.sin(heading)]
+    return np.asarray(np.degrees(np.arctan2(right, ahead)))
 
 
 def _bend(row: Row) -> Float64:
