@@ -210,3 +210,23 @@ def recorded_tilt(
     return RecordedTilt(
         time_ns(seen.drive.time_s), roll + off[0], pitch + off[1], np.full(len(roll), sigma_deg)
     )
+
+
+def axis_rises(
+    way: Hike,
+    toward_deg: float,
+    period_s: float = 0.2,
+    *,
+    noise_deg: float = 0.3,
+    mount_deg: float = 0.0,
+    frame_deg: tuple[float, float] = (0.0, 0.0),
+    seed: int = 0,
+) -> tuple[npt.NDArray[np.int64], _Float64]:
+    """Times and rises, degrees, of an axis that points `toward_deg` clockwise from the nose,
+    `mount_deg` higher than it should be, in a frame that leans by `frame_deg` east and north."""
+    seen = way.at(np.arange(0.0, way.drive.time_s[-1], period_s))
+    toward = np.radians(toward_deg)
+    up = np.array([*np.radians(frame_deg), 1.0])
+    sine = seen.R @ np.array([np.sin(toward), np.cos(toward), 0.0]) @ (up / np.linalg.norm(up))
+    noise = np.random.default_rng(seed).normal(size=len(sine)) * noise_deg
+    return time_ns(seen.drive.time_s), np.degrees(np.arcsin(sine)) + mount_deg + noise

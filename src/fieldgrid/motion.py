@@ -43,6 +43,22 @@ class RecordedTilt(NamedTuple):
     sigma_deg: Float64
 
 
+class Orientation(NamedTuple):
+    """Roll and pitch by what is not calibrated to its vehicle, an IMU's own estimate or odometry,
+    length n, in order of time.
+
+    As in :class:`RecordedTilt`, but in the vehicle's axes they may be off by the same all the time.
+    `sigma_deg` is the rest of the error, `frame_sigma_deg` by how much the frame that they were
+    measured in may lean.
+    """
+
+    time_ns: Int64
+    roll_deg: Float64
+    pitch_deg: Float64
+    sigma_deg: Float64
+    frame_sigma_deg: Float64
+
+
 class WheelSpeed(NamedTuple):
     """Speed over ground from wheels or transmission, length n, negative in reverse."""
 
@@ -100,3 +116,4 @@ class Motion(NamedTuple):
     inertial: Inertial | None = None
     tilt: RecordedTilt | None = None
     poses: GivenPoses | None = None
+    orientation: Orientation | None = None

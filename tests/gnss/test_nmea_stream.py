@@ -42,7 +42,8 @@ def stream(*chunks: bytes, **settings: int) -> list[Fix]:
 
 def test_the_log_of_these_tests_is_read_whole() -> None:
     assert len(FIXES) == 12
-    assert all(None not in fix._replace(heading_sigma_deg=0.0) for fix in FIXES)
+    said = ("heading_sigma_deg", "roll_deg", "tilt_sigma_deg")
+    assert all(None not in fix._replace(**dict.fromkeys(said, 0.0)) for fix in FIXES)
 
 
 # --- properties

@@ -59,12 +59,18 @@ def hpposllh(itow_ms: int = ITOW_MS, version: int = 0, flags: int = 0) -> bytes:
     )  # fmt: skip
 
 
-def relposned(itow_ms: int = ITOW_MS, flags: int = 0b1_0011_0111, version: int = 1) -> bytes:
+def relposned(
+    itow_ms: int = ITOW_MS,
+    flags: int = 0b1_0011_0111,
+    version: int = 1,
+    ned_cm: tuple[int, int, int] = (0, 0, 0),
+    ned_tenths_mm: tuple[int, int, int] = (0, 0, 0),
+) -> bytes:
     return message(
         (1, 0x3C),
         struct.pack(
-            "<BBHIiiiiiIbbbbIIIIIII", version, 0, 0, itow_ms, 0, 0, 0, 100, 350_00000, 0, 0, 0, 0,
-            0, 100, 100, 100, 100, 40000, 0, flags,
+            "<BBHIiiiiiIbbbbIIIIIII", version, 0, 0, itow_ms, *ned_cm, 100, 350_00000, 0,
+            *ned_tenths_mm, 0, 100, 110, 120, 130, 40000, 0, flags,
         ),
     )  # fmt: skip
 
@@ -147,8 +153,26 @@ def test_a_u_blox_7_has_a_shorter_pvt() -> None:
 
 def test_a_fused_heading_is_taken_where_it_is_valid_and_yields_to_two_antennas() -> None:
     fused = pvt(flags=1 | 1 << 5, vehicle=90_00000)
-    assert only(fused)[-4:-1] == (90.0, 2.0, None)
+    fix = only(fused)
+    assert (fix.heading_deg, fix.heading_sigma_deg, fix.heading_quality) == (90.0, 2.0, None)
+    assert fix.pitch_deg is None
     assert only(fused + relposned()).heading_deg == -10.0
+
+
+def test_two_antennas_tell_how_the_way_between_them_rises() -> None:
+    # 1.20 m long and 10.5 cm up: the second antenna is the higher one.
+    fix = only(pvt() + relposned(ned_cm=(118, -20, -10), ned_tenths_mm=(0, 0, -50)))
+    assert fix.pitch_deg == pytest.approx(math.degrees(math.atan2(0.105, math.hypot(1.18, 0.20))))
+    # 12 mm over that length
+    assert fix.tilt_sigma_deg == pytest.approx(math.degrees(0.012 / 1.2014), rel=1e-3)
+    assert fix.roll_deg is None
+    lower = only(pvt() + relposned(ned_cm=(118, -20, 10), ned_tenths_mm=(0, 0, 50)))
+    assert lower.pitch_deg == pytest.approx(-fix.pitch_deg)
+
+
+def test_a_relative_position_of_length_one_has_no_sigma_of_its_rise() -> None:
+    fix = only(pvt() + relposned(flags=0b11_0011_0111, ned_cm=(99, 0, -17)))
+    assert (fix.pitch_deg, fix.tilt_sigma_deg) == (pytest.approx(9.744, abs=0.01), None)
 
 
 @pytest.mark.parametrize(

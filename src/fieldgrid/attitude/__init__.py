@@ -1,6 +1,14 @@
 """Roll and pitch against gravity, from accelerometer, gyro, camera and the climb of the fixes."""
 
+from fieldgrid.attitude.axes import AxisTilt, axes_of_fixes, axes_of_orientation
 from fieldgrid.attitude.estimate import Attitude, estimate_attitude
 from fieldgrid.attitude.measurements import Track
 
-__all__ = ["Attitude", "Track", "estimate_attitude"]
+__all__ = [
+    "Attitude",
+    "AxisTilt",
+    "Track",
+    "axes_of_fixes",
+    "axes_of_orientation",
+    "estimate_attitude",
+]

@@ -9,6 +9,7 @@ drive's size allow.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,12 +17,13 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.attitude import model
+from fieldgrid.attitude.axes import AxisTilt, agreed
 from fieldgrid.attitude.ground import ExpectedGround, expected_ground
 from fieldgrid.attitude.measurements import Measurements, Track, measure
 from fieldgrid.attitude.model import Law, States
 from fieldgrid.attitude.solver import System, covariances, normal_equations, solved
 from fieldgrid.motion import Inertial, RecordedTilt, Steps
-from fieldgrid.rotations import R_enu_level, Tilt, heading_rad, roll_pitch_deg
+from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, heading_rad, roll_pitch_deg
 
 STRETCH_S, OVERLAP_S = 240.0, 20.0
 """Longer drives are estimated stretch by stretch: a gyro's bias drifts evenly only so long."""
@@ -56,6 +58,9 @@ drive's slope all the time: it says so once."""
 TERRAIN_NOISE_RAD = np.radians([2.0, 2.0, 60.0])
 """How ground and steering turn a vehicle that nothing watches, rad/√s, about its axes."""
 
+LEAST_LASTING_DEG = 1e-3
+"""Constant errors that do not exist are unknowns that are known to be nothing."""
+
 LEAST_SIGMA_DEG = 0.08
 """What no measurement shows: axes of sensors that are not quite square."""
 
@@ -65,7 +70,8 @@ class Attitude(NamedTuple):
 
     Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
-    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured.
+    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured. `notes` name
+    what contradicts the rest of the drive and was not used.
     """
 
     time_ns: Int64
@@ -76,6 +82,7 @@ class Attitude(NamedTuple):
     heading_deg: Float64
     up_m: Float64
     slope_sigma_deg: float
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, float]:
         """What a report says of it, degrees: the steepest and the median sigmas."""
@@ -109,7 +116,16 @@ class Attitude(NamedTuple):
             heading,
             up,
             self.slope_sigma_deg,
+            self.notes,
         )
+
+    def rise_at(self, axis: AxisTilt) -> tuple[Float64, Float64]:
+        """How much an axis of the vehicle rises at its own instants, with the sigma, degrees."""
+        at = self.at(axis.time_ns)
+        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2, :2] @ axis.direction
+        right, forward = np.abs(axis.direction)
+        sigma = np.hypot(right * at.roll_sigma_deg, forward * at.pitch_sigma_deg)
+        return np.degrees(np.arcsin(level)), sigma
 
 
 def estimate_attitude(
@@ -120,20 +136,40 @@ def estimate_attitude(
     sensed: Inertial | None = None,
     steps: Steps | None = None,
     tilt: RecordedTilt | None = None,
+    axes: Sequence[AxisTilt] = (),
 ) -> Attitude:
     """Roll and pitch over a drive of at least two fixes.
 
     `antenna_m` [3] is the antenna as seen from the sensor, in the vehicle's axes (right, forward,
     up). `wanted_ns` are instants at which the attitude must be known as exactly as may be: those
-    of images. The same input gives the same bits.
+    of images. `axes` that contradict the rest of the drive are left out, which the notes tell. The
+    same input gives the same bits.
     """
     wanted = np.zeros(0, dtype=np.int64) if wanted_ns is None else np.unique(wanted_ns)
-    node_ns, seen = measure(track, wanted, sensed, steps, tilt)
+    said = track, antenna_m, wanted, sensed, steps, tilt
+    if not axes:
+        return _estimate(*said, ())
+    without = _estimate(*said, ())
+    found = agreed(axes, [without.rise_at(axis) for axis in axes])
+    return (_estimate(*said, found.axes) if found.axes else without)._replace(notes=found.notes)
+
+
+def _estimate(
+    track: Track,
+    antenna_m: Float64,
+    wanted_ns: Int64,
+    sensed: Inertial | None,
+    steps: Steps | None,
+    tilt: RecordedTilt | None,
+    axes: Sequence[AxisTilt],
+) -> Attitude:
+    """Roll and pitch by all of this."""
+    node_ns, seen = measure(track, wanted_ns, sensed, steps, tilt, axes)
     ground = expected_ground(track)
     # With nothing to tell how the vehicle turns, its roll would explain what fixes err aside.
     lever_m = antenna_m if seen.moved.turned.any() else np.zeros(3)
     parts = [
-        _estimated(seen.part(*outer), lever_m, ground, inner)
+        _estimated(seen.part(*outer), lever_m, ground, axes, inner)
         for outer, inner in _stretches(seen.time_s)
     ]
     roll, pitch, roll_sigma, pitch_sigma, heading, up = np.concatenate(parts, axis=1)
@@ -157,25 +193,39 @@ def _stretches(time_s: Float64) -> list[tuple[tuple[int, int], slice]]:
 
 
 def _estimated(
-    seen: Measurements, antenna_m: Float64, ground: ExpectedGround, own: slice
+    seen: Measurements,
+    antenna_m: Float64,
+    ground: ExpectedGround,
+    axes: Sequence[AxisTilt],
+    own: slice,
 ) -> Float64:
     """Roll, pitch and their sigmas, degrees, heading, radians, and height, metres, [6, own nodes]
     of one stretch."""
-    x = _first_guess(seen, antenna_m)
+    lasting = _lasting_sigma(axes)
+    x = _first_guess(seen, antenna_m, len(lasting))
     robust = False
     for k in range(MOST_ROUNDS):
-        change, shared = solved(_system(x, seen, antenna_m, ground, robust))
+        change, shared = solved(_system(x, seen, antenna_m, ground, axes, robust))
         x, robust = x.moved(change, shared), True
         if k > 1 and np.abs(change[:, model.A]).max() < ENOUGH_RAD:
             break
-    blocks, _ = covariances(_system(x, seen, antenna_m, ground, robust))
+    blocks, _ = covariances(_system(x, seen, antenna_m, ground, axes, robust))
     roll, pitch = roll_pitch_deg(x.R)
     variance = np.stack([blocks[:, 7, 7], blocks[:, 6, 6]])  # about the forward axis, the right one
     sigma = np.hypot(np.degrees(np.sqrt(variance)), LEAST_SIGMA_DEG)
     return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own]
 
 
-def _first_guess(seen: Measurements, antenna_m: Float64) -> States:
+def _lasting_sigma(axes: Sequence[AxisTilt]) -> Float64:
+    """Sigmas of the shared unknowns."""
+    if not axes:
+        return SHARED_SIGMA
+    frame = np.radians([max(max(axis.frame_sigma_deg for axis in axes), LEAST_LASTING_DEG)] * 2)
+    mount = np.radians([max(axis.mount_sigma_deg, LEAST_LASTING_DEG) for axis in axes])
+    return np.concatenate([SHARED_SIGMA, frame, mount])
+
+
+def _first_guess(seen: Measurements, antenna_m: Float64, shared: int) -> States:
     """Level, along the fixes, with the known headings."""
     n = len(seen.time_s)
     R = R_enu_level(np.degrees(seen.heading_rad))
@@ -187,16 +237,28 @@ def _first_guess(seen: Measurements, antenna_m: Float64) -> States:
     if n > 1:
         speed = np.asarray(np.gradient(place, seen.time_s, axis=0))
     since_s = seen.time_s - (seen.time_s[0] + seen.time_s[-1]) / 2.0
-    return States(place, speed, R, np.zeros(model.SHARED), since_s)
+    return States(place, speed, R, np.zeros(shared), since_s)
 
 
 def _system(
-    x: States, seen: Measurements, antenna_m: Float64, ground: ExpectedGround, robust: bool
+    x: States,
+    seen: Measurements,
+    antenna_m: Float64,
+    ground: ExpectedGround,
+    axes: Sequence[AxisTilt],
+    robust: bool,
 ) -> System:
     """The normal equations of all that is known, linearised at `x`."""
     between = [*_turns(x, seen), *_moves(x, seen, robust)]
-    laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust)]
-    return normal_equations(laws, len(seen.time_s), x.shared, SHARED_SIGMA)
+    laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust), *_rises(x, seen, axes)]
+    return normal_equations(laws, len(seen.time_s), x.shared, _lasting_sigma(axes))
+
+
+def _rises(x: States, seen: Measurements, axes: Sequence[AxisTilt]) -> Iterator[Law]:
+    """The recorded axes."""
+    for own, (axis, (sine, sigma)) in enumerate(zip(axes, seen.risen, strict=True)):
+        at = np.flatnonzero(np.isfinite(sigma))
+        yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own)
 
 
 def _turns(x: States, seen: Measurements) -> list[Law]:

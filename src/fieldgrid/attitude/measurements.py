@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.attitude.axes import AxisTilt
 from fieldgrid.attitude.increments import increments, sample_noise
 from fieldgrid.motion import Inertial, RecordedTilt, Steps
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, to_vectors
@@ -99,7 +101,7 @@ class Measurements(NamedTuple):
 
     The antenna `fix_m` [n, 3] with `fix_sigma_m`, `heading_rad` and `heading_sigma_rad` [n], the
     vertical in the vehicle's axes by a recorded tilt `vertical` [n, 2] (right, forward) with
-    `vertical_sigma` [n].
+    `vertical_sigma` [n], and the sine of the rise of each recorded axis with its sigma, [n] each.
     """
 
     time_s: Float64
@@ -109,15 +111,18 @@ class Measurements(NamedTuple):
     heading_sigma_rad: Float64
     vertical: Float64
     vertical_sigma: Float64
+    risen: tuple[tuple[Float64, Float64], ...]
     moved: Moved
 
     def part(self, start: int, stop: int) -> Measurements:
         """What was measured from node `start` to before node `stop`."""
-        at = {
-            name: column[start:stop] for name, column in self._asdict().items() if name != "moved"
-        }
-        moved = Moved(*(column[start : stop - 1] for column in self.moved))
-        return Measurements(**at, moved=moved)
+        columns = self._asdict()
+        risen, moved = columns.pop("risen"), columns.pop("moved")
+        return Measurements(
+            **{name: column[start:stop] for name, column in columns.items()},
+            risen=tuple((sine[start:stop], sigma[start:stop]) for sine, sigma in risen),
+            moved=Moved(*(column[start : stop - 1] for column in moved)),
+        )
 
 
 def measure(
@@ -126,6 +131,7 @@ def measure(
     sensed: Inertial | None,
     steps: Steps | None,
     tilt: RecordedTilt | None,
+    axes: Sequence[AxisTilt] = (),
 ) -> tuple[Int64, Measurements]:
     """The nodes, at `wanted_ns` and where else something was measured, and what was."""
     pushed = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
@@ -148,6 +154,7 @@ def measure(
         np.radians(heading_sigma_deg),
         vertical,
         vertical_sigma,
+        tuple(axis.at(node_ns) for axis in axes),
         moved if steps is None else _with_steps(moved, steps, node_ns),
     )
 

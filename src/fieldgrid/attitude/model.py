@@ -21,14 +21,17 @@ P, V, A = slice(0, 3), slice(3, 6), slice(6, 9)
 SHARED = 9
 GYRO, GYRO_DRIFT, FORCE = slice(0, 3), slice(3, 6), slice(6, 9)
 """Bias of the gyro in the middle of the stretch (rad/s), its drift (rad/s²), and bias of the
-accelerometer (m/s²) among the shared unknowns."""
+accelerometer (m/s²) among the shared unknowns. Constant errors of recorded axes follow them: first
+the lean of the frame that they were recorded in, toward east and north, then one each."""
+
+FRAME = slice(SHARED, SHARED + 2)
 
 GRAVITY_MPS2 = np.array([0.0, 0.0, -9.80665])
 
 
 class States(NamedTuple):
     """The states of n nodes, [n, 3] each, `R` [n, 3, 3] from the vehicle's axes to ENU, and the
-    `shared` unknowns [9]; `since_s` [n] is the time since the middle of the stretch."""
+    `shared` unknowns [9 or more]; `since_s` [n] is the time since the middle of the stretch."""
 
     position_m: Float64
     velocity_mps: Float64
@@ -37,7 +40,7 @@ class States(NamedTuple):
     since_s: Float64
 
     def moved(self, change: Float64, shared: Float64) -> States:
-        """The states after a change [n, 9] of the nodes and one [9] of what they share."""
+        """The states after a change [n, 9] of the nodes and one of what they share."""
         return States(
             self.position_m + change[:, P],
             self.velocity_mps + change[:, V],
@@ -50,8 +53,8 @@ class States(NamedTuple):
 class Law(NamedTuple):
     """m instances of one law of r residuals, at nodes `node` [m] or between them and the next.
 
-    `slope` [m, r, 9 or 18] is by the states of the node, or of both; `shared` [m, r, 9] by the
-    shared unknowns, None where they do not enter; `weight` [m, r] is 1 / sigma².
+    `slope` [m, r, 9 or 18] is by the states of the node, or of both; `shared` [m, r, 9 or more] by
+    the first shared unknowns, None where they do not enter; `weight` [m, r] is 1 / sigma².
     """
 
     node: Index
@@ -169,3 +172,17 @@ def leans(x: States, at: Index, vertical: Float64, weight: Float64) -> Law:
     slope = np.zeros((len(at), 2, STATES))
     slope[:, :, A] = cross_matrices(own)[:, :2]
     return Law(at, own[:, :2] - vertical, slope, weight)
+
+
+def rises(
+    x: States, at: Index, direction: Float64, sine: Float64, weight: Float64, own: int
+) -> Law:
+    """A level axis of the vehicle, `direction` [2] right and forward, rises by a recorded sine [m],
+    but for the lean of the frame and the constant error number `own` of the axis."""
+    R = x.R[at]
+    axis = R[:, :, :2] @ direction
+    slope, shared = np.zeros((len(at), 1, STATES)), np.zeros((len(at), 1, len(x.shared)))
+    slope[:, 0, A] = direction @ cross_matrices(R[:, 2])[:, :2]
+    shared[:, 0, FRAME], shared[:, 0, FRAME.stop + own] = axis[:, :2], 1.0
+    off = axis[:, 2] + axis[:, :2] @ x.shared[FRAME] + x.shared[FRAME.stop + own] - sine
+    return Law(at, off[:, None], slope, weight[:, None], shared)

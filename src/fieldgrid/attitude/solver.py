@@ -9,15 +9,15 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.attitude.banded import factor, inverse_blocks, solve
-from fieldgrid.attitude.model import SHARED, STATES, Law
+from fieldgrid.attitude.model import STATES, Law
 
 _BELOW = STATES + np.subtract.outer(np.arange(STATES), np.arange(STATES))
 _ROW, _COLUMN = np.tril_indices(STATES)
 
 
 class System(NamedTuple):
-    """Normal equations: `band` [18, 9 n] in LAPACK's lower form, `border` [9 n, 9] between nodes
-    and shared unknowns, `corner` [9, 9] among these; right sides [9 n] and [9]."""
+    """Normal equations: `band` [18, 9 n] in LAPACK's lower form, `border` [9 n, s] between nodes
+    and s shared unknowns, `corner` [s, s] among these; right sides [9 n] and [s]."""
 
     band: Float64
     border: Float64
@@ -32,10 +32,10 @@ LOST_SIGMA = np.repeat([1e4, 1e2, 1e1], 3)
 
 def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma: Float64) -> System:
     """The system of all laws over n nodes; the `shared` unknowns are known to be within
-    `shared_sigma` [9] of 0 beforehand."""
+    `shared_sigma` [s] of 0 beforehand."""
     diagonal, below = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, STATES))
     diagonal[:] = np.diag(LOST_SIGMA**-2.0)
-    border, right = np.zeros((n, STATES, SHARED)), np.zeros((n, STATES))
+    border, right = np.zeros((n, STATES, len(shared))), np.zeros((n, STATES))
     corner, right_shared = np.diag(shared_sigma**-2.0), -shared / shared_sigma**2
     for node, residual, slope, weight, by_shared in laws:
         turned = (slope * weight[:, :, None]).swapaxes(1, 2)
@@ -49,19 +49,19 @@ def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma:
             below[node] += square[:, STATES:, :STATES]
             right[node + 1] -= gradient[:, STATES:]
         if by_shared is not None:
-            across = turned @ by_shared
-            border[node] += across[:, :STATES]
+            across, count = turned @ by_shared, by_shared.shape[2]
+            border[node, :, :count] += across[:, :STATES]
             if both:
-                border[node + 1] += across[:, STATES:]
-            weighted = (by_shared * weight[:, :, None]).reshape(-1, SHARED)
-            corner += by_shared.reshape(-1, SHARED).T @ weighted
-            right_shared -= weighted.T @ residual.ravel()
+                border[node + 1, :, :count] += across[:, STATES:]
+            weighted = (by_shared * weight[:, :, None]).reshape(-1, count)
+            corner[:count, :count] += by_shared.reshape(-1, count).T @ weighted
+            right_shared[:count] -= weighted.T @ residual.ravel()
     band = np.zeros((2 * STATES, n, STATES))
     band[_ROW - _COLUMN, :, _COLUMN] = diagonal[:, _ROW, _COLUMN].T
     band[_BELOW, :, np.arange(STATES)] = below.transpose(1, 2, 0)
     return System(
         band.reshape(2 * STATES, -1),
-        border.reshape(-1, SHARED),
+        border.reshape(-1, len(shared)),
         corner,
         right.ravel(),
         right_shared,
@@ -69,7 +69,7 @@ def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma:
 
 
 def solved(system: System) -> tuple[Float64, Float64]:
-    """The changes [n, 9] of the nodes and [9] of the shared unknowns."""
+    """The changes [n, 9] of the nodes and [s] of the shared unknowns."""
     lower = factor(system.band)
     found = solve(lower, np.column_stack([system.right, system.border]))
     alone, through = found[:, 0], found[:, 1:]
@@ -81,10 +81,10 @@ def solved(system: System) -> tuple[Float64, Float64]:
 
 
 def covariances(system: System) -> tuple[Float64, Float64]:
-    """The covariance [n, 9, 9] of each node's states, and [9, 9] of the shared unknowns."""
+    """The covariance [n, 9, 9] of each node's states, and [s, s] of the shared unknowns."""
     lower = factor(system.band)
     through = solve(lower, system.border)
     shared = np.asarray(np.linalg.inv(system.corner - system.border.T @ through), np.float64)
-    slopes = through.reshape(-1, STATES, SHARED)
+    slopes = through.reshape(-1, STATES, shared.shape[0])
     blocks = inverse_blocks(lower, STATES)
     return blocks + slopes @ shared @ slopes.swapaxes(1, 2), shared

@@ -14,14 +14,26 @@ import numpy.typing as npt
 from fieldgrid.array_types import Bool, Int64
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix, FixColumns, known_codes
-from fieldgrid.motion import GivenPoses, Gyro, Inertial, Motion, RecordedTilt, Steps, WheelSpeed
+from fieldgrid.motion import (
+    GivenPoses,
+    Gyro,
+    Inertial,
+    Motion,
+    Orientation,
+    RecordedTilt,
+    Steps,
+    WheelSpeed,
+)
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 _LATER = frozenset({"steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"})
 """Columns that sessions of earlier versions do not have: they are NaN."""
 
-_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt, GivenPoses)
+_IF_SAID = ("pitch_deg", "roll_deg", "tilt_sigma_deg")
+"""Columns of fixes that few logs say something in, and that are kept where they do."""
+
+_Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt, GivenPoses, Orientation)
 
 
 class Inputs(NamedTuple):
@@ -39,7 +51,11 @@ def to_arrays(inputs: Inputs) -> Arrays:
     arrays: Arrays = {
         "frame_ns": inputs.frame_ns,
         "ground_found": inputs.ground_found.astype(np.uint8),
-        **{f"fix.{name}": column for name, column in inputs.fixes.columns().items()},
+        **{
+            f"fix.{name}": column
+            for name, column in inputs.fixes.columns().items()
+            if name not in _IF_SAID or not np.isnan(column).all()
+        },
     }
     for kind, part in inputs.motion._asdict().items():
         if part is not None:
@@ -63,6 +79,7 @@ def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Inputs:
             _part(Inertial, "inertial", arrays),
             _part(RecordedTilt, "tilt", arrays),
             _part(GivenPoses, "poses", arrays),
+            _part(Orientation, "orientation", arrays),
         )
         frame_ns = np.asarray(arrays["frame_ns"], dtype=np.int64)
         ground = np.asarray(arrays["ground_found"]).astype(np.bool_)

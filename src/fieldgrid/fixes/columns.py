@@ -38,6 +38,9 @@ class Fix(NamedTuple):
     heading_sigma_deg: float | None = None
     heading_quality: Quality | None = None
     course_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    tilt_sigma_deg: float | None = None
 
     @property
     def position_sigma_m(self) -> float:
@@ -61,8 +64,10 @@ class FixColumns:
     of :class:`Quality`. `age_s` is that of the differential correction. `sigma_m` is the
     receiver's own 1-sigma error along one horizontal axis. `heading_deg` is a recorded heading of
     the vehicle (two antennas, INS), never the course; `heading_quality` is that of the baseline
-    between the antennas. `course_deg` is where the antenna moves, as the receiver says it. Angles
-    are degrees clockwise from north, (-180, 180].
+    between the antennas. `course_deg` is where the antenna moves, as the receiver says it. These
+    angles are degrees clockwise from north, (-180, 180]. `pitch_deg` is by how much the axis that
+    `heading_deg` is of rises (of two antennas the way from the first to the second), `roll_deg` by
+    how much its right side is down, `tilt_sigma_deg` the 1-sigma error of both.
 
     What a source does not say is NaN, or `NOT_SAID` (-1) among integers. Columns are not to be
     written to. An integer as index gives a row (:class:`Fix`); a slice, a mask or an array of
@@ -83,6 +88,9 @@ class FixColumns:
     heading_sigma_deg: Float64
     heading_quality: Int64
     course_deg: Float64
+    pitch_deg: Float64
+    roll_deg: Float64
+    tilt_sigma_deg: Float64
 
     def __post_init__(self) -> None:
         for name, column in self.columns().items():

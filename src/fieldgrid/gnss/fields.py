@@ -62,6 +62,15 @@ def direction_deg(field: bytes) -> float | None:
     return angle if angle > -180.0 else angle + 360.0
 
 
+def tilt_deg(field: bytes) -> float | None:
+    """Degrees of a pitch or roll, or of its sigma. None when the field is empty or nonsense: the
+    heading beside it is no worse for that."""
+    try:
+        return within(field, 90.0)
+    except ValueError:
+        return None
+
+
 def integer(field: bytes) -> int | None:
     """The natural number of a field, None when it is empty."""
     if not field:

@@ -185,6 +185,7 @@ class EpochLog:
             None if heading.deg is None else heading.sigma_deg,
             None if heading.deg is None else heading.quality,
             motion.course_deg,
+            *((None, None, None) if heading.deg is None else heading[4:]),
         )
 
     def _motion(self, epoch: Epoch) -> GroundVelocity:

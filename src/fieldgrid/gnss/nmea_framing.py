@@ -22,7 +22,7 @@ _LONGEST = 1200  # bytes of any sentence, with room to spare
 _SENTENCE = re.compile(
     rb"\$((?:(P[A-Z0-9]{3,9}|KSXT)|[A-Z][A-Z0-9]([A-Z0-9]{2,8})),)"
     rb"(?:([ -\"%-)+-~]{0,240})\*([0-9A-Fa-f]{2})([0-9A-Fa-f]{6})?)?"
-    rb"|(#[A-Z][A-Z0-9]{3,15}A),(?:([ -\"%-)+-~]{0,1100})\*([0-9A-Fa-f]{8}))?"
+    rb"|(#[A-Z][A-Z0-9]{3,20}A),(?:([ -\"%-)+-~]{0,1100})\*([0-9A-Fa-f]{8}))?"
 )
 _WITH_CRC = b"KSXT"  # some firmware ends this one sentence with a CRC-32
 

@@ -6,7 +6,15 @@ ValueError for what cannot be.
 
 from __future__ import annotations
 
-from fieldgrid.gnss.fields import angle_deg, direction_deg, integer, number, unix_day, within
+from fieldgrid.gnss.fields import (
+    angle_deg,
+    direction_deg,
+    integer,
+    number,
+    tilt_deg,
+    unix_day,
+    within,
+)
 from fieldgrid.gnss.nmea_epochs import Epoch, EpochLog
 from fieldgrid.gnss.nmea_standard import state
 from fieldgrid.gnss.nmea_statements import (
@@ -52,7 +60,8 @@ def ptnl(f: list[bytes], log: EpochLog) -> None:
         _ggk(f, log)
     elif f[1] == b"AVR" and f[2] and f[4].lower() == b"yaw":
         quality = _AVR_QUALITY.get(integer(f[10]) or 0, Quality.NONE)
-        state(log.at(f[2]), baseline_heading(BY_ATTITUDE, f[3], quality, None))
+        up = f[5] if f[6].lower() == b"tilt" else b""
+        state(log.at(f[2]), baseline_heading(BY_ATTITUDE, f[3], quality, None, up))
 
 
 def _ggk(f: list[bytes], log: EpochLog) -> None:
@@ -81,7 +90,8 @@ def _ggk(f: list[bytes], log: EpochLog) -> None:
 
 
 def pashr(f: list[bytes], log: EpochLog) -> None:
-    """Heading, its sigma and the quality of the position: 0 is none, and then nothing counts.
+    """Heading, roll (right side down) and pitch (nose up), their sigmas, and the quality of the
+    position: 0 is none, and then nothing counts.
 
     The last field, of the INS, differs from maker to maker. Ashtech's own PASHR, of which the
     first field is a word, is another sentence.
@@ -90,11 +100,17 @@ def pashr(f: list[bytes], log: EpochLog) -> None:
         return
     valid = integer(f[10]) not in (None, 0)
     sigma = number(f[9]) or None
-    state(log.at(f[1]), Heading(BY_PASHR, direction_deg(f[2]) if valid else None, sigma))
+    if not valid:
+        state(log.at(f[1]), Heading(BY_PASHR, None, sigma))
+        return
+    tilt_sigma = max(tilt_deg(f[7]) or 0.0, tilt_deg(f[8]) or 0.0) or None
+    tilt = (tilt_deg(f[5]), tilt_deg(f[4]), tilt_sigma)
+    state(log.at(f[1]), Heading(BY_PASHR, direction_deg(f[2]), sigma, None, *tilt))
 
 
 def ksxt(f: list[bytes], log: EpochLog) -> None:
-    """Full UTC, decimal degrees, height above mean sea level, heading, course, speed in km/h."""
+    """Full UTC, decimal degrees, height above mean sea level, heading, pitch, course, speed in
+    km/h."""
     if len(f[1]) < 14:
         return
     day = unix_day(f[1][6:8], f[1][4:6], f[1][:4])
@@ -109,7 +125,7 @@ def ksxt(f: list[bytes], log: EpochLog) -> None:
     state(
         epoch,
         baseline_heading(
-            BY_ATTITUDE, f[5], _KSXT_QUALITY.get(integer(f[11]) or 0, Quality.NONE), None
+            BY_ATTITUDE, f[5], _KSXT_QUALITY.get(integer(f[11]) or 0, Quality.NONE), None, f[6]
         ),
     )
 

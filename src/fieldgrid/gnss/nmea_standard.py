@@ -107,9 +107,10 @@ def ths(f: list[bytes], log: EpochLog) -> None:
 
 
 def tra(f: list[bytes], log: EpochLog) -> None:
-    """Heading and quality of two antennas: ComNav's TRA, and Unicore's HPR alike."""
+    """Heading, pitch and quality of two antennas: ComNav's TRA, and Unicore's HPR alike. They
+    cannot tell the roll, which is 0."""
     if f[1]:
-        heading = baseline_heading(BY_ATTITUDE, f[2], _gga_quality(f[5]), None)
+        heading = baseline_heading(BY_ATTITUDE, f[2], _gga_quality(f[5]), None, f[3])
         state(log.at(f[1]), heading)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fieldgrid.gnss.fields import angle_deg, direction_deg, number
+from fieldgrid.gnss.fields import angle_deg, direction_deg, number, tilt_deg
 from fieldgrid.quality import CARRIER, Quality
 
 MAX_HEIGHT_M = 1e5
@@ -51,12 +51,18 @@ class Position(NamedTuple):
 
 
 class Heading(NamedTuple):
-    """A recorded heading of the nose; `deg` is None where the sentence says it has none."""
+    """A recorded heading of the nose; `deg` is None where the sentence says it has none.
+
+    `pitch_deg` and `roll_deg` are those of the axis that points there: up, right side down.
+    """
 
     source: int
     deg: float | None
     sigma_deg: float | None = None
     quality: Quality | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    tilt_sigma_deg: float | None = None
 
 
 class GroundVelocity(NamedTuple):
@@ -77,10 +83,20 @@ def speed_mps(field: bytes, unit_mps: float) -> float | None:
     return speed
 
 
-def baseline_heading(source: int, field: bytes, quality: Quality, sigma: float | None) -> Heading:
-    """The heading of a baseline, None unless its ambiguities are fixed or at least floating."""
-    deg = direction_deg(field) if quality in CARRIER else None
-    return Heading(source, deg, sigma if sigma else None, quality)
+def baseline_heading(
+    source: int,
+    field: bytes,
+    quality: Quality,
+    sigma: float | None,
+    pitch: bytes = b"",
+    pitch_sigma: float | None = None,
+) -> Heading:
+    """The heading and the pitch of a baseline, None unless its ambiguities are fixed or at least
+    floating."""
+    known = quality in CARRIER
+    deg = direction_deg(field) if known else None
+    up_deg = tilt_deg(pitch) if known else None
+    return Heading(source, deg, sigma or None, quality, up_deg, None, pitch_sigma or None)
 
 
 def rmc_motion(f: list[bytes]) -> GroundVelocity:

@@ -1,8 +1,9 @@
 """Logs in ASCII of Unicore's UM98x receivers and NovAtel's: a header, ``;``, and the fields.
 
-HEADINGA and BESTPOSA have the header of NovAtel and of older receivers: port, number, idle time,
-clock status, week, seconds. The newer logs have idle time, time system, clock status, week,
-milliseconds. Time is GPS time; a receiver set to BeiDou time is not read.
+HEADINGA, HEADING2A, DUALANTENNAHEADINGA and BESTPOSA have the header of NovAtel and of older
+receivers: port, number, idle time, clock status, week, seconds. The newer logs have idle time,
+time system, clock status, week, milliseconds. Time is GPS time; a receiver set to BeiDou time is
+not read.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from fieldgrid.gnss.fields import direction_deg, integer, number, required, within
+from fieldgrid.gnss.fields import direction_deg, integer, number, required, tilt_deg, within
 from fieldgrid.gnss.gps_time import unix_ns
 from fieldgrid.gnss.nmea_epochs import Epoch, EpochLog
 from fieldgrid.gnss.nmea_standard import state
@@ -28,7 +29,7 @@ from fieldgrid.gnss.nmea_statements import (
 from fieldgrid.quality import Quality
 
 _CLOCK_SET = frozenset({b"FINE", b"FINESTEERING", b"FINEBACKUPSTEERING"})
-_NOVATEL_HEADERS = frozenset({b"HEADINGA", b"BESTPOSA"})
+_NOVATEL_HEADERS = frozenset({b"HEADINGA", b"HEADING2A", b"DUALANTENNAHEADINGA", b"BESTPOSA"})
 _PAD = [b""] * 32
 
 _QUALITY = {
@@ -56,12 +57,17 @@ _QUALITY = {
 
 
 def uniheading(f: list[bytes], log: EpochLog) -> None:
-    """Heading of the baseline between the antennas, its sigma and the type of its solution."""
+    """Heading and pitch of the baseline between the antennas, their sigmas and the type of its
+    solution."""
     header, body = _parts(f)
     epoch = _epoch(header, log)
     if epoch is not None:
         quality = _quality(body[0], body[1])
-        state(epoch, baseline_heading(BY_UNIHEADING, body[3], quality, number(body[6])))
+        sigma, pitch_sigma = number(body[6]), tilt_deg(body[7])
+        state(
+            epoch,
+            baseline_heading(BY_UNIHEADING, body[3], quality, sigma, body[4], pitch_sigma),
+        )
 
 
 def bestpos(f: list[bytes], log: EpochLog) -> None:
@@ -93,14 +99,13 @@ def bestpos(f: list[bytes], log: EpochLog) -> None:
 
 
 def pvtsln(f: list[bytes], log: EpochLog) -> None:
-    """Position with its sigmas, age, satellites, HDOP; heading of the baseline."""
+    """Position with its sigmas, age, satellites, HDOP; heading and pitch of the baseline."""
     header, body = _parts(f)
     epoch = _epoch(header, log)
     if epoch is None:
         return
-    state(
-        epoch, baseline_heading(BY_ATTITUDE, body[22], _QUALITY.get(body[20], Quality.NONE), None)
-    )
+    of_baseline = _QUALITY.get(body[20], Quality.NONE)
+    state(epoch, baseline_heading(BY_ATTITUDE, body[22], of_baseline, None, body[23]))
     quality = _QUALITY.get(body[0], Quality.NONE)
     if quality is Quality.NONE:
         log.refuse(epoch, BY_PVTSLN)
@@ -153,6 +158,8 @@ def _sigma_m(lat_std: bytes, lon_std: bytes) -> float | None:
 DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
     b"#UNIHEADINGA": uniheading,
     b"#HEADINGA": uniheading,
+    b"#HEADING2A": uniheading,
+    b"#DUALANTENNAHEADINGA": uniheading,
     b"#BESTNAVA": bestpos,
     b"#BESTPOSA": bestpos,
     b"#PVTSLNA": pvtsln,

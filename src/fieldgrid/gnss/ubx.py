@@ -37,7 +37,9 @@ _PVT = struct.Struct("<IHBBBBBB4xi BBxB iii 4xI 16x ii 4xI 2xH")
 _PVT_BYTES = 84
 _HEAD_VEHICLE = struct.Struct("<84xi")
 _HPPOSLLH = struct.Struct("<B2xBI iii 4x bbb x I 4x")
-_RELPOSNED = struct.Struct("<B3xI 16x i 24x I 4x I")
+# iTOW; north, east, down (cm); heading; the same to 0.1 mm; sigmas of down (0.1 mm) and heading;
+# flags.
+_RELPOSNED = struct.Struct("<B3xI iii 4x i 4x bbb 9x I 4x I 4x I")
 _DOP = struct.Struct("<I 8x H 4x")
 _ITOW = struct.Struct("<I")
 
@@ -48,6 +50,7 @@ _NO_FIX, _DEAD_RECKONING, _TIME_ONLY = 0, 1, 5
 _FLOAT, _FIXED = 1, 2
 # RELPOSNED: fix and relative position valid, the base moves along, its heading valid.
 _ATTITUDE = 1 << 0 | 1 << 2 | 1 << 5 | 1 << 8
+_NORMALISED = 1 << 9  # the relative position has the length 1
 
 
 class UbxLog(NamedTuple):
@@ -142,6 +145,8 @@ class _Heading(NamedTuple):
     heading_deg: float
     heading_sigma_deg: float
     heading_quality: Quality | None
+    pitch_deg: float | None = None
+    tilt_sigma_deg: float | None = None
 
 
 @dataclass(slots=True)
@@ -283,11 +288,21 @@ class UbxParser:
     def _relposned(self, payload: bytes) -> None:
         if payload[:1] != b"\x01" or len(payload) != _RELPOSNED.size:
             return  # version 0 has no heading
-        _, itow_ms, heading, sigma, flags = _RELPOSNED.unpack(payload)
+        _, itow_ms, *rough, heading, north, east, down, down_sigma, sigma, flags = (
+            _RELPOSNED.unpack(payload)
+        )
         # Without a moving base it is the direction from a base at the field's edge.
         if flags & _ATTITUDE == _ATTITUDE and flags >> 3 & 3 == _FIXED:
+            apart_mm = [
+                cm * 10.0 + rest / 10.0 for cm, rest in zip(rough, (north, east, down), strict=True)
+            ]
+            pitch_deg, tilt_sigma_deg = _pitch_deg(apart_mm, down_sigma / 10.0)
             self._epoch(itow_ms).heading = _Heading(
-                _wrapped_deg(heading), sigma / 1e5, Quality.RTK_FIXED
+                _wrapped_deg(heading),
+                sigma / 1e5,
+                Quality.RTK_FIXED,
+                pitch_deg,
+                None if flags & _NORMALISED else tilt_sigma_deg,
             )
         else:
             self._unfixed_headings += 1
@@ -328,6 +343,16 @@ def _quality(kind: int, flags: int) -> Quality:
 def _per_axis(accuracy_m: float) -> float:
     """1 sigma along one axis of u-blox's accuracy, which is the root of both variances."""
     return accuracy_m / math.sqrt(2.0)
+
+
+def _pitch_deg(apart_mm: list[float], down_sigma_mm: float) -> tuple[float | None, float | None]:
+    """How much a baseline north, east, down rises, and its sigma; None for one of no length."""
+    north, east, down = apart_mm
+    long_mm = math.sqrt(north * north + east * east + down * down)
+    if not long_mm:
+        return None, None
+    pitch_deg = math.degrees(math.atan2(-down, math.hypot(north, east)))
+    return pitch_deg, math.degrees(math.atan2(down_sigma_mm, long_mm)) or None
 
 
 def _wrapped_deg(field: int) -> float:

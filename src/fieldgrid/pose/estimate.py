@@ -123,6 +123,7 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
             *(*found.notes, *notes),
+            *(() if lean is None else lean.attitude.notes),
             *slope_notes(slope, axle.vehicle),
             *drift_notes(checks.drifts),
             *drive_notes(

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Int64
+from fieldgrid.attitude import axes_of_fixes
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
@@ -97,7 +98,8 @@ def fuse(
             found = found.again(axle=told)
     # The same of a vehicle that stands level, once its headings have told how it leans.
     rig = found.axle.vehicle
-    lean = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns)
+    axes = axes_of_fixes(log.fixes, (rig and rig.heading_offset_deg) or 0.0)
+    lean = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)

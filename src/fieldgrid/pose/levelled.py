@@ -8,13 +8,14 @@ same attitude the pose's point is carried back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.attitude import Attitude, Track, estimate_attitude
+from fieldgrid.attitude import Attitude, AxisTilt, Track, axes_of_orientation, estimate_attitude
 from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import axle_forward_m
@@ -47,11 +48,12 @@ class Lean(NamedTuple):
 def tells_attitude(motion: Motion) -> bool:
     """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
     most of what its IMU logged, or recorded angles."""
-    sensed, tilt = motion.inertial, motion.tilt
+    sensed = motion.inertial
     pushed = sensed is not None and bool(
         np.isfinite(sensed.force_mps2).all(axis=1).sum() * 2 > len(sensed.time_ns)
     )
-    return pushed or (tilt is not None and len(tilt.time_ns) > 1)
+    recorded = (motion.tilt, motion.orientation)
+    return pushed or any(said is not None and len(said.time_ns) > 1 for said in recorded)
 
 
 def find_lean(
@@ -60,11 +62,16 @@ def find_lean(
     motion: Motion,
     rig: Vehicle | None,
     frame_ns: Int64 | None,
+    axes: Sequence[AxisTilt] = (),
 ) -> Lean | None:
-    """The lean of a drive whose heading is known; None where nothing tells it."""
+    """The lean of a drive whose heading is known; None where nothing tells it. `axes` are those
+    whose rise the receiver states."""
     seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
-    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2 or not (seen or tells_attitude(motion)):
+    told = seen or bool(axes) or tells_attitude(motion)
+    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2 or not told:
         return None
+    if motion.orientation is not None:
+        axes = (*axes_of_orientation(motion.orientation), *axes)
     at = drive.fix >= 0
     track = Track(
         fixes.time_ns,
@@ -83,6 +90,7 @@ def find_lean(
         sensed=motion.inertial,
         steps=motion.steps,
         tilt=motion.tilt,
+        axes=axes,
     )
     return Lean(attitude, antenna_m, np.array([0.0, axle_forward_m(rig), 0.0]), sensor_m)
 

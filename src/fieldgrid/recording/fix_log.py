@@ -21,7 +21,8 @@ class FixLog(NamedTuple):
 
     def moved(self, offset_ns: int) -> FixLog:
         """The log with all its stamps moved by `offset_ns`, which `moved_ns` keeps."""
-        gyro, wheels, _, inertial, tilt, _ = said = self.motion
+        said = self.motion
+        gyro, wheels, inertial, tilt = said.gyro, said.wheels, said.inertial, said.tilt
         return FixLog(
             replace(self.fixes, time_ns=self.fixes.time_ns + offset_ns),
             self.notes,
