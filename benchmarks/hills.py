@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
-from fieldgrid.attitude import Attitude, Track, estimate_attitude
+from fieldgrid.attitude import Attitude, AxisTilt, Track, estimate_attitude
 from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.evaluation import TerrainScores, evaluate, read_truth
@@ -40,6 +40,7 @@ from tests.hilly import (
     Ground,
     Hike,
     antenna_fixes,
+    axis_rises,
     camera_steps,
     hike,
     hills,
@@ -47,6 +48,7 @@ from tests.hilly import (
     recorded_tilt,
     rows,
     slope,
+    slowly,
 )
 from tests.simulated import time_ns
 from tests.test_ground_steps import FIELD, SEEN, X, Y, strips, view
@@ -231,6 +233,9 @@ def simulated() -> Iterator[str]:
             "camera": {"steps": camera_steps(way)},
             "recorded": {"tilt": recorded_tilt(way)},
             "fixes alone": {},
+            "antennas fore and aft": {"axes": _antennas(way, 0.0)},
+            "antennas across": {"axes": _antennas(way, 90.0)},
+            "own estimate of an IMU": {"axes": _own_estimate(way)},
         }
         for receiver, (noise_m, wander_m) in RECEIVERS.items():
             track = _track(way, noise_m, wander_m)
@@ -241,6 +246,23 @@ def simulated() -> Iterator[str]:
                 found = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=at, **said).at(at)
                 true = roll_pitch_deg(way.at((at - time_ns(np.zeros(1))) / 1e9).R)
                 yield f"  {name:<14}{receiver:<5}{what:<24}{pooled(found, *true).line('°')}"
+
+
+def _antennas(way: Hike, toward_deg: float) -> list[AxisTilt]:
+    """Two antennas that are not quite at one height: 0.7° off, 0.3° for half a minute, 0.2°."""
+    times, rises = axis_rises(way, toward_deg, 0.2, noise_deg=0.2, mount_deg=0.7)
+    off = rises + slowly(len(rises), 0.2, 30.0, 0.3)
+    return [AxisTilt(times, off, np.full(len(off), 0.35), toward_deg, 1.0, 0.0, "pitch")]
+
+
+def _own_estimate(way: Hike) -> list[AxisTilt]:
+    """An IMU that is not mounted level, and takes pushes for gravity: 0.7° off, 0.7° for 2 s."""
+    found = []
+    for seed, toward_deg in enumerate((0.0, 90.0)):
+        times, rises = axis_rises(way, toward_deg, 0.05, noise_deg=0.05, mount_deg=0.7)
+        off = rises + slowly(len(rises), 0.05, 2.0, 0.7, seed)
+        found.append(AxisTilt(times, off, np.ones(len(off)), toward_deg, 1.0, 0.0, "pitch"))
+    return found
 
 
 def _track(way: Hike, noise_m: float, wander_m: float) -> Track:

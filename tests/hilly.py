@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 from fieldgrid.motion import Inertial, RecordedTilt, Steps
 from fieldgrid.rotations import (
@@ -230,3 +231,11 @@ def axis_rises(
     sine = seen.R @ np.array([np.sin(toward), np.cos(toward), 0.0]) @ (up / np.linalg.norm(up))
     noise = np.random.default_rng(seed).normal(size=len(sine)) * noise_deg
     return time_ns(seen.drive.time_s), np.degrees(np.arcsin(sine)) + mount_deg + noise
+
+
+def slowly(n: int, period_s: float, lasting_s: float, sigma: float, seed: int = 0) -> _Float64:
+    """An error [n] that stays about the same for a while: an Ornstein-Uhlenbeck process."""
+    noise = np.random.default_rng(seed).normal(size=n) * sigma
+    kept = np.exp(-period_s / lasting_s)
+    noise[1:] *= np.sqrt(1.0 - kept**2)
+    return np.asarray(lfilter([1.0], [1.0, -kept], noise))

@@ -23,7 +23,7 @@ from fieldgrid.build import build_map
 from fieldgrid.convert import Images, convert_recording
 from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.quality import Quality
 from fieldgrid.recording import DepthFrame, DriveOptions, FixLog, open_recording
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
@@ -324,6 +324,23 @@ def test_rates_that_are_not_known_are_written_as_unknown(
         assert (0 if found is None else len(found.time_ns)) == told
 
 
+@pytest.mark.parametrize("kind", [RecordedTilt, Orientation])
+def test_recorded_roll_and_pitch_come_back_bit_by_bit(
+    kind: type[Any], make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    out, times = tmp_path / "june.mcap", START_NS + np.arange(5) * 10**8
+    columns = np.random.default_rng(0).normal(size=(len(kind._fields) - 1, 5))
+    told = kind(times, *columns)
+    name = "tilt" if kind is RecordedTilt else "orientation"
+    with open_recording(make_drive()) as recording:
+        log = recording.log._replace(motion=Motion(**{name: told}))
+        convert_recording(replace(recording, log=log), out, images="none")
+    with fg.open_drive(out) as again:
+        found = getattr(again.motion(), name)
+        assert type(found) is kind
+        np.testing.assert_array_equal(found, told)
+
+
 def content(path: Path) -> tuple[list[Any], Any]:
     """Everything of a map that comes from images, fixes and motion, but for names."""
     with fg.open_map(path) as universal:
@@ -364,6 +381,8 @@ def test_a_converted_drive_of_kitti_keeps_headings_and_rig(
         assert other.fixes() == one.fixes()
         assert other.motion().gyro is not None
         np.testing.assert_array_equal(other.motion().gyro, one.motion().gyro)
+        assert one.motion().tilt is not None
+        np.testing.assert_array_equal(other.motion().tilt, one.motion().tilt)
         assert other.datum_hint == fg.estimate_trajectory(one.recording()).datum
 
 
@@ -383,6 +402,9 @@ FIXES = st.builds(
     heading_sigma_deg=st.none() | st.floats(0.0, 90.0),
     heading_quality=st.none() | st.sampled_from(list(Quality)[1:]),
     course_deg=st.none() | st.floats(-179.9, 180.0),
+    pitch_deg=st.none() | st.floats(-90.0, 90.0),
+    roll_deg=st.none() | st.floats(-90.0, 90.0),
+    tilt_sigma_deg=st.none() | st.floats(0.0, 90.0),
 )
 
 

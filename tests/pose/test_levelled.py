@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -17,6 +19,7 @@ from fieldgrid.trajectory import Status
 from tests.hilly import (
     Hike,
     antenna_fixes,
+    axis_rises,
     camera_steps,
     hike,
     hills,
@@ -40,7 +43,7 @@ FRAMES_S = np.arange(1.03, 50.0, 1.0)
 GROUNDS = {"12° across": slope(12.0, 120.0), "hills": hills(9.0, 45.0)}
 
 
-def fixes_over(way: Hike) -> FixColumns:
+def fixes_over(way: Hike, **stated: npt.ArrayLike) -> FixColumns:
     times, enu = antenna_fixes(way, ANTENNA_M)
     lat, lon, height = DATUM.to_geodetic(*enu.T)
     return FixColumns.of(
@@ -52,6 +55,7 @@ def fixes_over(way: Hike) -> FixColumns:
         satellites=12,
         hdop=0.8,
         age_s=1.0,
+        **stated,
     )
 
 
@@ -152,6 +156,42 @@ def test_a_recorded_tilt_levels_the_lever_arm() -> None:
     off, within = off_m(way, found)
     assert farthest_m(off) < 0.06
     assert np.mean(np.hypot(*off.T) < within) > 0.95
+
+
+@pytest.mark.parametrize("toward_deg", [90.0, -90.0])
+def test_antennas_across_level_the_lever_arm(toward_deg: float) -> None:
+    """On a slope of 12° across the way an antenna 2.85 m up is 0.6 m downhill."""
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    _, rises = axis_rises(way, toward_deg, noise_deg=0.2)
+    rig = replace(RIG, heading_offset_deg=toward_deg)
+    found = estimate_poses(
+        fixes_over(way, pitch_deg=rises, tilt_sigma_deg=0.2),
+        rig,
+        DATUM,
+        frame_ns=time_ns(FRAMES_S),
+    )
+    assert found.report.attitude is not None
+    assert found.report.attitude.notes == ()
+    off, within = off_m(way, found, -SENSOR_M[2])
+    assert farthest_m(off) < 0.12
+    assert np.mean(np.hypot(*off.T) < within) == 1.0
+    without = estimate_poses(fixes_over(way), rig, DATUM, frame_ns=time_ns(FRAMES_S))
+    assert without.report.attitude is None
+
+
+def test_antennas_that_are_not_where_they_are_said_to_be_are_noted() -> None:
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    _, rises = axis_rises(way, 90.0, noise_deg=0.2)
+    found = estimate_poses(
+        fixes_over(way, pitch_deg=rises),
+        RIG,
+        DATUM,
+        motion=gyro_and(inertial(way)),
+        frame_ns=time_ns(FRAMES_S),
+    )
+    (note,) = (note for note in found.report.notes if "heading_offset_deg" in note)
+    assert note.startswith("The pitch beside the recorded heading is ")
+    assert farthest_m(off_m(way, found)[0]) < 0.03
 
 
 def test_wheels_that_know_reverse_count_along_the_slope() -> None:

@@ -33,8 +33,9 @@ MOST_GAP_NS = 2_100_000_000
 SWAY_DEG = 1.0
 """How far an axis moves from its nearest recorded value, degrees/√s."""
 
-LASTING_S = 30.0
-"""For how long the error of a recorded value stays the same."""
+LASTING_S = 5.0
+"""For how long the error of a recorded value stays the same; what lasts longer is taken for the
+constant error."""
 
 CONTRADICTED_SIGMAS, OUTLIER_SIGMAS = 3.0, 4.0
 """An axis contradicts the rest of the drive if a third of it is more of its sigmas away than the

@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.angles import yaw_from_heading_rad
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion
+from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.ros import gnss, messages
 from fieldgrid.ros.messages import ANTENNA, BASE, MAP
@@ -74,7 +74,8 @@ def fix_messages(fixes: FixColumns) -> Iterator[StampedMessage]:
 
 
 def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage]:
-    """IMU and wheels, as far as there are any; notes tell which rates are not known."""
+    """IMU, wheels and recorded tilts, as far as there are any; notes tell which rates are not
+    known."""
     streams = []
     if motion.gyro is not None:
         sensed = _sensed(motion.gyro, motion.inertial)
@@ -91,7 +92,15 @@ def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage
             StampedMessage(t, 2, "/wheel_odometry", messages.odometry_message(t, speed))
             for t, speed in zip(times, speeds, strict=True)
         )
+    for topic, tilt in ((gnss.TILT, motion.tilt), (gnss.ORIENTATION, motion.orientation)):
+        if tilt is not None and motion.poses is None:  # which tell it themselves
+            streams.append(_tilt_messages(topic, tilt))
     return heapq.merge(*streams, key=lambda one: one.time_ns)
+
+
+def _tilt_messages(topic: str, tilt: RecordedTilt | Orientation) -> Iterator[StampedMessage]:
+    for time_ns, message in gnss.tilt_messages(tilt):
+        yield StampedMessage(time_ns, 1, topic, message)
 
 
 def _sensed(gyro: Gyro, inertial: Inertial | None) -> Float64:

@@ -16,7 +16,7 @@ from fieldgrid.rig import LeverArm, Mount
 ROLES = (
     *("left", "right", "left_info", "right_info"),
     *("disparity", "depth", "depth_info", "cloud"),
-    *("fix", "nmea", "imu", "odometry"),
+    *("fix", "nmea", "imu", "odometry", "attitude"),
 )
 """What a topic can be to a recording."""
 

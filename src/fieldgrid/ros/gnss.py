@@ -1,4 +1,4 @@
-"""Fixes, datums and rigs as messages of ROS, made and read: one table for both ways.
+"""Fixes, tilts, datums and rigs as messages of ROS, made and read: one table for both ways.
 
 A NavSatFix has no place for most of what a receiver says, and its status has four values. So each
 is followed by what it cannot say, as JSON on a topic beside it, which is taken in its place where a
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from array import array
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from fieldgrid.documents import parse_json
 from fieldgrid.errors import CalibrationError, DatumError
 from fieldgrid.fixes import Fix, FixColumns, quality_by_sigma
 from fieldgrid.geodesy import Datum
+from fieldgrid.motion import Orientation, RecordedTilt
 from fieldgrid.quality import CARRIER, Quality
 from fieldgrid.rig import Rig
 from fieldgrid.ros.messages import MAP, header_of, new, text
@@ -26,6 +28,9 @@ from fieldgrid.ros.messages import MAP, header_of, new, text
 DATUM, RIG, DETAILS = "/datum", "/fieldgrid/rig", "/details"
 """Topics of the datum and the rig, and what follows the name of a topic of fixes in that of what
 they cannot say."""
+
+TILT, ORIENTATION = "/fieldgrid/tilt", "/fieldgrid/orientation"
+"""Topics of recorded roll and pitch, which an Imu could hold only with a heading."""
 
 UP_SHARE = 2.0
 """How many times less sure a receiver's height is than its position."""
@@ -153,6 +158,39 @@ class Details:
         at = order[place[rows]]
         same = times_ns[at] == time_ns[rows]
         return rows[same], at[same]
+
+
+def tilt_messages(tilt: RecordedTilt | Orientation) -> Iterator[tuple[int, Any]]:
+    """A std_msgs/String for each row, JSON of its fields by name, with its time."""
+    for row in zip(*(column.tolist() for column in tilt), strict=True):
+        yield row[0], text(json.dumps(dict(zip(tilt._fields, row, strict=True))))
+
+
+class Tilts:
+    """What a topic of such texts says: rows of `kind`."""
+
+    def __init__(self, kind: type[RecordedTilt | Orientation]) -> None:
+        self._kind, self._rows = kind, array("d")
+        self._times_ns = array("q")
+
+    def add(self, said: str) -> None:
+        """One text; what is no such text is passed over."""
+        values = _object(said)
+        time_ns, *numbers = (values.get(name) for name in self._kind._fields)
+        if not isinstance(time_ns, int) or not 0 < time_ns < 1 << 63:
+            return
+        known = [float(one) for one in numbers if isinstance(one, int | float) and abs(one) < 1e3]
+        if len(known) == len(numbers):
+            self._times_ns.append(time_ns)
+            self._rows.extend(known)
+
+    def found(self) -> RecordedTilt | Orientation | None:
+        """The rows in order of time, None where there are none."""
+        if not self._times_ns:
+            return None
+        times_ns, first = np.unique(np.array(self._times_ns, dtype=np.int64), return_index=True)
+        rows = np.array(self._rows).reshape(len(self._times_ns), -1)[first]
+        return self._kind(times_ns, *rows.T.copy())
 
 
 def datum_message(datum: Datum, time_ns: int) -> Any:

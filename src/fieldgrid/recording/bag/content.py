@@ -12,13 +12,15 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import GnssError, RecordingError
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Motion, WheelSpeed
+from fieldgrid.motion import Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recording.bag.heard import Fixes, Sentences, Speeds, Texts, Turns
+from fieldgrid.recording.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, orientation_of
 from fieldgrid.recording.bag.mounts import imu_rotation, is_optical
 from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.topics import (
     FIX,
     FIXES,
+    IMU,
     NMEA,
     Choice,
     choose,
@@ -43,7 +45,7 @@ from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, Settings, read_settings
 from fieldgrid.recording.stream_log import nmea_notes
 from fieldgrid.ros import Bag
-from fieldgrid.ros.gnss import DETAILS
+from fieldgrid.ros.gnss import DETAILS, ORIENTATION, TILT
 
 OPTICAL_AXES = "rdf"
 _TAKEN = f"axes taken as {AXES}"
@@ -121,7 +123,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
         fixes = BagFixes(log, log_path.name, log_path)
     fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
     used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
-    for role in {"imu", "odometry"} & used.keys():
+    for role in {"imu", "odometry", "attitude"} & used.keys():
         try:
             readings.times_ns(bag, used[role])
         except RecordingError as problem:
@@ -220,7 +222,7 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
     topic = content.roles.get("imu", "")
     turns = readings.of(topic, Turns)
     if turns is not None and turns.places:
-        R_flu_imu, told = _axes_of(content, imu_axes)
+        R_flu_imu, told = _axes_of(content, imu_axes, content.frame_id("imu"))
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
         upward, is_whole = R_flu_imu[2], True
         if told == _TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
@@ -250,13 +252,45 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
         notes.append(
             f"{topic}: no topic has odometry, so the speed is that of {way.child} in {way.parent}."
         )
-    return Motion(gyro=gyro, wheels=wheels, inertial=inertial), tuple(notes)
+    motion = _leaning(content, imu_axes, Motion(gyro=gyro, wheels=wheels, inertial=inertial), notes)
+    return motion, tuple(notes)
 
 
-def _axes_of(content: Content, axes: str) -> tuple[Float64, str]:
-    """From an IMU's axes to forward, left, up [3, 3], and how that is known."""
+def _leaning(content: Content, imu_axes: str, motion: Motion, notes: list[str]) -> Motion:
+    """The motion with roll and pitch that messages state: those of the topic that was given for
+    them, else, where no accelerometer tells them, those of the IMU or of the odometry. An
+    accelerometer is what an IMU has its orientation from: it does not count twice."""
+    readings, sensed = content.readings, motion.inertial
+    if isinstance(tilt := readings.tilt(TILT), RecordedTilt):
+        motion = motion._replace(tilt=tilt)
+    if isinstance(kept := readings.tilt(ORIENTATION), Orientation):
+        return motion._replace(orientation=kept)
+    given = content.roles.get("attitude", "")
+    feels = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
+    if not given and (feels or motion.tilt is not None):
+        return motion
+    roles = ("attitude",) if given else ("imu", "odometry")
+    for topic in filter(None, map(content.roles.get, roles)):
+        heard = readings.attitude if given else readings.leaning(topic)
+        if heard is None or not heard.leans.places:
+            continue
+        is_imu = content.bag.topics[topic].type == IMU
+        body = heard.frame_id if isinstance(heard, Turns) else heard.body
+        R_flu_body, _ = _axes_of(content, imu_axes if is_imu else AXES, body)
+        frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
+        told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
+        found = orientation_of(*told, R_flu_body, frame_sigma_deg)
+        if isinstance(found, Orientation):
+            notes.append(f"{topic}: roll and pitch by its orientation.")
+            return motion._replace(orientation=found)
+        if given:
+            notes.append(f"{topic}: tells no roll and pitch: {found}.")
+    return motion
+
+
+def _axes_of(content: Content, axes: str, frame: str) -> tuple[Float64, str]:
+    """From the axes of a frame to forward, left, up [3, 3], and how that is known."""
     if axes == AXES:
-        frame = content.frame_id("imu")
         R_flu_imu = imu_rotation(frame, content.transforms)
         if R_flu_imu is not None:
             return R_flu_imu, "axes by the static transforms"

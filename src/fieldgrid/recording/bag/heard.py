@@ -15,8 +15,10 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.gnss import NmeaLog, NmeaStream
+from fieldgrid.motion import Orientation, RecordedTilt
+from fieldgrid.recording.bag.leaning import Leans
 from fieldgrid.ros import Message, decode
-from fieldgrid.ros.gnss import Details, quality_of
+from fieldgrid.ros.gnss import Details, Tilts, quality_of
 
 _UNLIMITED = 1 << 60
 
@@ -136,13 +138,16 @@ class Fixes(Heard):
 
 
 class Turns(Heard):
-    """Rates of turn about the axes of an IMU, rad/s, and forces along them, m/s²."""
+    """Rates of turn about the axes of an IMU, rad/s, forces along them, m/s², and how it leans by
+    its own estimate."""
 
     def __init__(self) -> None:
         super().__init__()
         self._sensed = array("d")
+        self.leans = Leans()
 
     def _add(self, message: Any, place: int) -> None:
+        self.leans.add(message, place)
         if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
             self.counts["messages say that they have no gyro"] += 1
             return
@@ -160,19 +165,47 @@ class Turns(Heard):
 
 
 class Speeds(Heard):
-    """Speeds along the x axis of the vehicle, m/s, by nav_msgs/Odometry."""
+    """Speeds along the x axis of the vehicle, m/s, and how it leans, by nav_msgs/Odometry."""
 
     def __init__(self) -> None:
         super().__init__()
         self._speeds = array("d")
+        self.leans, self.body = Leans(), ""
 
     def _add(self, message: Any, place: int) -> None:
+        self.body = self.body or message.child_frame_id
+        self.leans.add(message, place)
         self.places.append(place)
         self._speeds.append(message.twist.twist.linear.x)
 
     def speeds_mps(self) -> Float64:
         """The speeds [n], in the order of the record."""
         return np.array(self._speeds, dtype=np.float64)
+
+
+class Attitudes(Heard):
+    """How the vehicle leans, by the topic that was given for it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.leans, self.body = Leans(), ""
+
+    def _add(self, message: Any, place: int) -> None:
+        if not self.body:  # a pose names the frame that it is in, and not whose it is
+            is_imu = hasattr(message, "orientation")
+            self.body = self.frame_id if is_imu else getattr(message, "child_frame_id", "")
+        self.leans.add(message, place)
+
+
+class Recorded(Heard):
+    """Roll and pitch as a converted drive keeps them."""
+
+    def __init__(self, kind: type[RecordedTilt | Orientation]) -> None:
+        super().__init__()
+        self.tilts = Tilts(kind)
+
+    def _add(self, message: Any, place: int) -> None:
+        self.tilts.add(message.data)
 
 
 class First(Heard):

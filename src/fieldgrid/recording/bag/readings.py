@@ -16,10 +16,13 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
+from fieldgrid.motion import Orientation, RecordedTilt
 from fieldgrid.recording.bag.heard import (
+    Attitudes,
     First,
     Fixes,
     Heard,
+    Recorded,
     Sentences,
     Speeds,
     Texts,
@@ -40,8 +43,8 @@ from fieldgrid.recording.bag.topics import (
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.bag.trees import MovingTrees, Trees, Way
 from fieldgrid.rig import Rig
-from fieldgrid.ros import Bag, Take
-from fieldgrid.ros.gnss import DATUM, DETAILS, RIG, datum_of, rig_of
+from fieldgrid.ros import Bag, Message, Take
+from fieldgrid.ros.gnss import DATUM, DETAILS, ORIENTATION, RIG, TILT, datum_of, rig_of
 
 _TEXT = "std_msgs/msg/String"
 
@@ -51,6 +54,10 @@ _ROLES: dict[str, tuple[str, type[Heard]]] = {
     NMEA: ("nmea", Sentences),
     IMU: ("imu", Turns),
     ODOMETRY: ("odometry", Speeds),
+}
+_TILTS: dict[str, type[RecordedTilt | Orientation]] = {
+    TILT: RecordedTilt,
+    ORIENTATION: Orientation,
 }
 _SAID_ONCE = {RIG: (_TEXT,), DATUM: (_TEXT, FIX)}
 
@@ -75,6 +82,7 @@ class Readings:
         self._given, self._gnss = given, gnss
         self._heard: dict[str, Heard] = {}
         self._best: dict[str, str] = {}
+        self.attitude: Attitudes | None = None
         self._notes: dict[str, str] = {}
 
     def listen(self, name: str, type_: str) -> Take | None:
@@ -89,10 +97,14 @@ class Readings:
             heard = Trees() if name.endswith(TF_STATIC) else MovingTrees(self._lacks_odometry)
         elif type_ == _TEXT and name.endswith(DETAILS):
             heard = Texts()
-        if heard is None:
-            return None
-        self._heard[name] = heard
-        return heard.take
+        elif type_ == _TEXT and name in _TILTS:
+            heard = Recorded(_TILTS[name])
+        if heard is not None:
+            self._heard[name] = heard
+        if name != self._given.get("attitude"):
+            return None if heard is None else heard.take
+        self.attitude = attitude = Attitudes()
+        return attitude.take if heard is None else _both(heard.take, attitude.take)
 
     def _lacks_odometry(self) -> bool:
         """Whether no topic so far tells the speed, so that transforms may have to."""
@@ -116,6 +128,15 @@ class Readings:
         """What was heard of a topic, if it is of a kind."""
         heard = self._heard.get(topic or "")
         return heard if isinstance(heard, kind) else None
+
+    def leaning(self, topic: str) -> Turns | Speeds | None:
+        """What was heard of an IMU or of odometry."""
+        return self.of(topic, Turns) or self.of(topic, Speeds)
+
+    def tilt(self, topic: str) -> RecordedTilt | Orientation | None:
+        """What a converted drive keeps of roll and pitch on a topic."""
+        heard = self.of(topic, Recorded)
+        return None if heard is None else heard.tilts.found()
 
     def frame_id(self, topic: str | None) -> str:
         """The frame of the first message of a topic, empty where nothing was heard."""
@@ -206,3 +227,13 @@ class Readings:
             heard = self._heard.get(topic)
             found += [f"{topic}: {note}." for note in (heard.notes() if heard else ())]
         return found
+
+
+def _both(one: Take, other: Take) -> Take:
+    """What takes the messages of a topic for two."""
+
+    def take(message: Message, place: int) -> None:
+        one(message, place)
+        other(message, place)
+
+    return take

@@ -22,6 +22,7 @@ CLOUD, FIX, NMEA = (
     "nmea_msgs/msg/Sentence",
 )
 IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+POSE, SURE_POSE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
 TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -31,6 +32,7 @@ _TYPES: dict[str, tuple[str, ...]] = {
     **{"left_info": (INFO,), "right_info": (INFO,), "depth_info": (INFO,)},
     **{"disparity": (DISPARITY,), "depth": (IMAGE, COMPRESSED), "cloud": (CLOUD,)},
     **{"fix": (FIX,), "nmea": (NMEA,), "imu": (IMU,), "odometry": (ODOMETRY,)},
+    "attitude": (IMU, ODOMETRY, POSE, SURE_POSE),
 }
 _SENSORS: dict[Sensing, tuple[str, ...]] = {
     "stereo": ("left", "right", "right_info"),
@@ -97,6 +99,8 @@ def choose(
         if role not in unwanted:
             finder.single(role)
     roles = finder.roles
+    if "attitude" in given:
+        roles["attitude"] = given["attitude"]
     return Choice(kind, roles, _told(roles, filled), problem)
 
 
@@ -148,7 +152,10 @@ def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, .
     return tuple(notes)
 
 
-_KNOWN_TYPES = frozenset(kind for kinds in _TYPES.values() for kind in kinds)
+_KNOWN_TYPES = frozenset(
+    kind for role, kinds in _TYPES.items() for kind in kinds if role != "attitude"
+)
+"""Of these a recording takes some by itself."""
 
 
 class _Finder:

@@ -1,4 +1,4 @@
-"""A trajectory in a bag: nav_msgs/Odometry, geometry_msgs/PoseStamped or nav_msgs/Path."""
+"""A trajectory in a bag: nav_msgs/Odometry, nav_msgs/Path, or stamped poses."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.heard import Heard
 from fieldgrid.recording.bag.order import clock
-from fieldgrid.recording.bag.topics import ODOMETRY, listing, short
+from fieldgrid.recording.bag.topics import ODOMETRY, POSE, SURE_POSE, listing, short
 from fieldgrid.recording.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
 from fieldgrid.ros import Bag, Message, Take, open_bag
 
-_POSE, _PATH = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-_TYPES = (ODOMETRY, _POSE, _PATH)
+_PATH = "nav_msgs/msg/Path"
+_TYPES = (ODOMETRY, POSE, SURE_POSE, _PATH)
 _SECOND_NS = 1_000_000_000
 
 
@@ -50,7 +50,7 @@ class _Poses(Heard):
                 self._append(one.pose)
             return
         self.places.append(place)
-        self._append(message.pose.pose if self.type == ODOMETRY else message.pose)
+        self._append(message.pose if self.type == POSE else message.pose.pose)
 
     def _append(self, pose: Any) -> None:
         p, q = pose.position, pose.orientation
