@@ -16,6 +16,7 @@ from fieldgrid.attitude import Track, axes_of_orientation, estimate_attitude
 from fieldgrid.motion import Motion
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.bag.leaning import Leans, orientation_of
+from fieldgrid.ros import Message, Take, decode, open_bag
 from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from tests.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, score, track_of
 from tests.hilly import hike, hills
@@ -293,3 +294,28 @@ def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() ->
     seen_score = score(way, with_it, FRAMES)
     assert seen_score.percentile(95) < 1.5
     assert seen_score.within_3_sigma() == 1.0
+
+
+def test_a_real_imu_s_orientation_is_where_it_feels_gravity(
+    shared_data: Callable[[str], Path],
+) -> None:
+    """The Husky's IMU stands on its edge: y is up, and it sees no vehicle axes."""
+    heard, forces = Leans(), []
+
+    def listen(name: str, _: str) -> Take | None:
+        return take if name == "/imu/data" else None
+
+    def take(message: Message, place: int) -> None:
+        found = decode(message)
+        heard.add(found, place)
+        force = found.linear_acceleration
+        forces.append((force.x, force.y, force.z))
+
+    with open_bag(shared_data("husky_gps_rosbag") / "test1.bag", listen):
+        pass
+    up, sigma = np.split(heard.values(), [3], axis=1)
+    usual, felt = up.mean(axis=0), np.mean(forces, axis=0)
+    apart = np.cross(usual, felt) / (np.linalg.norm(usual) * np.linalg.norm(felt))
+    assert np.degrees(np.linalg.norm(apart)) < 0.3
+    assert usual @ felt > 0.0
+    assert set(sigma.ravel().round(2)) == {2.01}
