@@ -233,8 +233,8 @@ def simulated() -> Iterator[str]:
             "camera": {"steps": camera_steps(way)},
             "recorded": {"tilt": recorded_tilt(way)},
             "fixes alone": {},
-            "antennas fore and aft": {"axes": _antennas(way, 0.0)},
-            "antennas across": {"axes": _antennas(way, 90.0)},
+            "antennas fore and aft: pitch": {"axes": _antennas(way, 0.0)},
+            "antennas across: roll": {"axes": _antennas(way, 90.0)},
             "own estimate of an IMU": {"axes": _own_estimate(way)},
         }
         for receiver, (noise_m, wander_m) in RECEIVERS.items():
@@ -245,7 +245,12 @@ def simulated() -> Iterator[str]:
                     at = np.union1d(said["steps"].start_ns, said["steps"].stop_ns)
                 found = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=at, **said).at(at)
                 true = roll_pitch_deg(way.at((at - time_ns(np.zeros(1))) / 1e9).R)
-                yield f"  {name:<14}{receiver:<5}{what:<24}{pooled(found, *true).line('°')}"
+                errors = pooled(found, *true)
+                if what.endswith(": roll"):
+                    errors = spread(found.roll_deg - true[0], found.roll_sigma_deg)
+                elif what.endswith(": pitch"):
+                    errors = spread(found.pitch_deg - true[1], found.pitch_sigma_deg)
+                yield f"  {name:<14}{receiver:<5}{what:<30}{errors.line('°')}"
 
 
 def _antennas(way: Hike, toward_deg: float) -> list[AxisTilt]:
