@@ -12,16 +12,22 @@ import json
 import sqlite3
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
+import cv2
 import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
+from fieldgrid import ground as local_ground
+from fieldgrid import localgrid
 from fieldgrid.attitude import Attitude, AxisTilt, Track, estimate_attitude
 from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
@@ -30,11 +36,14 @@ from fieldgrid.grids import BEYOND_DROP, DROP_CHANNEL, NO_DROP_TOLD
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import GROUPS
 from fieldgrid.layers.window import WindowFold
+from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.motion import Motion, Steps
+from fieldgrid.pose import fused
 from fieldgrid.recording import DriveOptions, Recording, open_recording
 from fieldgrid.rotations import roll_pitch_deg
-from fieldgrid.settings import BuildSettings
+from fieldgrid.settings import BuildSettings, StereoSettings
+from fieldgrid.stereo import make_matcher
 from fieldgrid.transfer import Transfer
 from tests.hilly import (
     Ground,
@@ -105,12 +114,16 @@ def pooled(found: Attitude, roll_deg: np.ndarray, pitch_deg: np.ndarray) -> Spre
 def main() -> None:
     """Print every figure beside what is asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=("simulated", "drives", "folds", "drops", "bytes"))
+    parser.add_argument(
+        "--only", choices=("simulated", "drives", "folds", "drops", "bytes", "costs")
+    )
     only = parser.parse_args().only
     if only in (None, "folds"):
         print("\n".join(folds()))
     if only in (None, "bytes"):
         print("\n".join(stored()))
+    if only in (None, "costs"):
+        print("\n".join(costs()))
     if only in (None, "drops"):
         print("\n".join(drops()))
     if only in (None, "simulated"):
@@ -142,6 +155,84 @@ def folds() -> Iterator[str]:
         if name != "density" and group.fold is not None:
             alone, both = paired_ms(lambda: fold("density"), partial(fold, "density", name), 9)
             yield f"  {name:<12}{(both - alone) / alone:5.2f}"
+
+
+class Meter:
+    """Processor time of calls of functions, by their names."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Meter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def watch(self, owner: object, name: str) -> None:
+        """Count the calls of a function of a module or a class."""
+        called = getattr(owner, name)
+
+        @wraps(called)
+        def counted(*args: object, **named: object) -> object:
+            began = time.process_time()
+            try:
+                return called(*args, **named)
+            finally:
+                self.seconds[name] += time.process_time() - began
+
+        self._stack.enter_context(mock.patch.object(owner, name, counted))
+
+
+TERRAIN = ("find_edges", "_standing", "steps_cm", "drops_cm", "ground_heights_cm")
+
+
+def costs() -> Iterator[str]:
+    """What attitude and terrain cost a frame of the example drive, beside its bare matching."""
+    cv2.setNumThreads(1)
+    with open_recording(EXAMPLE, "gnss_rtk.nmea") as drive:
+        steps, rig = visual_odometry(drive), drive.rig
+        gridder, matcher = LocalGridder(rig), make_matcher(StereoSettings(), 128)
+        frames = list(drive.frames())
+        estimate_drive(drive, None, None, steps)  # compiles
+        attitude = estimate_drive(drive, None, None, steps).report.attitude
+        assert attitude is not None
+        left, right = frames[0].images()
+        seen = gridder.matcher.disparity(left, right)
+        gridder.from_coded(gridder.coded(*seen), attitude.tilt_at(frames[0].time_ns))
+        matched_s, found = 0.0, []
+        for _ in range(3):
+            with Meter() as meter:
+                meter.watch(fused, "find_lean")
+                meter.watch(Attitude, "tilt_at")
+                meter.watch(local_ground, "find_edges")
+                meter.watch(LocalGridder, "_standing")
+                for name in TERRAIN[2:]:
+                    meter.watch(localgrid, name)
+                estimate_drive(drive, None, None, steps)
+                for frame in frames:
+                    left, right = frame.images()
+                    matched_s -= time.process_time()
+                    matcher.compute(left, right)
+                    matched_s += time.process_time()
+                    tilt = attitude.tilt_at(frame.time_ns + rig.image_time_offset_ns)
+                    seen = gridder.matcher.disparity(left, right)
+                    gridder.from_coded(gridder.coded(*seen), tilt)
+            found.append(meter.seconds)
+    frame_ms = 1e3 / len(frames)
+    match_ms = frame_ms * matched_s / 3
+    took = {name: frame_ms * min(seconds[name] for seconds in found) for name in found[0]}
+    yield f"costs a frame, of {match_ms:.1f} ms of bare matching; asked: together <= 5 %"
+    told = {name: took[name] for name in TERRAIN}
+    parts = (
+        ("attitude", took["find_lean"] + took["tilt_at"]),
+        ("terrain", sum(told.values())),
+        ("together", took["find_lean"] + took["tilt_at"] + sum(told.values())),
+    )
+    for what, ms in parts:
+        yield f"  {what:<10}{ms:5.2f} ms, {100 * ms / match_ms:.1f} %"
+    yield "  " + ", ".join(f"{name} {ms:.2f}" for name, ms in told.items())
 
 
 def stored() -> Iterator[str]:

@@ -80,14 +80,21 @@ class Blocks:
 
     def any(self, cells: Bool) -> Bool:
         """The blocks in which any of the cells [n_y, n_x] is."""
-        for axis, size in enumerate(cells.shape):
-            first = np.arange(0, size, self._side)
-            cells = np.logical_or.reduceat(cells, first, axis=axis)
-        return cells
+        rows = _any_of_each(cells, self._side)
+        return _any_of_each(rows.T, self._side).T
 
     def at_cells(self, values: AnyArray) -> AnyArray:
         """The values of blocks at their cells, [n_y, n_x]."""
         return values[self.rows][:, self.columns]
+
+
+def _any_of_each(rows: Bool, side: int) -> Bool:
+    """Of rows [n, m], those of each `side` that follow one another; the last may be fewer."""
+    found = rows[::side].copy()
+    for k in range(1, side):
+        more = rows[k::side]
+        found[: len(more)] |= more
+    return found
 
 
 def ground_heights_cm(
@@ -108,9 +115,9 @@ def ground_heights_cm(
 def steps_cm(steps_m: Float64, spec: GridSpec, told: Bool) -> UInt8:
     """The steps at the cells that are `told` of [n_y, n_x], from those at patches [ny, nx],
     metres."""
-    found = np.nan_to_num(np.rint(100.0 * steps_m), nan=NO_STEP_KNOWN)
-    highest = np.where(np.isnan(steps_m), NO_STEP_KNOWN, NO_STEP_KNOWN - 1)
-    cm = _patches_at_cells(np.minimum(found, highest).astype(np.uint8), spec)
+    highest = np.minimum(np.rint(100.0 * steps_m), NO_STEP_KNOWN - 1)
+    found = np.where(np.isnan(steps_m), NO_STEP_KNOWN, highest)
+    cm = _patches_at_cells(found.astype(np.uint8), spec)
     return np.where(told, cm, np.uint8(NO_STEP_KNOWN))
 
 

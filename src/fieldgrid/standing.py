@@ -84,8 +84,8 @@ def reach_dm(counts: Int32, needed: Int32) -> tuple[UInt8, UInt8]:
     stands = counts >= needed[1][..., None]
     stands[..., 0] = False
     bins = counts.shape[2]
-    any_stands = stands.any(axis=2)
+    foot = stands.argmax(axis=2)  # bin 0, where nothing stands, is none of what stands
+    any_stands = foot > 0
     top = np.where(any_stands, bins - stands[..., ::-1].argmax(axis=2), 0)
-    foot = np.where(any_stands, stands.argmax(axis=2), 0)
     below = any_stands & (counts[..., 0] >= needed[0])
     return top.astype(np.uint8), (foot + GROUND_BELOW * below).astype(np.uint8)
