@@ -54,6 +54,16 @@ def test_an_orientation_is_the_vertical(roll: float, pitch: float) -> None:
     assert [axis.frame_sigma_deg for axis in found] == [2.0, 2.0]
 
 
+@pytest.mark.parametrize("known", [0, 1, 2])
+def test_an_orientation_of_numbers_that_are_none_is_none(known: int) -> None:
+    times, values = np.arange(5), np.where(np.arange(5) < known, 1.0, np.nan)
+    found = axes_of_orientation(Orientation(times, values, values, np.ones(5), np.zeros(5)))
+    assert len(found) == (2 if known == 2 else 0)
+    assert (
+        axes_of_orientation(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
+    )
+
+
 @pytest.mark.parametrize("offset_deg", [0.0, 90.0, -90.0, 180.0, 35.0])
 def test_a_heading_s_axis_points_where_the_heading_does(offset_deg: float) -> None:
     # A vehicle with its nose 9° up and its right side 4° down.

@@ -89,7 +89,11 @@ class AxisTilt(NamedTuple):
 
 
 def axes_of_orientation(said: Orientation) -> tuple[AxisTilt, ...]:
-    """The axes forward and right of a recorded roll and pitch."""
+    """The axes forward and right of a recorded roll and pitch; none of fewer than two instants."""
+    known = np.isfinite(np.stack(said[1:])).all(axis=0)
+    if known.sum() < 2:
+        return ()
+    said = Orientation(said.time_ns[known], *(column[known] for column in said[1:]))
     roll, pitch = np.radians(said.roll_deg), np.radians(said.pitch_deg)
     right_deg = np.degrees(np.arcsin(-np.sin(roll) * np.cos(pitch)))
     lasting = IMU_MOUNT_SIGMA_DEG, float(np.max(said.frame_sigma_deg))
