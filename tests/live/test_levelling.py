@@ -33,7 +33,7 @@ from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.motion import RecordedTilt
+from fieldgrid.motion import Orientation, RecordedTilt
 from fieldgrid.recording import DriveOptions, open_drive, open_recording
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, from_vectors, roll_pitch_deg
 from fieldgrid.settings import BuildSettings
@@ -84,7 +84,7 @@ def depth_drive(leaning_drive: Path, tmp_path_factory: pytest.TempPathFactory) -
     return drive
 
 
-@pytest.mark.parametrize("part", ["imu", "tilt"])
+@pytest.mark.parametrize("part", ["imu", "tilt", "orientation"])
 def test_pushed_depths_with_an_imu_or_angles_make_the_grids_of_a_build(
     part: str, depth_drive: Path, tmp_path: Path
 ) -> None:
@@ -95,20 +95,24 @@ def test_pushed_depths_with_an_imu_or_angles_make_the_grids_of_a_build(
         motion, fixes = recording.motion(), recording.fixes()
         at_ns = np.arange(fixes.time_ns[0], fixes.time_ns[-1], 100_000_000)
         tilt = RecordedTilt(at_ns, *(np.full(len(at_ns), value) for value in angles.values()))
+        orientation = Orientation(*tilt, np.full(len(at_ns), 2.0))
         live = begin(recording, tmp_path / "live.gpkg")
         live.push_gyro(*motion.gyro)
         if part == "imu":
             live.push_imu(*motion.inertial)
-        else:
+        elif part == "tilt":
             live.push_tilt(*tilt)
+        else:
+            live.push_orientation(*orientation)
         for fix in fixes:
             live.push_fix(fix)
         for frame in recording.frames():
             live.push_depth(frame.source.read(), frame.time_ns, frame_id=frame.frame_id, wait=True)
         live.drain()
         live.finish()
-        if part == "tilt":
-            said = motion._replace(inertial=None, tilt=tilt)
+        if part != "imu":
+            kept = tilt if part == "tilt" else orientation
+            said = motion._replace(inertial=None, **{part: kept})
             recording = replace(recording, log=recording.log._replace(motion=said))
         with create_map(tmp_path / "built.gpkg", estimate_drive(recording).trajectory.datum) as to:
             add_recording(to, recording, name="drive")
@@ -250,7 +254,7 @@ def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(
     assert KeptPoints(path, 15.0, 1 << 30, 1_000, [frames[0]._replace(is_timed=True)]).is_lost
 
 
-@pytest.mark.parametrize("part", ["inertial", "tilt", "sweep"])
+@pytest.mark.parametrize("part", ["inertial", "tilt", "orientation", "sweep"])
 def test_points_of_a_drive_that_tells_its_lean_are_kept(part: str, tmp_path: Path) -> None:
     with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as level:
         after_s = np.zeros(50, np.float32) if part == "sweep" else None
@@ -259,6 +263,8 @@ def test_points_of_a_drive_that_tells_its_lean_are_kept(part: str, tmp_path: Pat
             level.note_rows(part, rows_of(part, 1, [0.0] * 3, [0.0, 0.0, 9.8]))
         elif part == "tilt":
             level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1))
+        elif part == "orientation":
+            level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1, 2.0))
         assert level.add(record, 1_000) is not None
         assert level.add(record, 1_001 + 5 * UNTOLD_NS) is not None
 
@@ -340,7 +346,7 @@ def estimated(time_ns: Int64, R: Float64) -> Attitude:
     return Attitude(time_ns, roll, pitch, sigma, sigma, heading, np.zeros(n), 5.0)
 
 
-@pytest.mark.parametrize("part", ["inertial", "tilt"])
+@pytest.mark.parametrize("part", ["inertial", "tilt", "orientation"])
 def test_the_tilt_is_carried_on_from_the_latest_estimate(part: str) -> None:
     time_ns, R, rate = moving(14.0)
     roll, pitch = roll_pitch_deg(R)
@@ -352,6 +358,8 @@ def test_the_tilt_is_carried_on_from_the_latest_estimate(part: str) -> None:
             columns = rate[at], np.zeros_like(rate[at])
         else:  # recorded angles that are off by a degree
             columns = roll[at] + 1.0, pitch[at] - 1.0, np.full(len(roll[at]), 0.5)
+            if part == "orientation":
+                columns = *columns, np.full(len(roll[at]), 2.0)
         running.add_rows(part, rows_of(part, time_ns[at], *columns))
     running.know(estimated(time_ns[:end:5], R[:end:5]))
     for late in (0, 50, 100, 190):

@@ -82,10 +82,13 @@ class ImuStream:
     def check_transforms(self) -> None:
         """Note transforms that came after the axes were decided, and say others."""
         if self._axes is not None and self._said == AXES:
-            R_flu_imu = self._by_transforms()
-            if R_flu_imu is not None and not np.array_equal(
-                R_VEHICLE_FLU @ R_flu_imu, self._axes.R_vehicle_imu
-            ):
+            R_flu_imu, used = self._by_transforms(), self._axes.R_vehicle_imu
+            is_used = (
+                R_flu_imu is not None
+                and used is not None
+                and np.array_equal(R_VEHICLE_FLU @ R_flu_imu, used)
+            )
+            if R_flu_imu is not None and not is_used:
                 self._note(
                     "has a static transform of the IMU that came after its first messages, and is "
                     "not used; record /tf_static from the start, or say imu_axes in mounting.json."

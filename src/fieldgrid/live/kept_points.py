@@ -90,7 +90,7 @@ class KeptPoints(Closing):
 
     def note_rows(self, part: str, rows: Rows) -> None:
         """Rows of a sensor that were pushed: of some, the drive tells how its vehicle leans."""
-        leans = part in ("tilt", GIVEN_ROWS) and len(rows.time_ns) > 0
+        leans = part in ("tilt", "orientation", GIVEN_ROWS) and len(rows.time_ns) > 0
         leans = leans or (part == "inertial" and bool(np.isfinite(rows.columns[1]).any()))
         with self._lock:
             if leans and not self._is_needed:

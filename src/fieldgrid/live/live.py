@@ -261,6 +261,19 @@ class Live(Closing):
         """Roll and pitch that something states, with their error, as `motion.RecordedTilt`."""
         self.push_rows("tilt", rows_of("tilt", time_ns, roll_deg, pitch_deg, sigma_deg))
 
+    def push_orientation(
+        self,
+        time_ns: npt.ArrayLike,
+        roll_deg: npt.ArrayLike,
+        pitch_deg: npt.ArrayLike,
+        sigma_deg: npt.ArrayLike,
+        frame_sigma_deg: npt.ArrayLike,
+    ) -> None:
+        """Roll and pitch by what is not calibrated to the vehicle, as `motion.Orientation`: they
+        may be off by the same all the time."""
+        columns = roll_deg, pitch_deg, sigma_deg, frame_sigma_deg
+        self.push_rows("orientation", rows_of("orientation", time_ns, *columns))
+
     def push_pose(
         self, time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
     ) -> None:

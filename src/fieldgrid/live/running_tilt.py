@@ -45,7 +45,7 @@ DRIFT_DEG = 0.2
 """How far carried angles are off after a second, 1 sigma."""
 
 _TICK_S = 0.02
-_COLUMNS = {"inertial": 1, "tilt": 2}
+_COLUMNS = {"inertial": 1, "tilt": 2, "orientation": 2}
 """Of the parts that tell how the lean changes, how many of their columns do."""
 
 
@@ -125,7 +125,7 @@ class RunningTilt:
             return None
         roll, pitch, sigma = attitude.tilt_at(end_ns)
         sigma = math.hypot(sigma, DRIFT_DEG * late_s)
-        told = self._track("tilt", end_ns, time_ns)
+        told = self._track("tilt", end_ns, time_ns) or self._track("orientation", end_ns, time_ns)
         if told is not None:
             (roll_0, pitch_0), (roll_1, pitch_1) = _at(np.array([end_ns, time_ns]), *told)
             return Tilt(float(roll + roll_1 - roll_0), float(pitch + pitch_1 - pitch_0), sigma)

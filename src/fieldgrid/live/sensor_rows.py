@@ -11,14 +11,17 @@ import numpy.typing as npt
 from fieldgrid.array_types import AnyArray, Int64
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
-from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, WheelSpeed
+from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.quality import Quality
 
-PARTS: dict[str, type[Gyro] | type[WheelSpeed] | type[Inertial] | type[RecordedTilt]] = {
+Part = Gyro | WheelSpeed | Inertial | RecordedTilt | Orientation
+
+PARTS: dict[str, type[Part]] = {
     "gyro": Gyro,
     "wheels": WheelSpeed,
     "inertial": Inertial,
     "tilt": RecordedTilt,
+    "orientation": Orientation,
 }
 """What moves the vehicle, by the name of its part of `Motion`."""
 
@@ -96,8 +99,8 @@ def fix_to_json(fix: Fix) -> Any:
 
 
 def fix_from_json(value: Any) -> Fix:
-    """The same again."""
-    fix = Fix._make(value)
+    """The same again; what an earlier version did not keep was not said."""
+    fix = Fix(*value)
     heading = fix.heading_quality
     return fix._replace(
         quality=Quality(fix.quality),
