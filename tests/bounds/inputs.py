@@ -37,9 +37,10 @@ from fieldgrid.mapfile.marks import marks_of_geojson
 from fieldgrid.recording.calibration_kalibr import read_kalibr
 from fieldgrid.recording.calibration_opencv import read_opencv
 from fieldgrid.recording.cloud_files import CloudFile
+from fieldgrid.recording.copies import CACHE
 from fieldgrid.recording.depth_files import decode_depth_image
 from fieldgrid.recording.euroc import _images
-from fieldgrid.recording.fetched import CACHE, fetch
+from fieldgrid.recording.fetched import fetch
 from fieldgrid.recording.frame_table import read_frames
 from fieldgrid.recording.gear_file import read_gear_spans
 from fieldgrid.recording.growing import open_growing

@@ -4,6 +4,7 @@ import builtins
 import errno
 import re
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ from fieldgrid.export import Selection, export_change, export_geotiff
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.raster import check_whole
 from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map
+from fieldgrid.layers import GROUPS, groups_of
+from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map, overviews
 from fieldgrid.transfer import MeanFold, mean_density
 from tests.export import asymmetric
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
@@ -242,6 +244,54 @@ def test_overviews_count_from_the_north_west_corner(
         if level == 1:
             with rasterio.open(path, overview_level=0) as dataset:
                 np.testing.assert_array_equal(dataset.read(1), density)
+
+
+@pytest.mark.parametrize("bounds", [None, Bounds(-40.9, -30.8, 62.35, 41.3)])
+def test_overviews_above_those_of_squares_are_of_the_same_bits(
+    wide_map: Path, bounds: Bounds | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Squares of 32 cells, of which the eighth level follows, and one that has them all."""
+
+    def pixels() -> dict[tuple[int, str], np.ndarray]:
+        found: dict[tuple[int, str], np.ndarray] = {}
+        with open_map(wide_map) as source, source.overviews(8, bounds, layers=layers) as blocks:
+            for block in blocks:
+                for name in ("density", *layers):
+                    values = block.layer(name)
+                    shape = block.row + values.shape[0], block.column + values.shape[1]
+                    key = block.level, name
+                    if name != "density":
+                        values = np.nan_to_num(values)  # as where there is no block
+                    known = found.get(key, np.zeros((0, 0), values.dtype))
+                    beyond = [(0, max(a - b, 0)) for a, b in zip(shape, known.shape, strict=True)]
+                    found[key] = np.pad(known, beyond)
+                    found[key][block.row : shape[0], block.column : shape[1]] = values
+        return {key: np.trim_zeros(values) for key, values in found.items()}
+
+    layers = ("count", "max", "traversability")
+    whole = pixels()
+    monkeypatch.setattr(overviews, "SQUARE_LEVELS", 5)
+    squares = pixels()
+    assert {level for level, _ in whole} == set(range(1, 9))
+    assert whole.keys() == squares.keys()
+    for key, values in whole.items():
+        np.testing.assert_array_equal(squares[key], values, str(key))
+        if key[1] == "density":
+            assert values.any()
+
+
+def test_overviews_never_hold_all_channels_of_a_square(wide_map: Path) -> None:
+    with open_map(wide_map) as source, source.read_blocks() as whole:
+        cells, names = whole.window.width * whole.window.height, groups_of(("traversability",))
+        channels = sum(len(GROUPS[name].channels) for name in names)
+        tracemalloc.start()
+        try:
+            with source.overviews(3, layers=["traversability"], jobs=1) as blocks:
+                assert {block.level for block in blocks} == {1, 2, 3}
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert peak < 8 * channels * cells / 3
 
 
 def test_overviews_in_another_plane_are_those_of_the_cells(wide_map: Path, tmp_path: Path) -> None:

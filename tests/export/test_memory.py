@@ -33,7 +33,7 @@ from fieldgrid.mapfile import blocks, open_map, overviews
 blocks._ROWS, blocks._COLUMNS = 256, 1024
 tiles.MESSAGE_CELLS, nav2.TILE_CELLS = 500_000, 512
 bag_content.GRID_MAP_CELLS, bag_content.TILE_CELLS = 500_000, 512
-raster.CACHE_MB, overviews.MAX_LEVELS = 16, 8
+raster.CACHE_MB, overviews.SQUARE_LEVELS = 16, 8
 arrays.CHUNK_CELLS, kmz.PICTURE_PX = 512, 512
 for ending in sys.argv[3:]:
     sys.stdout.flush()

@@ -24,7 +24,7 @@ from fieldgrid.errors import ClusterError, ConfigError, LimitError, RecordingErr
 from fieldgrid.limits import limited
 from fieldgrid.mapfile import open_map
 from fieldgrid.mounting import estimate_mount, write_estimate
-from fieldgrid.recording import DriveOptions, fetch, fetched, is_url, open_drive
+from fieldgrid.recording import DriveOptions, copies, fetch, fetched, is_url, open_drive
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import make_small_drive
@@ -84,14 +84,14 @@ def test_urls_are_told_from_paths(path: str | Path, is_one: bool) -> None:
     ],
 )
 def test_a_copy_lies_where_its_url_says(url: str, place: str, cache: Path) -> None:
-    assert fetched.copy_of(url) == cache / "recordings" / place
+    assert copies.copy_of(url) == cache / "recordings" / place
 
 
 def test_no_part_of_a_url_leads_out_of_the_cache(cache: Path) -> None:
-    copy = fetched.copy_of("http://host/../../../etc/passwd")
+    copy = copies.copy_of("http://host/../../../etc/passwd")
     assert ".." not in copy.parts
     assert copy.is_relative_to(cache / "recordings")
-    assert copy != fetched.copy_of("http://host/etc/passwd")
+    assert copy != copies.copy_of("http://host/etc/passwd")
 
 
 def test_a_recording_is_copied_once_and_brought_up_to_date(
@@ -111,7 +111,7 @@ def test_a_recording_is_copied_once_and_brought_up_to_date(
         name: f"content of {name}" for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png")
     }
     assert told == [(0, 3), (3, 3)]
-    assert fetched.url_of(copy) == URL
+    assert copies.url_of(copy) == URL
     fetched_names.clear()
     assert fetch(URL) == copy
     assert fetched_names == []
@@ -164,7 +164,7 @@ def test_a_file_that_arrives_cut_is_no_copy(memory: Any, monkeypatch: pytest.Mon
     monkeypatch.setattr(type(memory), "get", cut)
     with pytest.raises(RecordingError, match=r"frames.csv arrived with 3 of its 21 bytes; repeat"):
         fetch(URL)
-    assert files_of(fetched.copy_of(URL)) == {}
+    assert files_of(copies.copy_of(URL)) == {}
 
 
 def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
@@ -235,9 +235,9 @@ def test_an_archive_is_copied_whole_where_the_server_gives_no_parts(
     fsspec.filesystem("memory").pipe(str(archive), archive.read_bytes())
     monkeypatch.setattr(fsspec.core, "url_to_fs", without_parts)
     copy = fetch("zip://june-03::http://host/2026.zip")
-    assert copy == fetched.copy_of("zip://june-03::http://host/2026.zip")
+    assert copy == copies.copy_of("zip://june-03::http://host/2026.zip")
     assert (copy / "frames.csv").read_bytes() == (drive / "frames.csv").read_bytes()
-    assert fetched.copy_of("http://host/2026.zip").read_bytes() == archive.read_bytes()
+    assert copies.copy_of("http://host/2026.zip").read_bytes() == archive.read_bytes()
     assert asked.count("zip://june-03::http://host/2026.zip") == 1
     with pytest.raises(RecordingError, match=r"is an archive; .* as in zip://FOLDER::http://host"):
         fetch("http://host/2026.zip")
@@ -282,8 +282,8 @@ def test_a_file_that_became_a_folder_is_told(memory: Any) -> None:
 
 
 def test_a_folder_in_an_archive_lies_beside_the_archive(cache: Path) -> None:
-    archive = fetched.copy_of("memory://vines/2026.zip")
-    inside = fetched.copy_of("zip://june::memory://vines/2026.zip")
+    archive = copies.copy_of("memory://vines/2026.zip")
+    inside = copies.copy_of("zip://june::memory://vines/2026.zip")
     assert archive not in inside.parents
 
 
@@ -294,7 +294,7 @@ def test_without_locks_a_fetch_goes_on(
     def refuse(descriptor: int, *, wait: bool) -> None:
         raise error
 
-    monkeypatch.setattr(fetched, "lock", refuse)
+    monkeypatch.setattr(copies, "lock", refuse)
     assert len(files_of(fetch(URL))) == 3
 
 
@@ -308,7 +308,7 @@ def test_another_process_that_fetches_is_waited_for(
         if not wait:
             raise BlockingIOError
 
-    monkeypatch.setattr(fetched, "lock", held)
+    monkeypatch.setattr(copies, "lock", held)
     fetch(URL)
     assert waited == [False, True]
     assert "waiting for another process that fetches" in caplog.text
@@ -333,7 +333,7 @@ def test_a_cache_that_cannot_be_written_is_named(
 
 def test_a_relative_cache_folder_is_that_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FIELDGRID_CACHE", "here")
-    assert fetched.cache_folder() == Path.cwd() / "here"
+    assert copies.cache_folder() == Path.cwd() / "here"
 
 
 # --- drives
@@ -376,7 +376,7 @@ def test_a_drive_at_a_url_gives_the_map_of_the_drive(
         (own,), (found,) = one.sessions(), other.sessions()
         assert (found.name, found.frames) == (own.name, own.frames)
         assert (one.read().density == other.read().density).all()
-    copy = str(fetched.copy_of(zipped))
+    copy = str(copies.copy_of(zipped))
     tables = content(tmp_path / "here.gpkg"), content(tmp_path / "there.gpkg")
     assert tables[0]["fieldgrid_tile"] == tables[1]["fieldgrid_tile"]
     assert copy in str(tables[1]["fieldgrid_frame"])
@@ -404,6 +404,103 @@ def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
             write_estimate(estimate, place)
 
 
+def test_a_worker_fetches_the_files_of_its_frames_only(
+    memory: Any, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And of the one before them, from which the camera's step leads; where frames may be passed
+    over, it fetches all."""
+    for file in drive.rglob("*"):
+        if file.is_file():
+            memory.pipe(f"/vines/june-10/{file.relative_to(drive)}", file.read_bytes())
+    here = fetch("memory://vines/june-10")
+    with open_drive(here, DriveOptions()) as opened:
+        recording = opened.recording()
+        trajectory = estimate_drive(recording, BuildSettings(), None).trajectory
+        session = NewSession(recording, BuildSettings(), None, None, "june-10", 1, known=trajectory)
+        work = session.work(recording.source)
+    place, packed = remote.place_of(here), remote.packed(work)
+    passing_over = remote.packed(work._replace(skips_bad=True))
+    parts = [remote.stage_share(packed, Share(k, k + 2), place) for k in (0, 2)]
+    monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
+    remote._unpacked.cache_clear()
+    fetched._listings.clear()
+    listed: list[str] = []
+    find = type(memory).find
+    monkeypatch.setattr(
+        type(memory),
+        "find",
+        lambda self, path, **how: listed.append(path) or find(self, path, **how),
+    )
+    copy = copies.copy_of("memory://vines/june-10")
+    for start, there in ((0, 2), (2, 4)):
+        made = remote.stage_share(packed, Share(start, start + 2), place)
+        assert made.part.grids == parts[start // 2].part.grids
+        files = {path.relative_to(copy).parts[0] for path in copy.rglob("*") if path.is_file()}
+        assert files == {"left", "right"}
+        assert len([path for path in copy.rglob("*") if path.is_file()]) == 2 * there
+    assert len(listed) == 1
+    # The next build that needs all of it fetches the rest.
+    remote.stage_share(passing_over, Share(0, 2), place)
+    assert files_in(copy) == files_in(here)
+    # Of another version nothing is mixed with what was read of it before.
+    shutil.rmtree(tmp_path / "of the worker")
+    monkeypatch.setattr(fetched, "_LISTED_S", -1.0)
+    memory.pipe("/vines/june-10/left/000004.jpg", b"new")
+    remote._fetched.clear()
+    with pytest.raises(ClusterError, match=r"has changed since this build began; build it again"):
+        remote.stage_share(packed, Share(0, 2), place)
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_links_at_a_url_are_followed(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SSH lists them as such, with the size of what they are called, and some of its libraries
+    copy them as they are: here they would lead to other files."""
+    memory.pipe("/else/1.png", b"content of left/1.png")
+    memory.pipe("/else/right/0.png", b"content of right/0.png")
+    links = {
+        "/vines/june-03/left/1.png": "/else/1.png",
+        "/vines/june-03/left/2.png": "/else/gone.png",
+        "/vines/june-03/right": "/else/right",
+    }
+    kind = type(memory)
+    find, info, get, open_ = kind.find, kind.info, kind.get, kind.open
+
+    def target(path: str) -> str:
+        for link, there in links.items():
+            if path == link or path.startswith(f"{link}/"):
+                return path.replace(link, there, 1)
+        return path
+
+    def found(self: Any, path: str, **how: Any) -> dict[str, Any]:
+        files = {
+            name.replace(target(path), path, 1): {**about, "name": name.replace(target(path), path)}
+            for name, about in find(self, target(path), **how).items()
+        }
+        inside = {link for link in links if link.startswith(f"{path}/")}
+        return files | {link: {"name": link, "size": 11, "type": "link"} for link in inside}
+
+    def got(self: Any, sources: list[str], places: list[str]) -> None:
+        for source, place in zip(sources, places, strict=True):
+            if source in links:
+                Path(place).symlink_to("/etc/hostname")
+            else:
+                get(self, [target(source)], [place])
+
+    monkeypatch.setattr(kind, "find", found)
+    monkeypatch.setattr(kind, "info", lambda self, path: info(self, target(path)))
+    monkeypatch.setattr(kind, "get", got)
+    monkeypatch.setattr(kind, "open", lambda self, path, mode: open_(self, target(path), mode))
+    copy = fetch(URL)
+    assert files_of(copy) == {
+        name: f"content of {name}"
+        for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png", "left/1.png", "right/0.png")
+    }
+    assert not [path for path in copy.rglob("*") if path.is_symlink()]
+
+
 def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     zipped: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -420,7 +517,7 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
     remote._unpacked.cache_clear()
     far_away = remote.stage_share(work, Share(0, 2), place)
-    assert (fetched.copy_of(zipped) / "left" / "000003.jpg").exists()
+    assert (copies.copy_of(zipped) / "left" / "000003.jpg").exists()
     assert str(here).encode() in far_away.part.grids
     assert far_away.part.grids == at_home.part.grids
     # A recording that changes in between is not mixed with what was read of it before.

@@ -20,14 +20,8 @@ from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
 from fieldgrid.build.worker import not_importable
 from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError
-from fieldgrid.recording.fetched import (
-    cache_folder,
-    copy_of,
-    fetch,
-    in_cache,
-    url_of,
-    version_of,
-)
+from fieldgrid.recording.copies import cache_folder, copy_of, in_cache, url_of, version_of
+from fieldgrid.recording.fetched import fetch, fetch_some
 from fieldgrid.workers.place import check_is_here
 
 _AT_HOME = "leave out --scheduler"
@@ -94,7 +88,7 @@ def stage_share(
     start = time.perf_counter()
     where, frames = Place(*place), Share(*share)
     if where.url:
-        _fetch(where.url, where.version)
+        _fetch(where.url, where.version, _files_of(_unpacked(work), frames))
     else:
         check_is_here(Path(where.path), where.size, "recordings")
     moved_m: list[float] = []
@@ -112,14 +106,28 @@ def stage_share(
 
 
 _fetched: set[tuple[str, str]] = set()
-"""The URLs and versions that this worker has looked at: once a build, not once a share."""
+"""The URLs and versions of which this worker has all: looked at once a build, not once a share."""
 
 
-def _fetch(url: str, version: str) -> None:
-    """Have a copy of this version here. ClusterError where that cannot be."""
+def _files_of(work: DriveWork, share: Share) -> set[Path]:
+    """The files of the frames of a share, and of the one before it; none where others may be
+    needed: where frames that are bad are passed over, or are not files of their own."""
+    if work.skips_bad:
+        return set()
+    try:
+        taken = list(work.taken(max(share.first - 1, 0), share.last))
+    except (FieldgridError, OSError):  # a bag, which is not here yet
+        return set()
+    return {Path(source.name) for frame in taken for source in frame.sources}
+
+
+def _fetch(url: str, version: str, files: set[Path]) -> None:
+    """Have these files of this version here, or all. ClusterError where that cannot be."""
     if (url, version) in _fetched and version_of(copy_of(url)) == version:
         return
     try:
+        if files and fetch_some(url, version, files):
+            return
         copy = fetch(url)
     except FieldgridError as error:
         raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error

@@ -100,11 +100,13 @@ def command(
                 progress=show, jobs=jobs, scheduler=scheduler,
             )  # fmt: skip
         if rows:
-            plantings["before" if found.transforms else "now"] = find_rows(universal)
+            plantings["before" if found.transforms else "now"] = find_rows(
+                universal, jobs=jobs, scheduler=scheduler
+            )
         if not dry_run and found.transforms:
             universal.set_transforms(found.transforms)
             if rows:
-                plantings["after"] = find_rows(universal)
+                plantings["after"] = find_rows(universal, jobs=jobs, scheduler=scheduler)
     if figure is not None:
         from fieldgrid.figures import alignment_scores, save
 

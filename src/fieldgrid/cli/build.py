@@ -131,7 +131,7 @@ def command(
         str | None,
         typer.Option(
             metavar="tcp://HOST:8786",
-            help="Dask scheduler; its workers stage the frames and need the recordings at the "
+            help="Dask scheduler; its workers do the work and need the recordings at the "
             "same paths.",
         ),
     ] = None,
@@ -220,7 +220,7 @@ def command(
         partly, reports = problem, list(problem.reports)
         if not reports:
             raise
-    lies = _compare(out, [report.session for report in reports], align, wait_s, jobs)
+    lies = _compare(out, [report.session for report in reports], align, wait_s, jobs, scheduler)
     if as_json:
         sessions = [report.as_dict() for report in reports]
         failed = [] if partly is None else partly.failed
@@ -273,7 +273,12 @@ def _report_drives(reports: Sequence[SessionReport], partly: PartlyBuiltError | 
 
 
 def _compare(
-    out: Path, new: list[str], align: bool, wait_s: float, jobs: int | None
+    out: Path,
+    new: list[str],
+    align: bool,
+    wait_s: float,
+    jobs: int | None,
+    scheduler: str | None,
 ) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
     from fieldgrid.align import FINE_ROUNDS, align_map
@@ -287,7 +292,12 @@ def _compare(
             return []
         with progress.stages() as show:
             found = align_map(
-                universal, moving, rounds=FINE_ROUNDS if align else 0, progress=show, jobs=jobs
+                universal,
+                moving,
+                rounds=FINE_ROUNDS if align else 0,
+                progress=show,
+                jobs=jobs,
+                scheduler=scheduler,
             )
         if align and found.transforms:
             universal.set_transforms(found.transforms)

@@ -26,6 +26,14 @@ def command(
     ] = False,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:8786",
+            help="Dask scheduler; its workers check and fold the frames, and need the folder of "
+            "the map at the same path.",
+        ),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Rebuild the tiles, images and layers of a map from its stored frames.
@@ -38,7 +46,16 @@ def command(
         fieldgrid repair vineyard.gpkg
 
         fieldgrid repair vineyard.gpkg --upgrade
+
+        fieldgrid repair vineyard.gpkg --scheduler tcp://10.0.0.5:8786
     """
+    options.check_scheduler(scheduler, jobs)
+    if scheduler is not None and (upgrade or in_place):
+        raise typer.BadParameter(
+            "its workers read the copy of the map that is kept; leave out "
+            + ("--upgrade" if upgrade else "--in-place"),
+            param_hint="--scheduler",
+        )
     from fieldgrid.mapfile import Patience, open_map
 
     done, left = "repaired", tuple[str, ...]()
@@ -46,7 +63,7 @@ def command(
     patience = Patience(wait_s, progress.waits_for(map_, wait_s))
     with open_map(map_, writable=True, patience=patience) as universal:
         if not upgrade:
-            left = universal.repair(jobs, keep=keep)
+            left = universal.repair(jobs, keep=keep, scheduler=scheduler)
         elif universal.upgrade():
             done = "upgraded"
         else:

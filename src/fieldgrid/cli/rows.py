@@ -72,6 +72,8 @@ def command(
     ] = False,
     overwrite: options.Overwrite = False,
     wait_s: options.Wait = options.USUAL_WAIT_S,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Find rows of plants and the lanes, gaps and headlands between them, with sigmas.
@@ -96,6 +98,7 @@ def command(
     from fieldgrid.rows.output import check_target, planting_features, write_planting
     from fieldgrid.rows.report import against_survey
 
+    options.check_scheduler(scheduler, jobs)
     if keep and at is not None:
         raise typer.BadParameter(
             "it is for the map as it is now; leave --at out", param_hint="--keep"
@@ -129,6 +132,8 @@ def command(
             hole_m=hole,
             headland_m=headland,
             at=at,
+            jobs=jobs,
+            scheduler=scheduler,
         )
         if keep:
             universal.keep_features(planting_features(planting), root)

@@ -7,20 +7,25 @@ map can be shown, read and changed at a cost that does not grow with it.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from fieldgrid.errors import MapError
+from fieldgrid.lattice import TileIndex
+from fieldgrid.layers import Cells, ChannelGroup
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.features import hide_session, show_session
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.metadata import SessionMetadata, find
-from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles
+from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles, Squares, encoded_of_session
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.styles import drop_styles, refresh_styles
+from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -87,6 +92,32 @@ def fold_evidence(
     return SessionTiles.folded(frames, header.lattice, header.transfer, groups, jobs)
 
 
+class SessionFold:
+    """Folds squares of a session, from its stored frames, to encoded tiles. Pickled it is where the
+    map lies: each worker of a cluster reads there."""
+
+    def __init__(self, subject: Subject, session_id: int) -> None:
+        self._of = subject, session_id
+        self._groups = subject.header.writable_groups(subject.path)
+        self.squares = squares_of(subject, session_id, self._groups)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
+
+    def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, dict[str, bytes]]]:
+        """The tiles of a square that the frames observed."""
+        return self.squares.fold(place, self._encoded)
+
+    def _encoded(self, tile: TileIndex, cells: Cells) -> tuple[TileIndex, dict[str, bytes]]:
+        return tile, encoded_of_session(self._groups, cells)
+
+
+def squares_of(subject: Subject, session_id: int, groups: Sequence[ChannelGroup]) -> Squares:
+    """The stored frames of a session, to be folded square by square."""
+    frames = placed_frames(frames_of(subject.connection, session_id))
+    return Squares(frames, subject.header.lattice, subject.header.transfer, groups)
+
+
 def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
     """The accepted ones of some frames, as `placing` takes them."""
     return [
@@ -100,14 +131,10 @@ def touch(connection: sqlite3.Connection) -> None:
     connection.execute(f"UPDATE gpkg_contents SET last_change = {NOW_SQL}")
 
 
-def rebuild(
-    connection: sqlite3.Connection,
-    path: Path,
-    header: Header,
-    groups: tuple[str, ...],
-    jobs: int | None = None,
-) -> None:
-    """Make all that follows from the evidence, its tiles with these channel groups."""
+def rebuild(subject: Subject) -> None:
+    """Make all that follows from the evidence, its tiles with the channel groups of the header."""
+    connection, path, header, run, _ = subject
+    assert run is not None
     for table in (*schema.DERIVED_TABLES, "density"):
         connection.execute(f"DELETE FROM {table}")
     schema.renew_features(connection)
@@ -115,15 +142,17 @@ def rebuild(
         connection.execute(f"DELETE FROM {table} WHERE table_name = 'density'")
     connection.execute("DELETE FROM fieldgrid_meta WHERE key = 'data_window'")
     schema.announce_layers(connection, TileMatrixSet(header.lattice))
-    schema.set_groups(connection, groups)
-    header = header._replace(groups=groups)
+    schema.set_groups(connection, header.groups)
     tables = tables_of(connection, header, path)
     for session_id, name in active(connection):
         show_features(connection, session_id, find(connection, path, header.datum, name).metadata)
-        with fold_evidence(connection, header, session_id, path, jobs) as tiles:
+        fold = SessionFold(subject, session_id)
+        with SessionTiles(tables.groups, header.lattice) as tiles:
+            for tile, blobs in chain.from_iterable(run.in_order(fold, fold.squares.places())):
+                tiles.put(tile, blobs)
             for tile in sorted(tiles.tiles):
                 tables.put_session(session_id, tile, tiles.blobs(tile))
-    Pyramid(connection, tables, jobs).rebuild()
+    Pyramid(connection, tables, run.here).rebuild()
     drop_styles(connection)
     touch(connection)
 

@@ -20,7 +20,7 @@ from fieldgrid.mapfile.tiling import TileMatrixSet
 
 def check_features(subject: Subject) -> Iterator[str]:
     """The layers of features, and what is announced to a GIS, against the same made again."""
-    connection, path, header, _ = subject
+    connection, path, header, *_ = subject
     with closing(_empty(subject)) as scratch:
         for session_id, name in active(connection):
             metadata = find(connection, path, header.datum, name).metadata
@@ -34,7 +34,7 @@ def check_features(subject: Subject) -> Iterator[str]:
 
 def check_announced(subject: Subject) -> Iterator[str]:
     """What is announced to a GIS, against the same made of what sessions cover."""
-    connection, path, header, _ = subject
+    connection, path, header, *_ = subject
     with closing(_empty(subject)) as scratch:
         scratch.executemany(
             "INSERT INTO fieldgrid_extent VALUES (?, ?, ?, ?, ?, ?)",

@@ -8,8 +8,7 @@ import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from fieldgrid import notebook
 from fieldgrid.errors import ConfigError, MapError
@@ -30,6 +29,7 @@ from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.mapfile.records import sessions_html
+from fieldgrid.mapfile.repairing import repair, repairers
 from fieldgrid.mapfile.root import check_root, seal
 from fieldgrid.mapfile.row_sums import RowCounter
 from fieldgrid.mapfile.schema import FORMAT_VERSION
@@ -44,10 +44,12 @@ from fieldgrid.mapfile.upgrade import (
     upgrade,
     upgraded,
 )
-from fieldgrid.mapfile.verification import repair
 from fieldgrid.publish import Draft
 from fieldgrid.trajectory import Pose, Trajectory
 from fieldgrid.vectors import Feature
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 _LOG = logging.getLogger(__name__)
 
@@ -94,12 +96,7 @@ class MapFile(MapReader):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
         else:
@@ -264,22 +261,26 @@ class MapFile(MapReader):
                 self._connection, self.path, self._header, name, poses, trajectory, config
             )
 
-    def repair(self, jobs: int | None = None, *, keep: Path | None = None) -> tuple[str, ...]:
+    def repair(
+        self,
+        jobs: int | None = None,
+        *,
+        keep: Path | None = None,
+        scheduler: str | Client | None = None,
+    ) -> tuple[str, ...]:
         """Rebuild the tiles, pictures and layers of features from the stored frames, and verify
         them before they count.
 
         The tiles hold all channel groups that are registered now, and no others. `keep` is where
-        the map as it was is copied to before. Returns what is still wrong with the evidence of
-        sessions that were taken out. Raises MapError, and changes nothing, when other evidence is
-        damaged, or when the map would still not be sound.
+        the map as it was is copied to before. `jobs` is the number of threads, all cores when not
+        given; with a `scheduler`, the address of one of Dask or a client, the workers of that
+        cluster check and fold the frames of that copy. Returns what is still wrong with the
+        evidence of sessions that were taken out. Raises MapError, and changes nothing, when other
+        evidence is damaged, or when the map would still not be sound; ConfigError for a scheduler
+        without `keep`, ClusterError where none answers or its workers cannot read the copy.
         """
-        try:
-            with self._changing(trusting=False, keep=keep):
-                repaired = repair(self._connection, self.path, self._header, jobs)
-        except BaseException:
-            if keep is not None:
-                keep.unlink(missing_ok=True)
-            raise
+        with repairers(jobs, scheduler, keep) as by, self._changing(trusting=False, keep=keep):
+            repaired = repair(self._connection, self.path, self._header, by)
         self._header = self._header._replace(groups=repaired.groups)
         return repaired.problems
 

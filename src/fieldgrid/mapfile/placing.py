@@ -196,23 +196,24 @@ class SessionTiles(Closing):
         made = cls(groups, lattice)
 
         def encode(tile: TileIndex, cells: Cells) -> tuple[TileIndex, Cells, dict[str, bytes]]:
-            return tile, cells, encode_groups(stored_of_session(groups), cells, base=True)
+            return tile, cells, encoded_of_session(groups, cells)
 
         try:
             for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode, jobs):
-                made._put(tile, cells, blobs)
+                made.put(tile, blobs, cells)
         except BaseException:
             made.close()
             raise
         return made
 
-    def _put(self, tile: TileIndex, cells: Cells, blobs: dict[str, bytes]) -> None:
+    def put(self, tile: TileIndex, blobs: dict[str, bytes], cells: Cells | None = None) -> None:
+        """Add a tile in its stored form; its cells, where they are known, save decoding it."""
         self._database.executemany(
             "INSERT INTO tile VALUES (?, ?, ?, ?)",
             [(*tile, name, blob) for name, blob in blobs.items()],
         )
         self.tiles.add(tile)
-        if len(self._recent) < RECENT_TILES:
+        if cells is not None and len(self._recent) < RECENT_TILES:
             self._recent[tile] = cells
 
     def blobs(self, tile: TileIndex) -> dict[str, bytes]:
@@ -239,6 +240,11 @@ class SessionTiles(Closing):
 def stored_of_session(groups: Sequence[ChannelGroup]) -> list[ChannelGroup]:
     """The groups that session tiles hold: others follow from those of the session."""
     return [group for group in groups if group.fold is not None]
+
+
+def encoded_of_session(groups: Sequence[ChannelGroup], cells: Cells) -> dict[str, bytes]:
+    """The blobs of a tile of a session, by channel group."""
+    return encode_groups(stored_of_session(groups), cells, base=True)
 
 
 def encode_groups(

@@ -24,7 +24,7 @@ from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.transfer import Transfer, footprint
 
-_FOR_KERNELS = ("weight", "sum")
+FOR_KERNELS = ("weight", "sum")
 """Kernels take no channel that takes no memory."""
 
 
@@ -181,7 +181,7 @@ def assembled(window: Window, parts: Iterable[tuple[Window, Cells]]) -> Cells | 
             continue
         place = window.slices_of(part)
         for name, values in cells.items():
-            if is_nothing(values) and name not in _FOR_KERNELS:
+            if is_nothing(values) and name not in FOR_KERNELS:
                 continue
             if name not in arrays:
                 arrays[name] = np.zeros(window.shape, dtype=np.uint64)

@@ -1,4 +1,4 @@
-"""A map that is verified, here and by the workers of a cluster."""
+"""A map that is verified or repaired, here and by the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from fieldgrid.workers.order import Runner
 
 
 class Subject(NamedTuple):
-    """A map that is verified, and who does it. Pickled it is where the map lies; where it arrives,
-    it is opened again, for reading."""
+    """A map that is verified or repaired, and who does it. Pickled it is where the map lies; where
+    it arrives, it is opened again, for reading."""
 
     connection: sqlite3.Connection
     path: Path
     header: Header
     runner: Runner | None = None
     """None where it has arrived."""
+    copy: sqlite3.Connection | None = None
+    """A copy that is read where it arrives, of a map that is being changed here."""
 
     @property
     def tables(self) -> TileTables:
@@ -30,7 +32,7 @@ class Subject(NamedTuple):
         return TileTables(self.connection, matrices, self.header.known_groups())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        there = shared(self.connection)
+        there = shared(self.copy or self.connection)
         return _arrived, (there, self.path, self.header, known_groups(self.header))
 
 

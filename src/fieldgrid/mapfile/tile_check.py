@@ -12,9 +12,8 @@ from fieldgrid.errors import MapError
 from fieldgrid.lattice import TileIndex
 from fieldgrid.layers import GROUPS, Cells
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.derived import active, placed_frames
-from fieldgrid.mapfile.evidence import frames_of
-from fieldgrid.mapfile.placing import Squares, stored_of_session
+from fieldgrid.mapfile.derived import active, squares_of
+from fieldgrid.mapfile.placing import stored_of_session
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.subject import Subject
@@ -93,11 +92,10 @@ class _SquareCheck:
 
     def __init__(self, subject: Subject, session_id: int, name: str) -> None:
         self._of = subject, session_id, name
-        header, self._tables = subject.header, subject.tables
+        self._tables = subject.tables
         groups = self._tables.groups
         self._names = [c.name for g in stored_of_session(groups) for c in g.channels]
-        frames = placed_frames(frames_of(subject.connection, session_id))
-        self.squares = Squares(frames, header.lattice, header.transfer, groups)
+        self.squares = squares_of(subject, session_id, groups)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._of

@@ -28,6 +28,8 @@ from fieldgrid.mapfile.digest import as_json, frame_digest
 from fieldgrid.mapfile.header import Header, check_plane, reread
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.root import seal
+from fieldgrid.mapfile.subject import Subject
+from fieldgrid.workers.order import Threads
 
 _LOG = logging.getLogger(__name__)
 
@@ -204,7 +206,7 @@ def upgrade(
     removed = "UPDATE fieldgrid_session SET removed = ? WHERE name = ? AND removed IS ?"
     connection.execute(removed, ("now", without, None))
     try:
-        rebuild(connection, path, header, stored_groups())
+        rebuild(Subject(connection, path, header._replace(groups=stored_groups()), Threads()))
     except MapError as error:
         raise _not_upgraded(connection, path, unreadable) or error from error
     connection.execute(removed, (None, without, "now"))

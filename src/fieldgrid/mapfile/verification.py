@@ -2,23 +2,23 @@
 
 A map that keeps sums of its rows, and is as it was written, is sound. Of any other, and where it is
 asked for, the tiles are made again from the frames, level by level, and compared with what is
-stored; so a map that passes says what its frames say. `repair` makes them in the map itself.
+stored; so a map that passes says what its frames say. `repairing` makes them in the map itself.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
-from fieldgrid.layers import GROUPS, RETIRED_GROUPS, stored_groups
-from fieldgrid.mapfile import derived, schema
+from fieldgrid.layers import GROUPS, RETIRED_GROUPS
+from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.arrays import Kind, read_arrays
 from fieldgrid.mapfile.codec import cells_sha256
 from fieldgrid.mapfile.digest import frame_digest
@@ -29,24 +29,21 @@ from fieldgrid.mapfile.file_check import (
     check_file,
     check_layout,
     check_types,
-    damaged_pages,
-    orphans,
-    renew_file,
 )
 from fieldgrid.mapfile.header import Header
-from fieldgrid.mapfile.marks import announce_marks, check_marks, has_marks, read_marks
-from fieldgrid.mapfile.metadata import count_frames, digest_of, find
+from fieldgrid.mapfile.marks import check_marks
+from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import read_root, seal
-from fieldgrid.mapfile.row_sums import begin_sums, drop_sums, kept_sums
+from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.row_sums import kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
 from fieldgrid.workers.order import Runner, Threads
 
-_LONGEST_PROBLEM = 1000
+LONGEST_PROBLEM = 1000
 
 _FRAMES_TOGETHER = 64
 
@@ -97,7 +94,7 @@ def verify(
     checks: tuple[Callable[[Subject], Iterator[str]], ...]
     checks = (
         *(check_file, check_layout, check_types, _root, check_marks, _stored),
-        *(() if rebuilt else (_evidence,)),
+        *(() if rebuilt else (check_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
     )
@@ -135,7 +132,7 @@ def verify(
             break
         if len(problems) >= MAX_PROBLEMS:
             break
-    said = dict.fromkeys(shortened(problem, _LONGEST_PROBLEM) for problem in problems)
+    said = dict.fromkeys(shortened(problem, LONGEST_PROBLEM) for problem in problems)
     return HealthReport(tuple(said), tuple(notes), *_counts(connection), True)
 
 
@@ -186,9 +183,9 @@ def _stored(subject: Subject) -> Iterator[str]:
     return check_stored(subject.connection)
 
 
-def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
+def check_evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
-    connection, path, header, runner = subject
+    connection, path, header, runner, _ = subject
     assert runner is not None
     sessions = connection.execute(
         "SELECT id, name, digest, frames, accepted, first_time_ns, last_time_ns, grid_width_m, "
@@ -236,11 +233,11 @@ def _evidence(subject: Subject, which: str = "") -> Iterator[str]:
 def _upgraded(subject: Subject) -> Iterator[str]:
     """The evidence of a map of an older format, and its pictures, which are all that is read of
     what follows from that."""
-    connection, path, header, runner = subject
+    connection, path, header, runner, _ = subject
     assert runner is not None
     with closing(upgraded_copy(connection, path, header)) as copy:
         anew = Subject(copy, path, upgraded(header), Threads(runner.here))
-        wrong = list(islice(chain(check_types(anew), _evidence(anew)), MAX_PROBLEMS))
+        wrong = list(islice(chain(check_types(anew), check_evidence(anew)), MAX_PROBLEMS))
         yield from wrong
         if not wrong:
             # The pictures are those of today: put into the copy, they must be those of its tiles.
@@ -286,97 +283,3 @@ def _frame_problem(record: FrameRecord) -> str:
     except MapError as error:
         return f"Session {record.session!r}: {error}"
     return ""
-
-
-class Repaired(NamedTuple):
-    """The channel groups that the tiles hold now, and what is still wrong with the evidence of
-    sessions that were taken out, of which nothing is read, and with features that were found."""
-
-    groups: tuple[str, ...]
-    problems: tuple[str, ...]
-
-
-def repair(
-    connection: sqlite3.Connection, path: Path, header: Header, jobs: int | None = None
-) -> Repaired:
-    """Rebuild everything that follows from the evidence, within the caller's transaction.
-
-    Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
-    `verify` would still find something else.
-    """
-    subject = Subject(connection, path, header, Threads(jobs))
-    if not read_root(connection).trusted:
-        _renew_rows(connection, header)
-        if not read_root(connection).trusted:
-            raise MapError(
-                f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
-                "list of sessions or marks have changed since, and nothing tells what they were. "
-                "Nothing was written; restore a copy of the map."
-            )
-    damaged = next(
-        chain(
-            damaged_pages(connection),
-            orphans(connection, "fieldgrid_frame"),
-            orphans(connection, "fieldgrid_array"),
-            _evidence(subject, "WHERE removed IS NULL"),
-        ),
-        None,
-    )
-    if damaged is not None:
-        raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: "
-            f"{shortened(damaged, _LONGEST_PROBLEM)} Take "
-            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
-        )
-    # The map's own plane is under the root digest: another PROJ may word it in another way.
-    _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
-    if has_marks(connection):
-        read_marks(connection, removed=True)
-        announce_marks(connection)
-    derived.rebuild(connection, path, header, stored_groups(), jobs)
-    renew_file(connection)
-    seal(connection)
-    begin_sums(connection)
-    left = _left(subject._replace(header=_with_stored(header)))
-    if left:  # which sums would call sound
-        drop_sums(connection)
-    return Repaired(stored_groups(), (*left, *check_stored(connection)))
-
-
-def _with_stored(header: Header) -> Header:
-    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
-
-
-def _left(subject: Subject) -> tuple[str, ...]:
-    """What is wrong with the evidence of removed sessions. MapError for anything else."""
-    connection, path, header, runner = subject
-    removed = islice(_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
-    known = dict.fromkeys(shortened(one, _LONGEST_PROBLEM) for one in removed)
-    grids = {shortened(one, _LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
-    stored = {shortened(one, _LONGEST_PROBLEM) for one in check_stored(connection)}
-    assert runner is not None
-    problems = verify(connection, path, header, runner, deep=True, rebuilt=True).problems
-    found = [problem for problem in problems if problem not in stored]
-    for problem in found:
-        if problem not in known and problem not in grids:
-            raise MapError(
-                f"{subject.path} cannot be repaired, because this does not follow from its "
-                f"evidence: {problem} Nothing was changed; restore a copy of the map."
-            )
-    return tuple(dict.fromkeys((*known, *found)))
-
-
-def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:
-    """Bring rows up to date that follow from others, although the root digest covers them."""
-    *_, own_plane = schema.reference_systems(header.datum)
-    _replace_systems(connection, [own_plane])
-    for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
-        count_frames(connection, session_id)
-
-
-def _replace_systems(
-    connection: sqlite3.Connection, rows: Sequence[tuple[str, int, str, int, str, str]]
-) -> None:
-    connection.executemany(
-        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", rows
-    )

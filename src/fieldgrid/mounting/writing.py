@@ -8,7 +8,7 @@ from pathlib import Path
 from fieldgrid.errors import ConfigError
 from fieldgrid.mounting.estimate import MountEstimate
 from fieldgrid.recording import Mounting, mounting_path
-from fieldgrid.recording.fetched import is_url, url_of
+from fieldgrid.recording.copies import is_url, url_of
 from fieldgrid.recording.mounting import read_mounting, write_mounting
 from fieldgrid.rig import LeverArm, Mount
 

@@ -1,8 +1,9 @@
 """Recordings: what was on the vehicle's disk after a drive, whatever its format."""
 
 from fieldgrid.recording.columns import Columns, columns_from_text
+from fieldgrid.recording.copies import cache_folder, is_url
 from fieldgrid.recording.drive import Drive, Recording, Stream, as_recording, with_frames
-from fieldgrid.recording.fetched import cache_folder, fetch, is_url
+from fieldgrid.recording.fetched import fetch
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.format import (
     Format,

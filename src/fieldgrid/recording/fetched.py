@@ -1,102 +1,63 @@
 """Recordings at URLs: copied to this machine by fsspec, and read from there.
 
 Readers seek in files, read them twice and from several processes, so a recording on another
-machine (S3, SSH, HTTP, ...) gets a local copy. That of `s3://vines/2026/june-03` is the folder
-`CACHE/recordings/s3/vines/2026/june-03`, and a manifest beside it lists its files. A file that has
-not changed is not fetched again.
+machine (S3, SSH, HTTP, ...) gets a copy here (`copies`). A file that has not changed is not fetched
+again.
 """
 
 from __future__ import annotations
 
-import errno
-import hashlib
-import json
-import logging
-import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, TypeGuard
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from fieldgrid.documents import parse_json
-from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
-from fieldgrid.file_locks import lock
-from fieldgrid.limits import Budget, check_rows
-from fieldgrid.publish import replacing
-from fieldgrid.recording.files import is_inside, read_text
+from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.recording.copies import (
+    CACHE,
+    Manifest,
+    cache_folder,
+    copy_of,
+    digest_of,
+    only_here,
+    place_in,
+    read_manifest,
+    write_manifest,
+    writing_copy,
+)
+from fieldgrid.recording.remote_files import (
+    RemoteFile,
+    check_unfolding,
+    from_backend,
+    listed_files,
+)
 
-CACHE = "FIELDGRID_CACHE"
-"""The environment variable that names another cache folder."""
-
-_URL = re.compile(r"([a-z][a-z0-9+.-]+::)*[a-z][a-z0-9+.-]+://")
 _HERE = ("file", "local")
 _SECRET = re.compile(r"://[^/@]*:[^/@]*@|[?&][^=]*(token|sig|key|secret|password|credential)", re.I)
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 _BATCH = 64
-_GONE = (404, 410)
-"""What a web server answers where there is no such file."""
-_LOG = logging.getLogger(__name__)
-_VERSIONS = (
-    *("ETag", "etag", "md5Hash", "content_md5", "checksum", "CRC"),
-    *(
-        "mtime",
-        "LastModified",
-        "Last-Modified",
-        "last_modified",
-        "updated",
-        "modified",
-        "modify",
-        "created",
-    ),
-)
-"""What file systems call the version of a file or the time of its last change, best first."""
+_LISTED_S = 60.0
+"""How long a listing of the files at a URL counts for those who fetch some of them."""
 
 
-def is_url(path: str | Path) -> TypeGuard[str]:
-    """Whether this is a URL and not the path of a file or folder."""
-    return isinstance(path, str) and _URL.match(path) is not None
+class _Listing(NamedTuple):
+    """The files of a recording at a URL, by their paths relative to it, and when they were listed,
+    by the monotonic clock."""
+
+    url: str
+    system: Any
+    files: Mapping[str, RemoteFile]
+    at_s: float
+
+    @property
+    def version(self) -> str:
+        """The same as of a copy that has all of it."""
+        return digest_of({name: file.version for name, file in self.files.items()})
 
 
-def cache_folder() -> Path:
-    """Where copies lie: `FIELDGRID_CACHE`, or `fieldgrid` in the user's cache folder."""
-    if own := os.environ.get(CACHE):
-        return Path(own).absolute()
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fieldgrid"
-
-
-def in_cache(relative: str) -> Path:
-    """The path in this machine's cache folder that is `relative` to it: a path in the cache of
-    another machine is pickled as this call."""
-    return cache_folder() / relative
-
-
-def copy_of(url: str) -> Path:
-    """Where the copy of a recording at a URL lies, or will. The links of a chained URL, as in
-    `zip://june-03::s3://vines/2026.zip`, follow each other from the outermost in; what is inside of
-    a file lies beside the copy of that file."""
-    copy = cache_folder() / "recordings"
-    for number, link in enumerate(reversed(url.split("::"))):
-        if number:
-            copy = copy.with_name(f"{copy.name}.content")
-        parts = [part for part in re.split(r":?/+", link) if part not in {"", "."}]
-        copy = copy.joinpath(*map(_safe_name, parts))
-    return copy
-
-
-def url_of(path: Path) -> str | None:
-    """The URL that a path is a copy of; None for a recording of this machine."""
-    if not path.is_relative_to(cache_folder()):
-        return None
-    manifest = _read_manifest(path)
-    return manifest.url or None
-
-
-def version_of(copy: Path) -> str:
-    """A digest of the versions of the files of a copy: two copies of one version are alike."""
-    versions = sorted(_read_manifest(copy).versions.items())
-    return hashlib.sha256(json.dumps(versions).encode()).hexdigest()
+_listings: dict[str, _Listing] = {}
+"""The last listing of each URL of which some files were fetched."""
 
 
 def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -120,21 +81,46 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
     return _fetched(url, progress or (lambda done, total: None))
 
 
+def fetch_some(url: str, version: str, paths: Collection[Path]) -> bool:
+    """Bring some files of the copy of a recording up to date, by their paths in it; the others stay
+    where they are. False, and nothing is done, where these are not files of this version of the
+    recording, or it lies in an archive. Errors as in `fetch`."""
+    if "::" in url:  # an archive may have to be fetched to be listed
+        return False
+    found = _listings.get(url)
+    if found is None or found.version != version or time.monotonic() - found.at_s > _LISTED_S:
+        listing = _listing(url)
+        if isinstance(listing, Path) or listing.version != version:
+            return False
+        found = _listings[url] = listing
+    copy = copy_of(url)
+    names = [path.relative_to(copy).as_posix() for path in paths if path.is_relative_to(copy)]
+    if len(names) < len(paths) or not found.files.keys() >= set(names):
+        return False
+    _bring_up_to_date(found, names, lambda done, total: None)
+    return True
+
+
 def _fetched(url: str, progress: Callable[[int, int], None]) -> Path:
     """The path of what is at a URL, an archive included, after its copy is up to date."""
-    with _backend(url):
+    found = _listing(url)
+    if isinstance(found, Path):
+        return found
+    _bring_up_to_date(found, found.files, progress)
+    return copy_of(url)
+
+
+def _listing(url: str) -> _Listing | Path:
+    """What is at a URL; the path of what is on this machine."""
+    with from_backend(url):
         system, root = _file_system(url)
         protocols = (system.protocol,) if isinstance(system.protocol, str) else system.protocol
         if not set(protocols).isdisjoint(_HERE):
             return Path(root)
         system.invalidate_cache()  # of listings: another process may have written since
-        remote = _listed(system, root, url)
-        _check_unfolding(url, remote)
-    copy = copy_of(url)
-    with _local(copy), _only_here(copy):
-        _check_kind(copy, is_file="" in remote)
-        _bring_up_to_date(system, remote, copy, url, progress)
-    return copy
+        remote = listed_files(system, root, url)
+        check_unfolding(url, remote)
+    return _Listing(url, system, remote, time.monotonic())
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -153,111 +139,64 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 
 def _bring_up_to_date(
-    system: Any,
-    remote: Mapping[str, _RemoteFile],
+    listing: _Listing, wanted: Collection[str], progress: Callable[[int, int], None]
+) -> None:
+    """Fetch what the copy lacks of the files that are wanted, and remove what is at the URL no
+    longer."""
+    copy = copy_of(listing.url)
+    with writing_copy(copy), only_here(copy):
+        _check_kind(copy, is_file="" in listing.files)
+        _fetch_missing(listing, copy, wanted, progress)
+
+
+def _fetch_missing(
+    listing: _Listing,
     copy: Path,
-    url: str,
+    wanted: Collection[str],
     progress: Callable[[int, int], None],
 ) -> None:
-    """Fetch what the copy lacks. The manifest is written after each batch, so that a fetch that is
-    interrupted goes on from there."""
-    manifest = _read_manifest(copy)
-    missing = [name for name, file in remote.items() if not file.is_at(copy, name, manifest)]
+    """The manifest is written after each batch, so that a fetch that is interrupted goes on from
+    there."""
+    url, system, remote, _ = listing
+    manifest = read_manifest(copy)
+    missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
     _check_room(url, sum(remote[name].size or 0 for name in missing))
     known = dict(manifest.versions)
     for first in range(0, len(missing), _BATCH):
-        progress(len(remote) - len(missing) + first, len(remote))
+        progress(len(wanted) - len(missing) + first, len(wanted))
         names = missing[first : first + _BATCH]
-        with _backend(url):
+        with from_backend(url):
             _fetch_batch(system, remote, names, copy, url)
         known |= {name: remote[name].version for name in names}
-        _write_manifest(copy, url, known)
+        write_manifest(copy, url, known)
     gone = known.keys() - remote.keys()
     for name in gone:
-        _place(copy, name).unlink(missing_ok=True)
+        place_in(copy, name).unlink(missing_ok=True)
     if gone:
-        _write_manifest(copy, url, {name: file.version for name, file in remote.items()})
-    progress(len(remote), len(remote))
+        write_manifest(copy, url, {name: known[name] for name in known if name in remote})
+    progress(len(wanted), len(wanted))
 
 
-class _RemoteFile(NamedTuple):
-    """A file at a URL: where, how many bytes if that is known, and what tells its version."""
-
-    path: str
-    size: int | None
-    version: str
-
-    def is_at(self, copy: Path, name: str, manifest: _Manifest) -> bool:
-        """Whether the copy has this version of the file."""
-        if self.size is None or manifest.versions.get(name) != self.version:
-            return False
-        try:
-            return _place(copy, name).stat().st_size == self.size
-        except OSError:
-            return False
-
-
-class _Manifest(NamedTuple):
-    url: str
-    versions: Mapping[str, str]
-
-
-def _listed(system: Any, root: str, url: str) -> dict[str, _RemoteFile]:
-    """The files of the recording, by their paths relative to it; "" is the recording itself."""
-    about = system.info(root)
-    if about["type"] != "directory":
-        if url.endswith("/"):
-            raise RecordingError(
-                f"{url} is no folder whose files can be listed (web servers list none); give the "
-                "URL of a bag, a log, or an archive as zip://FOLDER::URL."
-            )
-        return {"": _remote_file(about)}
-    files = {}
-    for count, (path, info) in enumerate(system.find(root, detail=True).items(), start=1):
-        check_rows(count, url)
-        if path.endswith("/") or path == root:
-            continue  # some stores keep an empty object for a folder
-        name = str(PurePosixPath(path).relative_to(PurePosixPath(root)))
-        if not is_inside(name):
-            raise RecordingError(
-                f"{url} has a file {quoted(name)}, whose name leads out of the recording; rename "
-                "it there."
-            )
-        files[name] = _remote_file(info)
-    if not files:
-        raise RecordingError(f"{url} is an empty folder; give the URL of a recording.")
-    return files
-
-
-def _check_unfolding(url: str, files: Mapping[str, _RemoteFile]) -> None:
-    """LimitError where files unfold to too much of the archive in which a chained URL finds them,
-    before any of it is fetched."""
-    _, is_chained, container = url.partition("::")
-    if not is_chained:
-        return
-    from fsspec.core import url_to_fs
-
-    system, root = url_to_fs(container)
-    packed = system.info(root).get("size")
-    if packed is not None:
-        Budget(quoted(url, 200), packed).spend(sum(file.size or 0 for file in files.values()))
-
-
-def _remote_file(info: Mapping[str, Any]) -> _RemoteFile:
-    known = next((f"{key} {info[key]}" for key in _VERSIONS if info.get(key)), "")
-    return _RemoteFile(info["name"], info.get("size"), known)
+def _is_here(file: RemoteFile, copy: Path, name: str, manifest: Manifest) -> bool:
+    """Whether the copy has this version of a file."""
+    if file.size is None or manifest.versions.get(name) != file.version:
+        return False
+    try:
+        return place_in(copy, name).stat().st_size == file.size
+    except OSError:
+        return False
 
 
 def _fetch_batch(
-    system: Any, remote: Mapping[str, _RemoteFile], names: list[str], copy: Path, url: str
+    system: Any, remote: Mapping[str, RemoteFile], names: list[str], copy: Path, url: str
 ) -> None:
     """Fetch some files; each takes its place when all of its bytes are here."""
-    places = [_place(copy, name) for name in names]
+    places = [place_in(copy, name) for name in names]
     drafts = [place.with_name(f".{place.name}.partial") for place in places]
     for place in places:
         place.parent.mkdir(parents=True, exist_ok=True)
     try:
-        system.get([remote[name].path for name in names], [str(draft) for draft in drafts])
+        _get(system, [remote[name] for name in names], drafts)
         for name, draft, place in zip(names, drafts, places, strict=True):
             size, expected = draft.stat().st_size, remote[name].size
             if expected is not None and size != expected:
@@ -271,8 +210,16 @@ def _fetch_batch(
             draft.unlink(missing_ok=True)
 
 
-def _place(copy: Path, name: str) -> Path:
-    return copy / name if name else copy
+def _get(system: Any, files: Sequence[RemoteFile], drafts: Sequence[Path]) -> None:
+    """Copy files here. Those that links lead to are read: some libraries would copy the link."""
+    both = list(zip(files, drafts, strict=True))
+    plain = [(file.path, str(draft)) for file, draft in both if not file.is_link]
+    if plain:
+        system.get(*map(list, zip(*plain, strict=True)))
+    for file, draft in both:
+        if file.is_link:
+            with system.open(file.path, "rb") as source, draft.open("wb") as target:
+                shutil.copyfileobj(source, target)
 
 
 def _check_kind(copy: Path, *, is_file: bool) -> None:
@@ -292,103 +239,3 @@ def _check_room(url: str, size: int) -> None:
             f"{url} has {size / 1e9:.1f} GB to fetch and {folder} has room for {free / 1e9:.1f} "
             f"GB; free some, or set {CACHE} to a folder on a larger disk."
         )
-
-
-def _manifest_file(copy: Path) -> Path:
-    return copy.with_name(f".{copy.name}.fetched.json")
-
-
-def _read_manifest(copy: Path) -> _Manifest:
-    """What is known of a copy; nothing where its manifest is missing or damaged."""
-    with suppress(FieldgridError, ValueError):
-        found = parse_json(read_text(_manifest_file(copy)))
-        if isinstance(found, dict) and isinstance(found.get("files"), dict):
-            return _Manifest(str(found.get("url", "")), found["files"])
-    return _Manifest("", {})
-
-
-def _write_manifest(copy: Path, url: str, versions: Mapping[str, str]) -> None:
-    with replacing(_manifest_file(copy)) as draft:
-        draft.write_text(json.dumps({"url": url, "files": versions}), "utf-8")
-
-
-@contextmanager
-def _only_here(copy: Path) -> Iterator[None]:
-    """Keeps other processes of this machine from fetching the same in the block; where the file
-    system has no locks, they only fetch some files twice."""
-    copy.parent.mkdir(parents=True, exist_ok=True)
-    held = os.open(copy.with_name(f".{copy.name}.fetching"), os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        with suppress(OSError):
-            try:
-                lock(held, wait=False)
-            except BlockingIOError:
-                _LOG.warning("waiting for another process that fetches %s", copy)
-                lock(held, wait=True)
-        yield
-    finally:
-        os.close(held)
-
-
-def _safe_name(part: str) -> str:
-    """A part of a URL as the name of a file: as it is where that can be, else its digest."""
-    if re.fullmatch(r"[\w ()+=,@.-]{1,200}", part) and part != "..":
-        return part
-    return hashlib.sha256(part.encode("utf-8", "surrogateescape")).hexdigest()[:32]
-
-
-@contextmanager
-def _backend(url: str) -> Iterator[None]:
-    """Makes what fsspec and its file systems raise an error that says what to do."""
-    try:
-        yield
-    except FieldgridError:
-        raise
-    except ImportError as error:
-        raise ConfigError(
-            f"{quoted(url, 200)} needs a library that is not installed ({shortened(error)}); run: "
-            "pip install 'fieldgrid[remote]', and the one named here."
-        ) from error
-    except FileNotFoundError as error:
-        if _is_unreachable(error.__cause__):
-            raise _unreadable(url, error.__cause__) from error
-        raise RecordingError(
-            f"{quoted(url, 200)} does not exist; give the URL of a recording, a bag or a log."
-        ) from error
-    except Exception as error:  # each file system raises errors of its own (botocore, paramiko)
-        if isinstance(error, OSError) and error.errno in _FULL:
-            raise  # the disk of this machine
-        raise _unreadable(url, error) from error
-
-
-def _is_unreachable(cause: BaseException | None) -> bool:
-    """Whether what made a file system say that a file does not exist is another thing: fsspec says
-    so of a web server that refuses or is not there."""
-    status = getattr(cause, "status", None)
-    if isinstance(status, int):
-        return status not in _GONE
-    return isinstance(cause, OSError) and not isinstance(cause, FileNotFoundError)
-
-
-def _unreadable(url: str, error: BaseException | None) -> RecordingError:
-    copy = copy_of(url)
-    kept = f", or read the copy of before at {copy}" if copy.exists() else ""
-    why = shortened(error) if error is not None else ""
-    return RecordingError(
-        f"{quoted(url, 200)} cannot be read ({why or type(error).__name__}); "
-        f"check the URL, the connection and your credentials{kept}."
-    )
-
-
-@contextmanager
-def _local(copy: Path) -> Iterator[None]:
-    """Makes what this machine's disk refuses an error that names the copy."""
-    try:
-        yield
-    except FieldgridError:
-        raise
-    except OSError as error:
-        raise RecordingError(
-            f"The copy {copy} cannot be written ({error.strerror or error}); free some space, or "
-            f"set {CACHE} to another folder."
-        ) from error

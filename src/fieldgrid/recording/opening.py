@@ -9,8 +9,9 @@ from pathlib import Path
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording import bag, euroc, folder, kitti, kitti_odometry, logs
 from fieldgrid.recording.columns import Columns
+from fieldgrid.recording.copies import is_url
 from fieldgrid.recording.drive import Drive, Recording
-from fieldgrid.recording.fetched import fetch, is_url
+from fieldgrid.recording.fetched import fetch
 from fieldgrid.recording.foreign import about_folder, refuse_foreign
 from fieldgrid.recording.format import find_format, formats, register_format
 from fieldgrid.recording.frame_table import TABLE

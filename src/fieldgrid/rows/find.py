@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -39,6 +40,9 @@ from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting
 from fieldgrid.rows.roads import Split, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 MAX_CELLS = 100_000_000
 """Cells that are looked at at once; a larger map is read in cells twice as large."""
 
@@ -56,25 +60,31 @@ def find_rows(
     hole_m: float = DEFAULT_HOLE_M,
     headland_m: float = DEFAULT_HEADLAND_M,
     at: str | int | None = None,
+    jobs: int | None = None,
+    scheduler: str | Client | None = None,
 ) -> Planting:
     """The rows of a map, and what lies between and beside them.
 
     `crop` is a preset (vineyard, bushes, orchard, arable) or a :class:`Crop`. A cell is an obstacle
     when its density is above `obstacle_above`. Unseen ground counts as seen where no square of
     `hole_m` metres of it fits. Headlands reach `headland_m` from the plants. `at` is a session or a
-    date: the map as of then. Raises ConfigError for what cannot be asked; a map without rows gives
-    a planting without rows.
+    date: the map as of then. `jobs` threads read the map, all cores when not given; with a
+    `scheduler`, the address of one of Dask or a client, the workers of that cluster read it. Raises
+    ConfigError for what cannot be asked, ClusterError where no scheduler answers or its workers
+    cannot read the map; a map without rows gives a planting without rows.
     """
     if not isinstance(universal, MapFile):
         with open_map(universal) as opened:
             return find_rows(
                 opened, crop=crop, bounds=bounds, obstacle_above=obstacle_above, hole_m=hole_m,
-                headland_m=headland_m, at=at,
+                headland_m=headland_m, at=at, jobs=jobs, scheduler=scheduler,
             )  # fmt: skip
     _check_lengths(hole_m, headland_m)
     if not 0 <= obstacle_above <= 254:
         raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
-    with universal.read_blocks(bounds, _cell_m(universal, bounds), at=at) as blocks:
+    with universal.read_blocks(
+        bounds, _cell_m(universal, bounds), at=at, jobs=jobs, scheduler=scheduler
+    ) as blocks:
         evidence = Evidence.of_blocks(blocks, obstacle_above)
         drives = drives_of(universal, at)
     return _planting(

@@ -1,0 +1,148 @@
+"""Copies of recordings at URLs: where they lie on this machine, and what is known of them.
+
+That of `s3://vines/2026/june-03` is the folder `CACHE/recordings/s3/vines/2026/june-03`, and a
+manifest beside it lists its files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple, TypeGuard
+
+from fieldgrid.documents import parse_json
+from fieldgrid.errors import FieldgridError, RecordingError
+from fieldgrid.file_locks import lock
+from fieldgrid.publish import replacing
+from fieldgrid.recording.files import read_text
+
+CACHE = "FIELDGRID_CACHE"
+"""The environment variable that names another cache folder."""
+
+_URL = re.compile(r"([a-z][a-z0-9+.-]+::)*[a-z][a-z0-9+.-]+://")
+_LOG = logging.getLogger(__name__)
+
+
+def is_url(path: str | Path) -> TypeGuard[str]:
+    """Whether this is a URL and not the path of a file or folder."""
+    return isinstance(path, str) and _URL.match(path) is not None
+
+
+def cache_folder() -> Path:
+    """Where copies lie: `FIELDGRID_CACHE`, or `fieldgrid` in the user's cache folder."""
+    if own := os.environ.get(CACHE):
+        return Path(own).absolute()
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fieldgrid"
+
+
+def in_cache(relative: str) -> Path:
+    """The path in this machine's cache folder that is `relative` to it: a path in the cache of
+    another machine is pickled as this call."""
+    return cache_folder() / relative
+
+
+def copy_of(url: str) -> Path:
+    """Where the copy of a recording at a URL lies, or will. The links of a chained URL, as in
+    `zip://june-03::s3://vines/2026.zip`, follow each other from the outermost in; what is inside of
+    a file lies beside the copy of that file."""
+    copy = cache_folder() / "recordings"
+    for number, link in enumerate(reversed(url.split("::"))):
+        if number:
+            copy = copy.with_name(f"{copy.name}.content")
+        parts = [part for part in re.split(r":?/+", link) if part not in {"", "."}]
+        copy = copy.joinpath(*map(_safe_name, parts))
+    return copy
+
+
+def url_of(path: Path) -> str | None:
+    """The URL that a path is a copy of; None for a recording of this machine."""
+    if not path.is_relative_to(cache_folder()):
+        return None
+    manifest = read_manifest(path)
+    return manifest.url or None
+
+
+def version_of(copy: Path) -> str:
+    """A digest of the versions of the files of a copy: two copies of one version are alike."""
+    return digest_of(read_manifest(copy).versions)
+
+
+def digest_of(versions: Mapping[str, str]) -> str:
+    """One digest of the versions of files."""
+    return hashlib.sha256(json.dumps(sorted(versions.items())).encode()).hexdigest()
+
+
+class Manifest(NamedTuple):
+    """The URL of a copy, and the versions of the files that it has by their relative paths."""
+
+    url: str
+    versions: Mapping[str, str]
+
+
+def place_in(copy: Path, name: str) -> Path:
+    """Where a file of a copy lies; "" is the copy itself, where it is a file."""
+    return copy / name if name else copy
+
+
+def _manifest_file(copy: Path) -> Path:
+    return copy.with_name(f".{copy.name}.fetched.json")
+
+
+def read_manifest(copy: Path) -> Manifest:
+    """What is known of a copy; nothing where its manifest is missing or damaged."""
+    with suppress(FieldgridError, ValueError):
+        found = parse_json(read_text(_manifest_file(copy)))
+        if isinstance(found, dict) and isinstance(found.get("files"), dict):
+            return Manifest(str(found.get("url", "")), found["files"])
+    return Manifest("", {})
+
+
+def write_manifest(copy: Path, url: str, versions: Mapping[str, str]) -> None:
+    """Note which versions of its files a copy has."""
+    with replacing(_manifest_file(copy)) as draft:
+        draft.write_text(json.dumps({"url": url, "files": versions}), "utf-8")
+
+
+@contextmanager
+def only_here(copy: Path) -> Iterator[None]:
+    """Keeps other processes of this machine from fetching the same in the block; where the file
+    system has no locks, they only fetch some files twice."""
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    held = os.open(copy.with_name(f".{copy.name}.fetching"), os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        with suppress(OSError):
+            try:
+                lock(held, wait=False)
+            except BlockingIOError:
+                _LOG.warning("waiting for another process that fetches %s", copy)
+                lock(held, wait=True)
+        yield
+    finally:
+        os.close(held)
+
+
+@contextmanager
+def writing_copy(copy: Path) -> Iterator[None]:
+    """Makes what this machine's disk refuses an error that names the copy."""
+    try:
+        yield
+    except FieldgridError:
+        raise
+    except OSError as error:
+        raise RecordingError(
+            f"The copy {copy} cannot be written ({error.strerror or error}); free some space, or "
+            f"set {CACHE} to another folder."
+        ) from error
+
+
+def _safe_name(part: str) -> str:
+    """A part of a URL as the name of a file: as it is where that can be, else its digest."""
+    if re.fullmatch(r"[\w ()+=,@.-]{1,200}", part) and part != "..":
+        return part
+    return hashlib.sha256(part.encode("utf-8", "surrogateescape")).hexdigest()[:32]

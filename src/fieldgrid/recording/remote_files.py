@@ -1,0 +1,151 @@
+"""The files of a recording at a URL, as fsspec lists them, and what its errors mean to a user."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import PurePosixPath
+from typing import Any, NamedTuple
+
+from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
+from fieldgrid.limits import Budget, check_rows
+from fieldgrid.recording.copies import copy_of
+from fieldgrid.recording.files import is_inside
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+_GONE = (404, 410)
+"""What a web server answers where there is no such file."""
+_VERSIONS = (
+    *("ETag", "etag", "md5Hash", "content_md5", "checksum", "CRC"),
+    *(
+        "mtime",
+        "LastModified",
+        "Last-Modified",
+        "last_modified",
+        "updated",
+        "modified",
+        "modify",
+        "created",
+    ),
+)
+"""What file systems call the version of a file or the time of its last change, best first."""
+
+
+class RemoteFile(NamedTuple):
+    """A file at a URL: where, how many bytes if that is known, what tells its version, and whether
+    a link leads to it."""
+
+    path: str
+    size: int | None
+    version: str
+    is_link: bool
+
+
+def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
+    """The files of the recording, by their paths relative to it; "" is the recording itself."""
+    about = system.info(root)
+    if about["type"] != "directory":
+        if url.endswith("/"):
+            raise RecordingError(
+                f"{url} is no folder whose files can be listed (web servers list none); give the "
+                "URL of a bag, a log, or an archive as zip://FOLDER::URL."
+            )
+        return {"": _remote_file(about)}
+    files = {}
+    for count, (path, info) in enumerate(_followed(system, root), start=1):
+        check_rows(count, url)
+        if path.endswith("/") or path == root:
+            continue  # some stores keep an empty object for a folder
+        name = str(PurePosixPath(path).relative_to(PurePosixPath(root)))
+        if not is_inside(name):
+            raise RecordingError(
+                f"{url} has a file {quoted(name)}, whose name leads out of the recording; rename "
+                "it there."
+            )
+        files[name] = _remote_file(info)
+    if not files:
+        raise RecordingError(f"{url} is an empty folder; give the URL of a recording.")
+    return files
+
+
+def _followed(
+    system: Any, root: str, *, folders: bool = True
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """All files below a folder, and those that links in it lead to: SSH lists a link as such, with
+    the size of its name. A link that leads nowhere is left out, and so is one to a folder that is
+    found behind such a link."""
+    for path, listed in system.find(root, detail=True).items():
+        if listed.get("type") != "link":
+            yield path, listed
+            continue
+        try:
+            info = system.info(path)
+        except FileNotFoundError:
+            continue
+        if info["type"] != "directory":
+            yield path, {**info, "name": path, "is_link": True}
+        elif folders:
+            yield from _followed(system, path, folders=False)
+
+
+def check_unfolding(url: str, files: Mapping[str, RemoteFile]) -> None:
+    """LimitError where files unfold to too much of the archive in which a chained URL finds them,
+    before any of it is fetched."""
+    _, is_chained, container = url.partition("::")
+    if not is_chained:
+        return
+    from fsspec.core import url_to_fs
+
+    system, root = url_to_fs(container)
+    packed = system.info(root).get("size")
+    if packed is not None:
+        Budget(quoted(url, 200), packed).spend(sum(file.size or 0 for file in files.values()))
+
+
+def _remote_file(info: Mapping[str, Any]) -> RemoteFile:
+    known = next((f"{key} {info[key]}" for key in _VERSIONS if info.get(key)), "")
+    return RemoteFile(info["name"], info.get("size"), known, info.get("is_link", False))
+
+
+@contextmanager
+def from_backend(url: str) -> Iterator[None]:
+    """Makes what fsspec and its file systems raise an error that says what to do."""
+    try:
+        yield
+    except FieldgridError:
+        raise
+    except ImportError as error:
+        raise ConfigError(
+            f"{quoted(url, 200)} needs a library that is not installed ({shortened(error)}); run: "
+            "pip install 'fieldgrid[remote]', and the one named here."
+        ) from error
+    except FileNotFoundError as error:
+        if _is_unreachable(error.__cause__):
+            raise _unreadable(url, error.__cause__) from error
+        raise RecordingError(
+            f"{quoted(url, 200)} does not exist; give the URL of a recording, a bag or a log."
+        ) from error
+    except Exception as error:  # each file system raises errors of its own (botocore, paramiko)
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise  # the disk of this machine
+        raise _unreadable(url, error) from error
+
+
+def _is_unreachable(cause: BaseException | None) -> bool:
+    """Whether what made a file system say that a file does not exist is another thing: fsspec says
+    so of a web server that refuses or is not there."""
+    status = getattr(cause, "status", None)
+    if isinstance(status, int):
+        return status not in _GONE
+    return isinstance(cause, OSError) and not isinstance(cause, FileNotFoundError)
+
+
+def _unreadable(url: str, error: BaseException | None) -> RecordingError:
+    copy = copy_of(url)
+    kept = f", or read the copy of before at {copy}" if copy.exists() else ""
+    why = shortened(error) if error is not None else ""
+    return RecordingError(
+        f"{quoted(url, 200)} cannot be read ({why or type(error).__name__}); "
+        f"check the URL, the connection and your credentials{kept}."
+    )

@@ -1,0 +1,157 @@
+"""Repairing a map on the workers of a cluster: the bits of one process, and what cannot be."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from fieldgrid.cli import app
+from fieldgrid.errors import ClusterError, ConfigError, MapError, MapWriteError
+from fieldgrid.mapfile import open_map
+from fieldgrid.workers.cluster import Ended
+from fieldgrid.workers.remote import OnCluster
+from tests.mapfile.content import content
+from tests.mapfile.maps import drive, track, write_map
+
+distributed = pytest.importorskip("distributed")
+
+# Sockets and loops of Dask's own, which it closes in its own time.
+pytestmark = [pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")]
+
+FORMAT_2 = Path(__file__).with_name("format2.gpkg")
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_map(
+        tmp_path_factory.mktemp("map") / "map.gpkg",
+        [drive(6, step_m=9.0), drive(5, heading_deg=-70.0)],
+        trajectory=track(9),
+    )
+
+
+@pytest.fixture
+def spoiled(sound: Path, tmp_path: Path) -> Path:
+    """The same with tiles and pictures that do not follow from its frames."""
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("DELETE FROM density")
+        database.execute("UPDATE fieldgrid_session_tile SET data = zeroblob(9)")
+    return path
+
+
+@pytest.fixture(scope="module")
+def local() -> Iterator[distributed.LocalCluster]:
+    """Two workers, processes of this machine, started again when they die."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as made:
+        yield made
+
+
+def test_a_cluster_of_which_a_worker_is_killed_repairs_to_the_bits_of_one_process(
+    sound: Path,
+    spoiled: Path,
+    local: distributed.LocalCluster,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told, killed, worked = OnCluster._told, list[int](), set[str]()
+
+    def kill_one(self: OnCluster, group: int, what: Any) -> None:
+        if isinstance(what, Ended):
+            worked.add(what.task.name)
+            if not killed:
+                killed.append(next(iter(local.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+        told(self, group, what)
+
+    monkeypatch.setattr(OnCluster, "_told", kill_one)
+    keep, before = tmp_path / "kept.gpkg", content(spoiled)
+    with open_map(spoiled, writable=True) as universal:
+        assert universal.repair(keep=keep, scheduler=local.scheduler_address) == ()
+        assert universal.verify(1, deep=True).sound
+    assert killed
+    assert worked == {"_framecheck", "sessionfold"}
+    assert content(spoiled) == content(sound)
+    assert content(keep) == before
+    assert {path.name for path in tmp_path.iterdir()} == {"map.gpkg", "kept.gpkg"}
+
+
+def test_the_command_repairs_on_a_cluster(
+    sound: Path, spoiled: Path, local: distributed.LocalCluster
+) -> None:
+    address = ["--scheduler", local.scheduler_address]
+    result = CliRunner().invoke(app, ["repair", str(spoiled), *address])
+    kept = spoiled.with_name("map.before-repair.gpkg")
+    assert result.stdout == f"repaired {spoiled}; as it was: {kept}\n", result.output
+    assert content(spoiled) == content(sound)
+    for given, said in (
+        (["--in-place"], "the copy of the map that is kept; leave out"),
+        (["--upgrade"], "the copy of the map that is kept; leave out"),
+        (["--jobs", "2"], "the workers of the --scheduler do the work"),
+    ):
+        refused = CliRunner().invoke(app, ["repair", str(spoiled), *address, *given])
+        assert refused.exit_code == 2
+        assert said in refused.output
+
+
+def test_damaged_evidence_is_refused_and_leaves_no_copy(
+    spoiled: Path, local: distributed.LocalCluster, tmp_path: Path
+) -> None:
+    with closing(sqlite3.connect(spoiled, isolation_level=None)) as database:
+        database.execute("UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame = 2")
+    before = spoiled.read_bytes()
+    with (
+        open_map(spoiled, writable=True) as universal,
+        pytest.raises(MapError, match="cannot be repaired, because its evidence is damaged"),
+    ):
+        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=local.scheduler_address)
+    assert spoiled.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [spoiled]
+
+
+def test_an_older_format_is_to_be_upgraded_first(
+    local: distributed.LocalCluster, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(FORMAT_2, tmp_path / "old.gpkg"))
+    with (
+        open_map(path, writable=True) as universal,
+        pytest.raises(ConfigError, match=r"format 2, which .* cannot fold; .*repair --upgrade"),
+    ):
+        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=local.scheduler_address)
+    assert path.read_bytes() == FORMAT_2.read_bytes()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_without_a_copy_or_a_cluster_nothing_is_done(spoiled: Path, tmp_path: Path) -> None:
+    before = spoiled.read_bytes()
+    with open_map(spoiled, writable=True) as universal:
+        with pytest.raises(ConfigError, match=r"read the copy that is kept .*; leave out --in-p"):
+            universal.repair(scheduler="tcp://127.0.0.1:1")
+        with pytest.raises(ClusterError, match="No Dask scheduler answers"):
+            universal.repair(keep=tmp_path / "kept.gpkg", scheduler="tcp://127.0.0.1:1")
+    assert spoiled.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [spoiled]
+
+
+def test_a_file_that_is_there_already_is_no_place_for_the_copy(
+    spoiled: Path, tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine.gpkg"
+    mine.write_text("mine")
+    with (
+        open_map(spoiled, writable=True) as universal,
+        pytest.raises(MapWriteError, match=r"mine\.gpkg exists already; name another file"),
+    ):
+        universal.repair(keep=mine)
+    assert mine.read_text() == "mine"
