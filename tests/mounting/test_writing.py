@@ -17,8 +17,6 @@ from fieldgrid.recording import mounting_path, open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.travel import Ways
 
-pytestmark = pytest.mark.usefixtures("worked_out_once")
-
 NOTHING = np.zeros(0)
 YAW = Measured(0.4567, 0.1)
 
