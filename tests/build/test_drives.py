@@ -7,7 +7,6 @@ import shutil
 import signal
 import sqlite3
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from tests.build.making import (
     damage,
 )
 from tests.cli.conftest import in_a_process
+from tests.conftest import wait_for_end
 
 
 @pytest.fixture(autouse=True)
@@ -143,18 +143,9 @@ def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) ->
     workers = [int(word) for word in notes.read_text().split()]
     assert workers or not Path("/proc").exists()
     notes.unlink()
-    until = time.monotonic() + 120.0
-    while any(map(_is_alive, workers)) and time.monotonic() < until:
-        time.sleep(0.01)
-    assert not any(map(_is_alive, workers))
+    for worker in workers:
+        wait_for_end(worker)
     return errors
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.parametrize(
