@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,6 +109,20 @@ def _compile_a_share() -> None:
 def pytest_xdist_setupnodes() -> None:
     """Comes before the workers are started."""
     os.environ.update(KEPT_MEMORY)
+
+
+def pytest_collectstart(collector: pytest.Collector) -> None:
+    """The second worker imports the tests from the last to the first: on a fresh clone each then
+    compiles about half of them, and loads what the other has compiled."""
+    if (
+        collector.path == ROOT / "tests"
+        and os.environ.get("PYTEST_XDIST_WORKER") == "gw1"
+        and [Path(one).resolve() for one in collector.config.args] == [ROOT / "tests"]
+    ):
+        for path in sorted((ROOT / "tests").rglob("test_*.py"), reverse=True):
+            # What cannot be imported, or is skipped, is reported when it is collected.
+            with suppress(Exception, pytest.skip.Exception):
+                import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

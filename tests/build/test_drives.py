@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.build import PartlyBuiltError, Progress, drives, parts
+from fieldgrid.build import PartlyBuiltError, Progress, drives, parts, pool
 from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
 from fieldgrid.mapfile import Patience, open_map
 from tests.build import failing
@@ -80,13 +80,14 @@ def test_a_recording_that_kills_processes_is_named_and_left_out(
     two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths, _ = two
+    monkeypatch.setattr(pool, "DEATHS", 2)
     monkeypatch.setattr(drives, "open_drive", failing.opening("second", 2, 9, tmp_path / "marks"))
     with pytest.raises(PartlyBuiltError) as told:
         build(paths, tmp_path / "m.gpkg", jobs=2, skip_bad=1)
     (failed,) = told.value.failed
     assert failed[0] == "second"
-    assert "Frames 2 to 3 of second have ended 3 processes of the build (signal 9)" in failed[1]
-    assert (tmp_path / "marks").read_text() == "xxx"
+    assert "Frames 2 to 3 of second have ended 2 processes of the build (signal 9)" in failed[1]
+    assert (tmp_path / "marks").read_text() == "xx"
     with open_map(tmp_path / "m.gpkg") as universal:
         assert [info.name for info in universal.sessions()] == ["first"]
     assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
