@@ -10,7 +10,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import import_module
 from typing import NamedTuple, TextIO
 
 import pytest
@@ -100,7 +99,6 @@ def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 @contextmanager
 def a_terminal() -> Iterator[tuple[TextIO, list[bytes]]]:
     """A stream that writes to a terminal, and what that has shown when the block has ended."""
-    import_module("numba")  # which keeps the streams that it finds
     ours, theirs = pty.openpty()
     shown: list[bytes] = []
 
