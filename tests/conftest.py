@@ -7,11 +7,14 @@ import csv
 import gc
 import os
 import re
+import select
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,20 +87,66 @@ if (
     atexit.register(_remove, os.environ["TMPDIR"], os.getpid())
 
 
+WHOLE_RUN = 1000
+"""So many tests need most kernels."""
+
+
+def _compile_a_share() -> None:
+    """Two workers compile what frames need and what poses need, one each, before both need all."""
+    from fieldgrid.cli.warming import compile_frames
+    from fieldgrid.live.warming import warm_up_poses
+    from fieldgrid.settings import BuildSettings
+    from tests.scenes import paper_rig
+
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker == "gw0":
+        compile_frames()
+    elif worker == "gw1":
+        warm_up_poses(paper_rig(), BuildSettings())
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes() -> None:
     """Comes before the workers are started."""
     os.environ.update(KEPT_MEMORY)
 
 
-def pytest_collection_finish() -> None:
+def pytest_collectstart(collector: pytest.Collector) -> None:
+    """The second worker imports the tests from the last to the first: on a fresh clone each then
+    compiles about half of them, and loads what the other has compiled."""
+    if (
+        collector.path == ROOT / "tests"
+        and os.environ.get("PYTEST_XDIST_WORKER") == "gw1"
+        and [Path(one).resolve() for one in collector.config.args] == [ROOT / "tests"]
+    ):
+        for path in sorted((ROOT / "tests").rglob("test_*.py"), reverse=True):
+            # What cannot be imported, or is skipped, is reported when it is collected.
+            with suppress(Exception, pytest.skip.Exception):
+                import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
     """Spares the collector of garbage the half million objects that stay until the end.
 
     It took 4 of 100 seconds of processor time.
     """
+    if len(session.items) >= WHOLE_RUN:
+        _compile_a_share()
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 20, 20)
+
+
+def wait_for_end(process: int) -> None:
+    """Waits for a process that may be another's child (on Linux)."""
+    with suppress(ProcessLookupError):
+        handle = os.pidfd_open(process)
+        ended = select.poll()
+        ended.register(handle, select.POLLIN)
+        try:
+            assert ended.poll(1000.0 * HANGS_S), f"process {process} hangs"
+        finally:
+            os.close(handle)
 
 
 @pytest.fixture
@@ -121,10 +170,12 @@ def built_two_lanes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ses
     """
     from fieldgrid.build import build_map
     from fieldgrid.settings import BuildSettings
+    from tests.remembered import worked_out_once
 
     def build(folder: Path) -> SessionReport:
         out = folder / MAP
-        (report,) = build_map([TWO_LANES], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
+        with worked_out_once():  # for the others that look at all its frames
+            (report,) = build_map([TWO_LANES], out, BuildSettings(), DriveOptions("gnss_rtk.nmea"))
         return report
 
     folder, report = made_once(tmp_path_factory, "two_lanes", build)

@@ -80,7 +80,8 @@ def find_edges(height: Float64, within: Bool, steep: Bool) -> Edges:
     if drop.any():
         around = _about(rim)
         found = np.isfinite(around).sum(axis=(2, 3)) >= RIMS
-        lie_beyond(height, np.where(found, around.max(axis=(2, 3)), -np.inf), beyond)
+        rim = np.where(found, around.max(axis=(2, 3)), -np.inf)
+        lie_beyond(np.ascontiguousarray(height), rim, beyond)
     return Edges(np.fmax(steps[0], steps[1].T), drop, beyond)
 
 

@@ -18,8 +18,7 @@ QUICK = (
     "frames_of_one_line", "time_log_of_entities", "keys_of_dots", "keys_of_dots_of_a_vehicle",
     "keys_of_dots_of_a_build", "deep_documents", "yaml_of_aliases", "array", "pcd", "las",
     "archive_at_a_url", "opencv_of_aliases", "journal_of_a_map",
-    "bag_of_zstd", "database_of_zeros", "truth_origin", "survey_of_lists",
-    "map_of_many_sessions",
+    "bag_of_zstd", "database_of_zeros", "truth_origin", "map_of_many_sessions",
 )  # fmt: skip
 """Refused at once; they run with each change. The others are a million rows and the like."""
 

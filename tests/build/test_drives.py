@@ -7,12 +7,11 @@ import shutil
 import signal
 import sqlite3
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
-from fieldgrid.build import PartlyBuiltError, Progress, drives, parts
+from fieldgrid.build import PartlyBuiltError, Progress, drives, parts, pool
 from fieldgrid.errors import ConfigError, MapWriteError, RecordingError
 from fieldgrid.mapfile import Patience, open_map
 from tests.build import failing
@@ -26,6 +25,7 @@ from tests.build.making import (
     damage,
 )
 from tests.cli.conftest import in_a_process
+from tests.conftest import wait_for_end
 
 
 @pytest.fixture(autouse=True)
@@ -80,13 +80,14 @@ def test_a_recording_that_kills_processes_is_named_and_left_out(
     two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths, _ = two
+    monkeypatch.setattr(pool, "DEATHS", 2)
     monkeypatch.setattr(drives, "open_drive", failing.opening("second", 2, 9, tmp_path / "marks"))
     with pytest.raises(PartlyBuiltError) as told:
         build(paths, tmp_path / "m.gpkg", jobs=2, skip_bad=1)
     (failed,) = told.value.failed
     assert failed[0] == "second"
-    assert "Frames 2 to 3 of second have ended 3 processes of the build (signal 9)" in failed[1]
-    assert (tmp_path / "marks").read_text() == "xxx"
+    assert "Frames 2 to 3 of second have ended 2 processes of the build (signal 9)" in failed[1]
+    assert (tmp_path / "marks").read_text() == "xx"
     with open_map(tmp_path / "m.gpkg") as universal:
         assert [info.name for info in universal.sessions()] == ["first"]
     assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
@@ -143,18 +144,9 @@ def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) ->
     workers = [int(word) for word in notes.read_text().split()]
     assert workers or not Path("/proc").exists()
     notes.unlink()
-    until = time.monotonic() + 120.0
-    while any(map(_is_alive, workers)) and time.monotonic() < until:
-        time.sleep(0.01)
-    assert not any(map(_is_alive, workers))
+    for worker in workers:
+        wait_for_end(worker)
     return errors
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ from fieldgrid.mapfile import open_map
 from fieldgrid.recording import DepthFrame, DriveOptions, Recording, open_recording
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings, resolve
-from tests.conftest import TWO_LANES
+from tests.conftest import TWO_LANES, make_small_drive
 from tests.remembered import worked_out_once
 from tests.scenes import depth_rig, lidar_rig, paper_rig
 
@@ -48,11 +48,19 @@ WITHOUT_CAMERA = {"pose": {"visual_odometry": False}}
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The example as depths in millimetres and as disparities in 1/256 px, by our own matcher."""
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every second frame of the example, and its IMU."""
+    folder = make_small_drive(tmp_path_factory.mktemp("pairs") / "pairs", range(0, 50, 2))
+    shutil.copytree(TWO_LANES / "imu", folder / "imu")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def drives(pairs: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same as depths in millimetres and as disparities in 1/256 px, by our own matcher."""
     folders = {kind: tmp_path_factory.mktemp(kind) for kind in ("depth", "disparity")}
     rows = []
-    with open_recording(TWO_LANES, RTK) as recording, worked_out_once():
+    with open_recording(pairs, RTK) as recording, worked_out_once():
         gridder, camera = LocalGridder(recording.rig), recording.rig.camera
         for frame in recording.frames():
             values, row_start = gridder.matcher.disparity(*frame.images())
@@ -118,11 +126,13 @@ def obstacles(out: Path) -> ObstacleScores:
 
 
 @pytest.mark.parametrize("kind", ["depth", pytest.param("disparity", marks=pytest.mark.long)])
-def test_a_map_of_depths_is_that_of_the_pairs(kind: str, mapped: Mapped, tmp_path: Path) -> None:
-    pairs = built(TWO_LANES, tmp_path / "pairs.gpkg", WITHOUT_CAMERA)
+def test_a_map_of_depths_is_that_of_the_pairs(
+    kind: str, pairs: Path, mapped: Mapped, tmp_path: Path
+) -> None:
+    of_pairs = built(pairs, tmp_path / "pairs.gpkg", WITHOUT_CAMERA)
     depths, report = mapped(kind)
-    assert report.used == report.frames == pairs.used
-    assert report.max_range_m == pairs.max_range_m
+    assert report.used == report.frames == of_pairs.used
+    assert report.max_range_m == of_pairs.max_range_m
     assert report.stages.match_s == 0.0
     assert (report.camera_steps, report.camera_refusals) == (0, 0)
     assert any("no stereo pairs" in note for note in report.notes)
@@ -146,12 +156,12 @@ def test_poses_can_be_estimated_again(mapped: Mapped, tmp_path: Path) -> None:
     assert report.used > 0
 
 
-def test_local_grids_of_depths_and_pairs_agree(drives: dict[str, Path]) -> None:
+def test_local_grids_of_depths_and_pairs_agree(pairs: Path, drives: dict[str, Path]) -> None:
     def first(path: Path) -> tuple[LocalGrid, Recording]:
         with open_recording(path, RTK) as recording:
             return local_grid(next(recording.frames()), recording.rig), recording
 
-    pair, of_pairs = first(TWO_LANES)
+    pair, of_pairs = first(pairs)
     depth, of_depths = first(drives["depth"])
     assert isinstance(of_pairs.rig.sensor, StereoCamera)
     assert isinstance(of_depths.rig.sensor, DepthCamera)
@@ -276,7 +286,7 @@ def test_clouds_of_other_axes_or_units_are_told_with_them(
     axes: str, times: float, says: str, drives: dict[str, Path], tmp_path: Path
 ) -> None:
     with open_recording(drives["depth"], RTK) as recording:
-        camera, frames = recording.rig.sensor, list(recording.frames(8, 10))
+        camera, frames = recording.rig.sensor, list(recording.frames(4, 6))
     assert isinstance(camera, DepthCamera)
     folder = tmp_path / "drive"
     (folder / "clouds").mkdir(parents=True)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 import pytest
 
@@ -90,6 +94,27 @@ def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         return checked(Result(status, *capsys.readouterr()))
 
     return run
+
+
+@contextmanager
+def a_terminal() -> Iterator[tuple[TextIO, list[bytes]]]:
+    """A stream that writes to a terminal, and what that has shown when the block has ended."""
+    ours, theirs = pty.openpty()
+    shown: list[bytes] = []
+
+    def watch() -> None:
+        with suppress(OSError):  # how Linux ends a terminal
+            while part := os.read(ours, 1 << 16):
+                shown.append(part)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        with os.fdopen(theirs, "w") as stream:
+            yield stream, shown
+    finally:
+        watcher.join()
+        os.close(ours)
 
 
 def in_a_process(*arguments: object, before: str = "") -> list[str]:

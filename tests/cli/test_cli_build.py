@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
 import shutil
 import signal
 import socket
 import sqlite3
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -30,7 +28,7 @@ from fieldgrid.reasons import grouped_reasons
 from fieldgrid.settings import BuildSettings
 from fieldgrid.transfer import Transfer
 from fieldgrid.workers import answering, connecting
-from tests.cli.conftest import Result, Run, in_a_process
+from tests.cli.conftest import Result, Run, a_terminal
 from tests.conftest import TWO_LANES
 
 MakeDrive = Callable[..., Path]
@@ -225,34 +223,18 @@ def test_in_a_process_of_its_own_stderr_is_silent(
     assert json.loads(result.output())["sessions"][0]["used"] == 3
 
 
-def test_on_a_terminal_there_is_progress_on_stderr_alone(make_drive: MakeDrive, out: Path) -> None:
+def test_on_a_terminal_there_is_progress_on_stderr_alone(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drive = make_drive("june-03", range(3, 9))
-    ours, theirs = pty.openpty()
-    try:
-        child = subprocess.Popen(
-            in_a_process("build", drive, "-o", out, "--jobs", 1),
-            stdout=subprocess.PIPE,
-            stderr=theirs,
-            env={**os.environ, "TERM": "xterm", "COLUMNS": "120"},
-            text=True,
-        )
-        os.close(theirs)
-        shown = b""
-        while True:
-            try:
-                part = os.read(ours, 65536)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            shown += part
-        text, _ = child.communicate(timeout=60)
-    finally:
-        os.close(ours)
-    assert child.returncode == 0
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with a_terminal() as (stream, shown), monkeypatch.context() as patched:
+        patched.setattr(sys, "stderr", stream)
+        text = fieldgrid("build", drive, "-o", out, "--jobs", 1).output()
     assert text.startswith("session june-03")
     assert "\x1b" not in text
-    progress = shown.decode()
+    progress = b"".join(shown).decode()
     assert "june-03" in progress
     assert re.search(r"\d+/6", progress)
     assert re.search(r"\d m\b", progress)

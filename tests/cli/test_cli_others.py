@@ -159,7 +159,7 @@ def test_a_map_that_was_cut_short(
 
 def test_a_reader_that_goes_away_is_no_error(two_lanes_map: Path) -> None:
     child = subprocess.Popen(
-        in_a_process("evaluate", two_lanes_map, TRUTH, "--frames"),
+        in_a_process("sessions", two_lanes_map, "--json"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

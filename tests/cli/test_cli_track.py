@@ -5,18 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import os
-import pty
 import re
 import shutil
 import statistics
-import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 import pytest
 
 from fieldgrid.track import COLUMNS
-from tests.cli.conftest import Run, in_a_process
+from tests.cli.conftest import Run, a_terminal
 from tests.conftest import TWO_LANES
 
 RTK = TWO_LANES / "gnss" / "gnss_rtk.nmea"
@@ -381,22 +380,15 @@ def test_flags_of_poses(flag: str, value: str, fieldgrid: Run, out: Path) -> Non
 # --- on a terminal
 
 
-def test_a_long_log_is_not_silent(out: Path) -> None:
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_long_log_is_not_silent(
+    quiet: bool, fieldgrid: Run, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On stderr alone, where a terminal watches; `--quiet` says nothing there."""
-    for quiet in (False, True):
-        ours, theirs = pty.openpty()
-        command = in_a_process("track", RTK, "-o", out, *(["--quiet"] if quiet else []))
-        env = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, env=env) as running:
-            os.close(theirs)
-            shown = b""
-            try:
-                while part := os.read(ours, 4096):
-                    shown += part
-            except OSError:  # how Linux ends a terminal
-                pass
-            assert running.stdout is not None
-            assert b"reading and estimating" not in running.stdout.read()
-            assert running.wait() == 0
-        os.close(ours)
-        assert (b"gnss_rtk.nmea: reading and estimating" in shown) is not quiet
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with a_terminal() as (stream, shown), monkeypatch.context() as patched:
+        patched.setattr(sys, "stderr", stream)
+        text = fieldgrid("track", RTK, "-o", out, *(["--quiet"] if quiet else [])).output()
+    assert "reading and estimating" not in text
+    assert (b"gnss_rtk.nmea: reading and estimating" in b"".join(shown)) is not quiet

@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
-import pty
 import re
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import pytest
 
 from fieldgrid.cli import defect, output
 from fieldgrid.cli.commands import COMMANDS, load
-from tests.cli.conftest import Run
+from tests.cli.conftest import Run, a_terminal
 from tests.conftest import TWO_LANES
 
 
@@ -138,33 +137,33 @@ def test_verbose_says_how_long_on_stderr(fieldgrid: Run, two_lanes_map: Path) ->
     assert fieldgrid("sessions", two_lanes_map).err == ""
 
 
-def on_a_terminal(*command: str, **environment: str) -> str:
-    """What a command writes to a terminal."""
-    here, there = pty.openpty()
-    env = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", **environment}
-    env = {name: value for name, value in env.items() if value}
-    child = subprocess.Popen(command, stdin=there, stdout=there, stderr=there, env=env)
-    os.close(there)
-    written = b""
-    try:
-        while part := os.read(here, 1 << 16):
-            written += part
-    except OSError:
-        pass  # the other side is closed
-    child.wait(60)
-    os.close(here)
-    return written.decode()
-
-
-def test_colours_are_for_terminals_that_want_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("term", "no_color", "coloured"),
+    [("xterm-256color", "", True), ("xterm-256color", "1", False), ("dumb", "", False)],
+)
+def test_colours_are_for_terminals_that_want_them(
+    term: str,
+    no_color: str,
+    coloured: bool,
+    fieldgrid: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     broken = tmp_path / "empty"
     broken.mkdir()
-    command = (SCRIPT, "inspect", str(broken))
-    assert "\x1b[31merror\x1b[0m" in on_a_terminal(*command, NO_COLOR="")
-    assert "\x1b[3" not in on_a_terminal(*command, NO_COLOR="1")
-    assert "\x1b[3" not in on_a_terminal(*command, NO_COLOR="", TERM="dumb")
-    piped = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert "\x1b" not in piped.stdout + piped.stderr
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("NO_COLOR", no_color)
+    with a_terminal() as (stream, shown), monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", stream)
+        assert fieldgrid("inspect", broken).status == 1
+    text = b"".join(shown)
+    assert b"error" in text
+    assert (b"\x1b[31merror\x1b[0m" in text) is coloured
+    assert (b"\x1b[3" in text) is coloured
+    piped = fieldgrid("inspect", broken)
+    assert "error" in piped.out
+    assert "\x1b" not in piped.out + piped.err
 
 
 def test_a_name_cannot_move_the_cursor(fieldgrid: Run, capsys: pytest.CaptureFixture[str]) -> None:

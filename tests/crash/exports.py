@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import shutil
 import signal
 import sys
@@ -112,11 +113,13 @@ def _kill(
         time.sleep(after_s)
         os.kill(child, signal.SIGKILL)
     # A copy of a process by fork() has none of its threads: a library may wait for them for ever.
-    end = time.monotonic() + LONGEST_S
-    while os.waitpid(child, os.WNOHANG) == (0, 0):
-        if time.monotonic() > end:
-            os.kill(child, signal.SIGKILL)
-        time.sleep(0.002)
+    handle = os.pidfd_open(child)
+    ended = select.poll()
+    ended.register(handle, select.POLLIN)
+    if not ended.poll(1000.0 * LONGEST_S):
+        os.kill(child, signal.SIGKILL)
+    os.close(handle)
+    os.waitpid(child, 0)
 
 
 def _state(key: str, found: Files, before: Files, made: Files) -> str:

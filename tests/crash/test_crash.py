@@ -6,8 +6,8 @@ import multiprocessing
 import os
 import re
 import shutil
-import time
 from itertools import islice
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +50,8 @@ def test_no_call_that_fails_or_is_the_last_tears_a_map() -> None:
     assert int(refused[1]) >= 6
 
 
-def _append(path: Path, name: str, start: float) -> None:
-    time.sleep(max(0.0, start - time.time()))
+def _append(path: Path, name: str, start: Barrier) -> None:
+    start.wait()
     for k in range(3):
         with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
             write_session(universal, f"{name}{k}", drive(4, heading_deg=ord(name) + 10.0 * k))
@@ -61,8 +61,8 @@ def _append(path: Path, name: str, start: float) -> None:
 def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path: Path) -> None:
     path = tmp_path / "map.gpkg"
     make(path)
-    start = time.time() + 0.2
     fork = multiprocessing.get_context("fork")
+    start = fork.Barrier(4)
     writers = [fork.Process(target=_append, args=(path, name, start)) for name in "abcd"]
     for writer in writers:
         writer.start()

@@ -46,7 +46,6 @@ result = {}
 with open_map(path) as universal:
     for key, name in names.items():
         export_map(universal, folder / name, format=key)  # what it imports may write caches
-        export_map(universal, folder / name, format=key, overwrite=True)
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     for key, name in names.items():

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.build import build_map
+from fieldgrid.recording import open_recording
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import cut_log
 
 FRAMES = range(20, 26)
+IMU = "imu/imu_100hz.csv"
 
 
 @pytest.fixture(scope="session")
@@ -33,10 +35,15 @@ def built(short_drive: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def leaning_drive(short_drive: Path) -> Path:
-    """The same with its IMU: it tells how the vehicle leans."""
+    """The same with what its IMU said meanwhile: it tells how the vehicle leans."""
     drive = short_drive.parent / "leaning" / "drive"
     shutil.copytree(short_drive, drive, symlinks=True)
-    (drive / "imu").symlink_to(TWO_LANES / "imu")
+    (drive / "imu").mkdir()
+    with open_recording(drive) as recording:
+        fix_s = recording.fixes().time_ns / 1e9
+    head, *rows = (TWO_LANES / IMU).read_text().splitlines(keepends=True)
+    near = [row for row in rows if fix_s[0] - 1.0 < float(row.split(",", 1)[0]) < fix_s[-1] + 1.0]
+    (drive / IMU).write_text("".join([head, *near]))
     return drive
 
 

@@ -19,6 +19,7 @@ from fieldgrid.rig import Mount
 from tests.build import yard
 from tests.conftest import TWO_LANES
 from tests.mounting.drives import AXLE_AHEAD_M, rendered, swept
+from tests.remembered import worked_out_once
 
 CASES = [
     (Mount(2.0, 18.0, 2.5, -3.0), {}),
@@ -68,6 +69,7 @@ def test_what_is_stated_of_the_mount_does_not_enter() -> None:
     np.testing.assert_array_equal(one.mount_samples.roll_deg, other.mount_samples.roll_deg)
 
 
+@pytest.mark.usefixtures("worked_out_afresh")
 def test_nothing_depends_on_the_number_of_threads() -> None:
     drive = rendered(Mount(2.0, 18.0), frames=12)
     assert estimate_mount(drive, jobs=1).measured() == estimate_mount(drive, jobs=4).measured()
@@ -112,7 +114,8 @@ def test_a_drive_that_shows_no_ground() -> None:
 
 @pytest.fixture(scope="module")
 def two_lanes() -> MountEstimate:
-    return estimate_mount(TWO_LANES, DriveOptions("gnss_rtk.nmea"))
+    with worked_out_once():
+        return estimate_mount(TWO_LANES, DriveOptions("gnss_rtk.nmea"))
 
 
 def test_the_vineyard_rig_is_recovered(two_lanes: MountEstimate) -> None:

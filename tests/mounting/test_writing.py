@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,6 @@ from fieldgrid.mounting.ground_under_vehicle import MountSamples
 from fieldgrid.recording import mounting_path, open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.travel import Ways
-
-pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 NOTHING = np.zeros(0)
 YAW = Measured(0.4567, 0.1)
@@ -67,6 +66,22 @@ def test_what_is_not_estimated_stays(make_drive: Callable[..., Path]) -> None:
         assert recording.rig.mount.tilt_deg == 15.44
         # The antenna stays 35 cm above the camera, wherever that is.
         assert recording.rig.antenna.up_m == pytest.approx(2.7 + 0.35)
+
+
+@pytest.mark.parametrize("is_new", [False, True])
+def test_an_axle_that_was_measured_is_written(
+    is_new: bool, make_drive: Callable[..., Path]
+) -> None:
+    drive = make_drive()
+    with open_recording(drive) as recording:
+        found = replace(estimate(recording.rig), axle_ahead_m=Measured(1.7234, 0.02))
+    if is_new:
+        (drive / "calibration" / "mounting.json").unlink()
+    place = write_estimate(found, drive)
+    axle = json.loads(place.read_text())["camera_mid_from_rear_axle_ground_flu_m"]
+    assert axle == [1.72, 0.0, 2.7]
+    with open_recording(drive) as recording:
+        assert recording.rig.rear_axle_forward_m == -1.72
 
 
 def test_a_yaw_that_was_not_told_stays_as_stated(make_drive: Callable[..., Path]) -> None:

@@ -80,7 +80,7 @@ def steps_between(drive: Drive, every: int, ahead_m: float = 0.0) -> dict[str, A
     moved = (place[ends[:, 1]] - place[ends[:, 0]]) / nose[ends[:, 0]]
     turn = np.diff(drive.heading_rad[ends], axis=1)[:, 0]
     return {
-        "step_nodes": ends.astype(np.int64),
+        "step_nodes": np.ascontiguousarray(ends, dtype=np.int64),
         "step": np.stack([moved.real, -moved.imag, turn], axis=1),
         "step_sigma": np.full((len(ends), 2), [0.01, np.radians(0.1)]),
     }

@@ -75,7 +75,7 @@ def test_how_a_gyro_depends_on_its_scale(seed: int, hole: bool) -> None:
     if hole:
         turned[0] = np.nan
     nowhere = np.zeros((3, 2))
-    border, corner, right = couplings(x, nowhere, nowhere, (0.0, 0.0), turned, step_s)
+    border, corner, right = couplings(x, nowhere, nowhere, np.zeros(2), turned, step_s)
 
     def away(x: Float64, scale: float) -> Float64:
         off = np.diff(x[:, PHI]) - ((1.0 + scale) * turned - x[:-1, GYRO] * step_s)

@@ -37,6 +37,8 @@ def row_disparities(
     """
     least, most = math.floor(least_px / 2.0), math.ceil(most_px / 2.0)
     disparities = np.full(len(points_px), np.nan)
+    # Images of bags are read-only; one kind of array is compiled once.
+    left, right = np.require(left, requirements="W"), np.require(right, requirements="W")
     _search_rows(left_half, right_half, left, right, points_px, least, most, disparities)
     return disparities
 

@@ -145,10 +145,11 @@ class Searcher:
         places[: len(starts)] = np.arange(len(starts))
         counters[[QUEUED, COUNT]] = len(starts)
         here, found = -1, self._samples[:0]
+        radius = float(self.vehicle.turning_radius_m)  # one type: compiled once
         while not len(found):
             here = expand(
                 np.int64(here), goals[0].x, goals[0].y, np.array([goal.yaw for goal in goals]),
-                self.vehicle.turning_radius_m, np.int64(MOVES if self.vehicle.reverse else 5),
+                radius, np.int64(MOVES if self.vehicle.reverse else 5),
                 self._move_m, self._stacked, self._lattice, left_m, self._coarse_m,
                 *self._step[1:], states, links, heap, places,
                 table, counters, tried_at,
@@ -159,7 +160,6 @@ class Searcher:
             if not self._may_be_free(pose, goals[0], float(left_m[self.coarse_place(pose)])):
                 continue
             # A way about is taken for one only when the search has gone on for long.
-            radius = self.vehicle.turning_radius_m
             longest_m = 1.2 * states[here, ESTIMATE] + radius * (2.0 + counters[TRIES] / 500)
             found = self._best_curve([pose], goals, longest_m)
         ways = [direct] if len(direct) else []
