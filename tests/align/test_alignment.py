@@ -147,7 +147,10 @@ def test_who_holds_is_chosen(path: Path) -> None:
         for bad, message in (
             ({"sessions": ["may"]}, "has no session 'may'"),
             ({"sessions": ["june"], "to": ["june"]}, "is to move and to hold"),
-            ({"to": ["june", "july"]}, "every session is to hold"),
+            (
+                {"to": ["june"], "datum_from": "july"},
+                r"of 'june', 'july' .*'july', 'june'\. Append",
+            ),
             ({"reach_m": 0.0}, "A reach of 0 m cannot be"),
         ):
             with pytest.raises(ConfigError, match=message):

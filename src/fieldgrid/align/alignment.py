@@ -21,7 +21,7 @@ from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.comparing import Group, Matching, Wholes
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
-from fieldgrid.align.heights import level
+from fieldgrid.align.heights import Levels, level
 from fieldgrid.align.matches import Match
 from fieldgrid.align.network import Solution, left_between, solve, turn_sigma_deg
 from fieldgrid.align.pairs import (
@@ -139,9 +139,11 @@ def _aligned(
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
-    heights = level(drives, solution.transforms, doubtful) if rounds else [None] * len(drives)
-    solution = with_heights(solution, heights, before)
-    return summed_up(drives, before, agreements, matches, solution, rough_m)
+    heights = Levels((None,) * len(drives), {})
+    if rounds:
+        heights = level(drives, solution.transforms, doubtful)
+    solution = with_heights(solution, heights.corrections, before)
+    return summed_up(drives, before, agreements, matches, solution, rough_m, heights.kept)
 
 
 def with_heights(
@@ -218,7 +220,12 @@ def _roles(
             f"Session {sorted(moving & holding)[0]!r} is to move and to hold; say one of them."
         )
     if not moving:
-        raise ConfigError("There is nothing to align: every session is to hold.")
+        held = ", ".join(map(repr, sorted(holding))) or "none"
+        raise ConfigError(
+            f"There is nothing to align: of {', '.join(map(repr, active)) or 'no session'} in "
+            f"{universal.path} none is to move, and to stay in place are: {held}. Append another "
+            "drive, or leave one of these out of --to and --datum-from."
+        )
     named = dict.fromkeys(moving, Role.MOVES) | dict.fromkeys(holding, Role.HOLDS)
     return {name: named.get(name, Role.STAYS) for name in active if not to or name in named}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +21,8 @@ from fieldgrid.mapfile.transform import Aligned
 class DriveAlignment(NamedTuple):
     """What became of a drive: its transforms `before` and `after`, the 1-sigma errors of shift and
     turn, from how many matches. By its `role` it was to move or not; without matches it does not.
+    `heights_kept` says why its heights were not aligned although it saw the ground, None where they
+    were, or where nothing is said of them.
     """
 
     name: str
@@ -30,6 +32,7 @@ class DriveAlignment(NamedTuple):
     turn_sigma_deg: float
     matches: int
     role: Role
+    heights_kept: str | None = None
 
     @property
     def moved(self) -> bool:
@@ -86,9 +89,11 @@ def summed_up(
     matches: Sequence[Match],
     solution: Solution,
     rough_m: float,
+    heights_kept: Mapping[int, str],
 ) -> MapAlignment:
     """The outcome of drives that were placed `before`, from the last matches and what fits them;
-    `rough_m` is what the way in which they were compared adds to the errors of shifts."""
+    `rough_m` is what the way in which they were compared adds to the errors of shifts,
+    `heights_kept` why those of some drives were not aligned."""
     sigma_m = np.hypot(solution.sigma_m, rough_m)
     with_ = defaultdict[int, set[int]](set)
     counts = defaultdict[tuple[int, int], int](int)
@@ -119,6 +124,7 @@ def summed_up(
                 float(solution.turn_sigma_deg[n]),
                 own,
                 drive.role,
+                heights_kept.get(n),
             )
         )
     pairs = [

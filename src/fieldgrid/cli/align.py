@@ -133,6 +133,9 @@ def _print(found: MapAlignment) -> None:
         ("session", "east", "north", "sigma", "turn", "wander", "up", "matches", ""),
         [_drive_row(drive) for drive in found.drives],
     )
+    for drive in found.drives:
+        if drive.heights_kept is not None:
+            output.print_line(f"{drive.name}: heights are not aligned, {drive.heights_kept}")
     if found.pairs:
         output.print_table(
             ("of", "against", "offset", "left", "sigma", "turn", "matches", ""),
@@ -213,6 +216,7 @@ def _as_dict(path: Path, found: MapAlignment, *, applied: bool) -> dict[str, Any
                 "matches": drive.matches,
                 "sigma_m": drive.sigma_m,
                 "turn_sigma_deg": drive.turn_sigma_deg,
+                "heights_kept": drive.heights_kept,
                 "transform": asdict(drive.after),
             }
             for drive in found.drives
