@@ -30,7 +30,7 @@ def drive_of(submaps: int, number: int) -> Drive:
     time_ns = number * 10**14 + np.arange(submaps, dtype=np.int64) * 8 * 10**9
     none = np.zeros((submaps, 2))
     transform = Transform()
-    return Drive(f"{number}", Role.MOVES, (), transform, 0.25, 0.2, time_ns, none, none[0])
+    return Drive(f"{number}", Role.MOVES, (), transform, 0.25, 0.2, time_ns, none, none[0], 0.25)
 
 
 def places_of(submap: int, random: np.random.Generator) -> np.ndarray:

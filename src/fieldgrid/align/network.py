@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -225,6 +225,22 @@ def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int
         for pair in squared
         if told[pair] > 0.0
     }
+
+
+def wrong_ones(
+    drives: Sequence[Drive], apart_m: Mapping[tuple[int, int], float]
+) -> dict[int, float]:
+    """By how much drives are wrong, of those that contradict each other by `apart_m`: the one that
+    contradicts most, or the one whose receiver states most; where that is the same, both are."""
+    found = dict[int, float]()
+    while apart_m:
+        counts = Counter(n for pair in apart_m for n in pair)
+        worst = max((count, drives[n].sigma_m) for n, count in counts.items())
+        wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
+        for n in wrong:
+            found[n] = max(size for pair, size in apart_m.items() if n in pair)
+        apart_m = {pair: size for pair, size in apart_m.items() if not wrong & set(pair)}
+    return found
 
 
 def _shift_and_turn(drive: Drive, transform: Transform) -> Float64:

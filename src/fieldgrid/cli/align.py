@@ -147,6 +147,13 @@ def _print(found: MapAlignment) -> None:
         if pair.doubt is not None:
             output.print_line(f"{pair.b} against {pair.a}: {pair.doubt}; not used")
             continue
+        if len(places := pair.contradictions):
+            worst = places[0]
+            output.print_line(
+                f"{pair.b} against {pair.a}: {len(places)} of {pair.matches} places contradict the "
+                f"others; {math.hypot(*worst.left_m):.2f} m are left about {worst.at_m[0]:.1f} m "
+                f"east, {worst.at_m[1]:.1f} m north (does a receiver leap, or a pose drift there?)"
+            )
         if len(alike := pair.agreement.alike_m):
             every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in alike[:3])
             output.print_line(
@@ -233,6 +240,11 @@ def _as_dict(path: Path, found: MapAlignment, *, applied: bool) -> dict[str, Any
                 "weak_axis_deg": pair.weak_axis_deg,
                 "weak_sigma_m": output.known(pair.weak_sigma_m),
                 "matches": pair.matches,
+                "left_sigmas": pair.left_sigmas if pair.doubt is None else None,
+                "contradictions": [
+                    {"at_m": one.at_m.tolist(), "left_m": one.left_m.tolist(), "sigmas": one.sigmas}
+                    for one in pair.contradictions
+                ],
                 "doubt": pair.doubt,
                 "rivals_m": pair.agreement.rivals_m.tolist(),
                 "alike_m": pair.agreement.alike_m.tolist(),
