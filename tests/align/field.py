@@ -98,6 +98,24 @@ def write_field(path: Path, drives: Mapping[str, Drive], cell_m: float = 0.25) -
     return path
 
 
+def along_one_lane(names: Sequence[str]) -> dict[str, Drive]:
+    """Drives of good receivers along one lane."""
+    field = Field()
+    return {
+        name: field.drive([0.0], sigma_m=0.02, seed=seed, start_s=1e5 * seed)
+        for seed, name in enumerate(names)
+    }
+
+
+def mixed(frames: Drive, by: Transform, sigma_m: float, part: slice) -> Drive:
+    """Frames of which some lie elsewhere and state another error."""
+    some = set(range(len(frames))[part])
+    return [
+        (grid, replace(by.pose(pose), position_sigma_m=sigma_m) if k in some else pose)
+        for k, (grid, pose) in enumerate(frames)
+    ]
+
+
 def left_m(
     found: Mapping[str, Transform], drives: Mapping[str, Drive], true: Mapping[str, Drive]
 ) -> Float64:

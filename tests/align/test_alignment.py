@@ -13,10 +13,11 @@ import pytest
 
 from fieldgrid.align import Role, align_map, undo_alignment
 from fieldgrid.align.submaps import cut
+from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.mapfile.transform import Wander, placing
-from tests.align.field import SPACING_M, Drive, Field, left_m, write_field
+from tests.align.field import SPACING_M, Drive, Field, along_one_lane, left_m, mixed, write_field
 
 OFF = Transform(0.9, -0.7)
 LATER_S = 1e5
@@ -147,11 +148,74 @@ def test_who_holds_is_chosen(path: Path) -> None:
         for bad, message in (
             ({"sessions": ["may"]}, "has no session 'may'"),
             ({"sessions": ["june"], "to": ["june"]}, "is to move and to hold"),
-            ({"to": ["june", "july"]}, "every session is to hold"),
+            (
+                {"to": ["june"], "datum_from": "july"},
+                r"of 'june', 'july' .*'july', 'june'\. Append",
+            ),
             ({"reach_m": 0.0}, "A reach of 0 m cannot be"),
         ):
             with pytest.raises(ConfigError, match=message):
                 align_map(universal, **bad)  # type: ignore[arg-type]
+
+
+def placed_m(path: Path, name: str, true: Drive) -> tuple[Float64, Float64]:
+    """By how much the frames of a drive are off as they are placed, and what they state."""
+    with open_map(path) as universal:
+        poses = [frame.pose for frame in universal.frames(name)]
+    pairs = zip(poses, [pose for _, pose in true], strict=True)
+    off_m = [np.hypot(p.east_m - q.east_m, p.north_m - q.north_m) for p, q in pairs]
+    return np.array(off_m), np.array([pose.position_sigma_m for pose in poses])
+
+
+def test_a_leap_within_a_drive_is_reported_with_its_place_and_its_size(tmp_path: Path) -> None:
+    true = along_one_lane("abc")
+    leap = slice(10, 20)
+    drives = {**true, "c": mixed(true["c"], Transform(0.6), 0.02, leap)}
+    path = write_field(tmp_path / "map.gpkg", drives, 0.5)
+    with open_map(path, writable=True) as universal:
+        found = align_map(universal)
+        universal.set_transforms(found.transforms)
+    by_pair = {(pair.a, pair.b): pair for pair in found.pairs}
+    assert by_pair["a", "b"].contradictions == ()
+    for other in "ab":
+        places = by_pair[other, "c"].contradictions
+        assert places
+        assert [one.sigmas for one in places] == sorted((p.sigmas for p in places), reverse=True)
+        norths = [true["c"][k][1].north_m for k in range(10, 20)]
+        for one in places:
+            assert min(norths) < one.at_m[1] < max(norths) + 8.0
+            assert np.abs(one.left_m - (0.6, 0.0)).max() < 0.15
+        assert by_pair[other, "c"].sigma_m > 0.15
+    for name in "abc":
+        off_m, sigma_m = placed_m(path, name, true[name])
+        assert (off_m < 3.0 * sigma_m).all()
+        assert (sigma_m.max() < 0.05) == (name != "c")
+
+
+def test_what_a_drive_states_more_of_stays_as_unsure_as_it_is(tmp_path: Path) -> None:
+    """RTK until it is lost: one error for the whole drive says nothing of what comes after."""
+    true = along_one_lane("ab")
+    lost = slice(19, None)
+    drives = {**true, "b": mixed(true["b"], Transform(0.4), 0.5, lost)}
+    path = write_field(tmp_path / "map.gpkg", drives, 0.5)
+    with open_map(path, writable=True) as universal:
+        universal.set_transforms(align_map(universal).transforms)
+    off_m, sigma_m = placed_m(path, "b", true["b"])
+    assert (off_m < 3.0 * sigma_m).all()
+    assert sigma_m[:19].max() < 0.2
+    assert sigma_m[lost].min() == 0.5
+
+
+def test_of_two_that_state_too_little_both_are_unsure_afterwards(tmp_path: Path) -> None:
+    true = along_one_lane("ab")
+    drives = {**true, "b": mixed(true["b"], Transform(0.8, 0.6), 0.02, slice(None))}
+    path = write_field(tmp_path / "map.gpkg", drives, 0.5)
+    with open_map(path, writable=True) as universal:
+        universal.set_transforms(align_map(universal).transforms)
+    for name in "ab":
+        off_m, sigma_m = placed_m(path, name, true[name])
+        assert off_m.mean() == pytest.approx(0.5, abs=0.05)
+        assert (off_m < 3.0 * sigma_m).all()
 
 
 def test_what_lies_beyond_reach_is_a_doubt_and_moves_nothing(path: Path) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fieldgrid.align import align_map, undo_alignment
+from fieldgrid.align import align_map, heights, undo_alignment
 from fieldgrid.align.drives import Role, read_drives
 from fieldgrid.align.heights import level
 from fieldgrid.array_types import Float64
@@ -79,7 +80,16 @@ def levelled(
         every = {info.name: Role.MOVES for info in universal.sessions()}
         drives = read_drives(universal, every | dict(roles or {}))
         found = level(drives, [drive.transform for drive in drives], doubtful)
-        return {drive.name: one for drive, one in zip(drives, found, strict=True)}
+        pairs = zip(drives, found.corrections, strict=True)
+        return {drive.name: one for drive, one in pairs}
+
+
+def kept_heights(path: Path, doubtful: tuple[int, ...] = ()) -> dict[str, str]:
+    """Why heights of drives were not aligned, by their names."""
+    with open_map(path) as universal:
+        drives = read_drives(universal, {info.name: Role.MOVES for info in universal.sessions()})
+        found = level(drives, [drive.transform for drive in drives], doubtful)
+        return {drives[n].name: why for n, why in found.kept.items()}
 
 
 def left_m(path: Path, name: str, correction: HeightCorrection, error: Error) -> Float64:
@@ -187,6 +197,7 @@ def test_logs_of_another_zero_are_left_alone(tmp_path: Path) -> None:
     found = levelled(path)
     assert found["none"] is None
     assert found["poor"] is not None
+    assert kept_heights(path) == {"none": "they are over 100 m off: another zero, or none"}
     assert np.abs(left_m(path, "poor", found["poor"], rises(0.6))).max() < 0.06
 
 
@@ -204,10 +215,58 @@ def test_who_has_nothing_to_be_compared_with_stays(tmp_path: Path) -> None:
     assert levelled(path, doubtful=(0, 1)) == {"good": None, "poor": None}
     without = write(tmp_path / "no.gpkg", drives, ground=False)
     assert levelled(without) == {"good": None, "poor": None}
+    assert kept_heights(without, (0, 1)) == {}
+    assert kept_heights(path, (1,)) == {"poor": "it is in doubt where the drive lies"}
     lanes = {"poor": (60.0,), "good": (0.0,)}
     apart = levelled(write(tmp_path / "far.gpkg", drives, lanes=lanes))["poor"]
     assert apart is not None  # with itself
     assert np.abs(apart.up_m).max() < 0.02
+
+
+def test_more_than_can_be_solved_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "m.gpkg", {"good": (0.02, rises(0.0)), "poor": (0.3, rises(0.6))})
+    monkeypatch.setattr(heights, "MOST_SUBMAPS", 4)
+    assert levelled(path) == {"good": None, "poor": None}
+    (why,) = set(kept_heights(path).values())
+    assert re.fullmatch(r"\d+ pieces of 8 m are more than the 4 that are solved", why)
+    # Drives in doubt do not count.
+    monkeypatch.setattr(heights, "MOST_SUBMAPS", 20)
+    assert levelled(path, doubtful=(1,))["good"] is not None
+
+
+def test_priors_are_those_of_a_part_that_stays_and_one_that_wanders(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.gpkg", {"one": (0.02, rises(0.0)), "other": (0.3, rises(0.6))})
+    with open_map(path) as universal:
+        drives = read_drives(universal, {info.name: Role.MOVES for info in universal.sessions()})
+    counts = [len(drive.submaps) for drive in drives]
+    parts = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
+    stated_m = np.linspace(0.1, 0.5, sum(counts))
+    # The covariance of all unknowns has that of the heights in it.
+    found = np.linalg.inv(heights._prior(drives, stated_m, parts).toarray())
+    assert found.shape == (sum(counts) + 2,) * 2
+    for drive, part in zip(drives, parts, strict=True):
+        apart_s = np.abs(np.subtract.outer(drive.time_ns, drive.time_ns)) / 1e9
+        alike = 1.0 - 0.7**2 + 0.7**2 * np.exp(-apart_s / 300.0)
+        expected = alike * np.outer(stated_m[part], stated_m[part])
+        np.testing.assert_allclose(found[np.ix_(part, part)], expected, rtol=1e-9)
+    np.testing.assert_allclose(found[np.ix_(*parts)], 0.0, atol=1e-15)
+
+
+def test_drives_that_hold_and_contradict_each_other_hold(tmp_path: Path) -> None:
+    off = {"one": (0.02, rises(0.0)), "other": (0.02, rises(0.3)), "poor": (0.3, rises(0.9))}
+    path = write(tmp_path / "m.gpkg", off)
+    with open_map(path) as universal:
+        roles = {"one": Role.HOLDS, "other": Role.HOLDS, "poor": Role.MOVES}
+        drives = read_drives(universal, roles)
+        seen = heights._ground(drives, [drive.transform for drive in drives])
+    counts = [len(drive.submaps) for drive in drives]
+    parts = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
+    stated_m = np.repeat([heights.HELD_M, heights.HELD_M, 0.6], counts)
+    up_m, _ = heights._solve(seen, drives, stated_m, parts)
+    assert np.abs(up_m[np.concatenate(parts[:2])]).max() < 0.01
+    assert np.abs(up_m[parts[2]] + 0.75).max() < 0.2
 
 
 def test_the_ground_of_an_aligned_map_and_back_bit_for_bit(tmp_path: Path) -> None:

@@ -21,7 +21,16 @@ def drive(name: str, sigma_m: float, role: Role = Role.MOVES) -> Drive:
     time_ns = (np.linspace(0.0, 120.0, N) * 1e9).astype(np.int64)
     submaps = tuple(Submap(name, ()) for _ in range(N))
     return Drive(
-        name, role, submaps, Transform(), sigma_m, 0.7 * sigma_m, time_ns, MIDDLE_M, np.zeros(2)
+        name,
+        role,
+        submaps,
+        Transform(),
+        sigma_m,
+        0.7 * sigma_m,
+        time_ns,
+        MIDDLE_M,
+        np.zeros(2),
+        sigma_m,
     )
 
 

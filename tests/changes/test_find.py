@@ -108,12 +108,12 @@ def test_the_less_sure_the_places_the_less_sure_the_change(tmp_path: Path) -> No
     assert list(changes_of(path, position_sigma_m=0.3)) == []
 
 
-def aligned(path: Path, apart_m: float, **others: Transform) -> None:
+def aligned(path: Path, apart_m: float, sigma_m: float = 0.4, **others: Transform) -> None:
     """As alignment leaves two drives: neither is sure of its place, the second beside the first."""
     with open_map(path, writable=True) as universal:
         driven = [frame.driven for frame in universal.frames("first") if frame.accepted]
         beside = Beside("first", apart_m, placing(universal.transform("first"), driven))
-        found = Aligned(0.4, 0.1, ("first",), None, (beside,))
+        found = Aligned(sigma_m, 0.1, ("first",), None, (beside,))
         universal.set_transforms({"second": Transform(aligned=found), **others})
 
 
@@ -151,12 +151,16 @@ def test_what_is_between_drives_is_shared_out_and_no_smaller(tmp_path: Path) -> 
         folder = tmp_path / str(sigma_m)
         folder.mkdir()
         path = two(folder, [ROW], [ROW], sigma_m=sigma_m)
-        aligned(path, 0.03)
+        aligned(path, 0.03, sigma_m)
         with open_map(path) as universal:
             found = relative_sigmas(universal, ["first"], ["second"])
-        assert [found.get(name) for name in ("first", "second")] == [
-            part if part is None else pytest.approx(part) for part in parts
-        ]
+        for name, part in zip(("first", "second"), parts, strict=True):
+            if part is None:
+                assert name not in found
+                continue
+            # Not of poses that state much more than the others of their drive.
+            asked = [found[name].of(stated_m) for stated_m in (0.001, sigma_m, 2.5 * sigma_m)]
+            assert asked == pytest.approx([0.001, part, 2.5 * sigma_m])
 
 
 def test_the_far_face_of_a_row_is_not_new(tmp_path: Path) -> None:

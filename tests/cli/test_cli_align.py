@@ -14,7 +14,7 @@ import pytest
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.rows import find_rows
 from fieldgrid.rows.report import block_quality
-from tests.align.field import SPACING_M, Field, write_field
+from tests.align.field import SPACING_M, Field, along_one_lane, mixed, write_field
 from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
 
@@ -115,6 +115,22 @@ def test_who_moves_and_who_holds(fieldgrid: Run, path: Path) -> None:
     assert [one["moved"] for one in found["sessions"]] == [True, False]
     undone = json.loads(fieldgrid("align", path, "--undo", "--session", "june", "--json").output())
     assert undone["undone"] == ["june"]
+
+
+def test_where_a_drive_contradicts_the_others_is_reported(fieldgrid: Run, tmp_path: Path) -> None:
+    drives = along_one_lane("abc")
+    drives["c"] = mixed(drives["c"], Transform(0.6), 0.02, slice(10, 20))
+    path = write_field(tmp_path / "leap.gpkg", drives, 0.5)
+    lines = fieldgrid("align", path, "--dry-run").output().splitlines()
+    said = [line for line in lines if "places contradict the others" in line]
+    assert [line.split(":")[0] for line in said] == ["c against a", "c against b"]
+    assert all("(does a receiver leap" in line for line in said)
+    found = json.loads(fieldgrid("align", path, "--dry-run", "--json").output())
+    by_pair = {(pair["of"], pair["against"]): pair for pair in found["pairs"]}
+    assert by_pair["b", "a"]["contradictions"] == []
+    (east_m, north_m), *_ = (one["at_m"] for one in by_pair["c", "a"]["contradictions"])
+    assert f"about {east_m:.1f} m east, {north_m:.1f} m north" in said[0]
+    assert by_pair["c", "a"]["left_sigmas"] > 3.0
 
 
 def test_a_doubt_is_put_into_words(fieldgrid: Run, path: Path) -> None:

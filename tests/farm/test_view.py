@@ -16,6 +16,7 @@ from fieldgrid.farm.maps import Maps
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapView, Mark, MarkKind, Readable, create_map, merge_maps, open_map
+from fieldgrid.mapfile.transform import HeightCorrection, Transform
 from tests.mapfile.maps import DATUM, drive, write_session
 
 ELSEWHERE = Datum(DATUM.lat_deg + 2e-4, DATUM.lon_deg - 3e-4, DATUM.height_m + 4.0)
@@ -171,13 +172,19 @@ def test_a_drive_that_two_maps_have_counts_once(folder: Path, tmp_path: Path, da
             whole, less = (one.read(other.bounds, layers=["count"]) for one in (other, farm))
             without = left_out.read(other.bounds, layers=["count"]).layer("count")
         np.testing.assert_array_equal(less.layer("count"), whole.layer("count") - without)
-    with open_map(tmp_path / "b.gpkg", writable=True) as universal:
-        universal.set_transform("july", 0.5, 0.0)
-    with (
-        Farm(tmp_path, datum=DATUM) as farm,
-        pytest.raises(ConfigError, match=r"'july' of .*b\.gpkg is the same drive.*--shift"),
+    for elsewhere, why in (
+        (Transform(0.5), "lies up to 0.50 m aside"),
+        (Transform(heights=HeightCorrection((0,), (0.3,))), "lies up to 0.30 m higher or lower"),
     ):
-        farm.read()
+        with open_map(tmp_path / "b.gpkg", writable=True) as universal:
+            universal.set_transforms({"july": elsewhere})
+        with (
+            Farm(tmp_path, datum=DATUM) as farm,
+            pytest.raises(
+                ConfigError, match=rf"'july' of .*b\.gpkg is the same drive.*{why}.*--shift"
+            ),
+        ):
+            farm.read()
 
 
 def test_a_map_that_changes_is_noticed(folder: Path, tmp_path: Path) -> None:

@@ -14,10 +14,20 @@ import pytest
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
-from fieldgrid.mapfile.transform import Aligned, Beside, Transform, placing
+from fieldgrid.mapfile.transform import (
+    Aligned,
+    Beside,
+    HeightCorrection,
+    Transform,
+    Wander,
+    placing,
+)
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, track, write_map, write_session
+
+FAR = Datum(DATUM.lat_deg + 0.02, DATUM.lon_deg - 0.05, DATUM.height_m - 31.0)
+"""Some kilometres from `DATUM`."""
 
 
 @pytest.fixture
@@ -122,6 +132,35 @@ def test_one_drive_in_two_places_is_not_merged(north: Path, tmp_path: Path) -> N
     assert [one.twin for one in merge_maps(maps, tmp_path / "farm.gpkg")] == [None, None, "0", "1"]
 
 
+HEIGHTS = {"higher": HeightCorrection((0,), (0.3,)), "as high": HeightCorrection((0,), (0.01,))}
+
+BENT = Wander((10**9, 2 * 10**9), (0.0, 0.2), (0.0, 0.0))
+
+
+@pytest.mark.parametrize("far", [False, True], ids=["one datum", "another datum"])
+@pytest.mark.parametrize(
+    ("elsewhere", "why"),
+    [
+        (Transform(heights=HEIGHTS["higher"]), r"lies up to 0\.30 m higher or lower"),
+        (Transform(wander=BENT), r"lies up to 0\.20 m aside"),
+        (Transform(heights=HEIGHTS["as high"]), None),
+    ],
+    ids=["height", "wander", "a centimetre"],
+)
+def test_one_drive_aligned_in_one_map_only(
+    north: Path, tmp_path: Path, elsewhere: Transform, why: str | None, far: bool
+) -> None:
+    merge_maps([north], tmp_path / "south.gpkg", datum=FAR if far else None)
+    with open_map(tmp_path / "south.gpkg", writable=True) as universal:
+        universal.set_transforms({"1": elsewhere})
+    maps, out = [north, tmp_path / "south.gpkg"], tmp_path / "farm.gpkg"
+    if why is None:
+        assert [one.twin for one in merge_maps(maps, out, datum=DATUM)] == [None, None, "0", "1"]
+        return
+    with pytest.raises(ConfigError, match=rf"'1' of .*south.* '1'.*{why}.*align --undo"):
+        merge_maps(maps, out, datum=DATUM)
+
+
 def lie_beside(path: Path, sigma_m: float) -> None:
     """As alignment leaves two sessions, each sure beside the other."""
     with open_map(path, writable=True) as universal:
@@ -188,10 +227,6 @@ def test_a_drive_that_was_aligned_again_is_the_same_drive_where_it_lies_alike(
     assert told_beside(tmp_path / "farm.gpkg") == told_beside(north)
 
 
-FAR = Datum(DATUM.lat_deg + 0.02, DATUM.lon_deg - 0.05, DATUM.height_m - 31.0)
-"""Some kilometres from `DATUM`."""
-
-
 def test_a_map_in_the_plane_of_another_datum(north: Path, tmp_path: Path) -> None:
     with open_map(north, writable=True) as universal:
         universal.set_transform("1", 0.5, -0.25, turn_deg=1.0)
@@ -255,7 +290,7 @@ def test_maps_of_two_datums_merge_in_one_plane_and_a_drive_once(
             assert len(both.marks()) == 1
     with open_map(tmp_path / "far.gpkg", writable=True) as universal:
         universal.set_transform("1", 0.5, 0.0)
-    with pytest.raises(ConfigError, match="it lies in another place"):
+    with pytest.raises(ConfigError, match=r"it lies up to \d\.\d+ m aside"):
         merge_maps([north, tmp_path / "far.gpkg"], tmp_path / "other.gpkg", datum=DATUM)
 
 

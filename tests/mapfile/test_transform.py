@@ -178,7 +178,7 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
         0.1, -0.2, 0.3, 4.0, 5.0, Wander((5, 7), (0.1, 0.2), (0.0, -0.1)),
         Aligned(
             0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text(),
-            (Beside("june", 0.01, "12ab"), Beside("july", 0.03, "34cd")),
+            (Beside("june", 0.01, "12ab"), Beside("july", 0.03, "34cd")), 0.2,
         ),
         HeightCorrection((5, 9), (0.5, -0.3), 0.04),
     )  # fmt: skip
@@ -187,10 +187,11 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     assert transform_of(text) == transform
     # Maps that were aligned before it was kept do not say how sure that is beside others.
     old = json.loads(text)
-    del old["aligned"]["beside"]
+    del old["aligned"]["beside"], old["aligned"]["stated_m"]
+    assert transform_of(json.dumps(old)).pose(pose_at(1.0, 2.0, 3.0)).position_sigma_m == 0.02
     assert replace(transform_of(json.dumps(old)), aligned=transform.aligned) == transform
-    # A place that was aligned is as sure as that, and no less sure than it was.
-    for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.01), (math.nan, 0.02)):
+    # A place that was aligned is as sure as that, but for those that state more than usual.
+    for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.02), (math.nan, 0.02), (0.41, 0.41)):
         driven = replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=driven_m, up_sigma_m=math.nan)
         driven_up_m = math.inf if math.isnan(driven_m) else 2.0 * driven_m
         assert driven.up_sigma_m == driven_up_m

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
@@ -21,9 +21,9 @@ from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.comparing import Group, Matching, Wholes
 from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
-from fieldgrid.align.heights import level
+from fieldgrid.align.heights import Levels, level
 from fieldgrid.align.matches import Match
-from fieldgrid.align.network import Solution, left_between, solve, turn_sigma_deg
+from fieldgrid.align.network import Solution, left_between, solve, turn_sigma_deg, wrong_ones
 from fieldgrid.align.pairs import (
     Overlap,
     Pair,
@@ -139,9 +139,11 @@ def _aligned(
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
-    heights = level(drives, solution.transforms, doubtful) if rounds else [None] * len(drives)
-    solution = with_heights(solution, heights, before)
-    return summed_up(drives, before, agreements, matches, solution, rough_m)
+    heights = Levels((None,) * len(drives), {})
+    if rounds:
+        heights = level(drives, solution.transforms, doubtful)
+    solution = with_heights(solution, heights.corrections, before)
+    return summed_up(drives, before, agreements, matches, solution, rough_m, heights.kept)
 
 
 def with_heights(
@@ -167,27 +169,17 @@ def _as_poor_as_found(
     drives: Sequence[Drive], between_m: Mapping[tuple[int, int], float]
 ) -> list[Drive]:
     """Drives with the errors of their receivers, and larger ones where what lies between two is too
-    much for these.
-
-    Of those that contradict each other the one that contradicts most is the wrong one, or the one
-    whose receiver states most; where that is the same, both are.
-    """
+    much for these."""
     apart = {
         (a, b): size
         for (a, b), size in between_m.items()
         if size > FAR_SIGMAS * math.hypot(drives[a].sigma_m, drives[b].sigma_m)
     }
     found = list(drives)
-    while apart:
-        counts = Counter(n for pair in apart for n in pair)
-        worst = max((count, drives[n].sigma_m) for n, count in counts.items())
-        wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
-        for n in wrong:
-            size = max(size for pair, size in apart.items() if n in pair)
-            sigma_m = max(size / 2.0, drives[n].sigma_m)
-            wander_m = max(min(WANDER_SHARE * sigma_m, FOUND_WANDER_M), drives[n].wander_m)
-            found[n] = replace(drives[n], sigma_m=sigma_m, wander_m=wander_m)
-        apart = {pair: size for pair, size in apart.items() if not wrong & set(pair)}
+    for n, size in wrong_ones(drives, apart).items():
+        sigma_m = max(size / 2.0, drives[n].sigma_m)
+        wander_m = max(min(WANDER_SHARE * sigma_m, FOUND_WANDER_M), drives[n].wander_m)
+        found[n] = replace(drives[n], sigma_m=sigma_m, wander_m=wander_m)
     return found
 
 
@@ -218,7 +210,12 @@ def _roles(
             f"Session {sorted(moving & holding)[0]!r} is to move and to hold; say one of them."
         )
     if not moving:
-        raise ConfigError("There is nothing to align: every session is to hold.")
+        held = ", ".join(map(repr, sorted(holding))) or "none"
+        raise ConfigError(
+            f"There is nothing to align: of {', '.join(map(repr, active)) or 'no session'} in "
+            f"{universal.path} none is to move, and to stay in place are: {held}. Append another "
+            "drive, or leave one of these out of --to and --datum-from."
+        )
     named = dict.fromkeys(moving, Role.MOVES) | dict.fromkeys(holding, Role.HOLDS)
     return {name: named.get(name, Role.STAYS) for name in active if not to or name in named}
 

@@ -53,6 +53,8 @@ class Drive:
     """Where the submaps were driven [n, 2], east and north."""
     pivot_m: Float64
     """The middle of the drive [2]."""
+    stated_m: float
+    """What its receiver states, whatever it turns out to be."""
 
     @property
     def half_length_m(self) -> float:
@@ -91,6 +93,7 @@ def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
                 np.array([submap.time_ns for submap in submaps], np.int64),
                 np.array([submap.driven_m() for submap in submaps]),
                 (points.min(axis=0) + points.max(axis=0)) / 2.0,
+                sigma_m,
             )
         )
     return drives

@@ -8,15 +8,16 @@ eliminated; the receiver's stated error is the prior.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from fieldgrid.align.drives import UNKNOWN_SIGMA_M, WANDER_SHARE, Drive, Role
-from fieldgrid.align.network import HELD_M, WANDER_S
-from fieldgrid.align.submaps import Submap
+from fieldgrid.align.network import HELD_M, wander_chain
+from fieldgrid.align.submaps import SUBMAP_M, Submap
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM
 from fieldgrid.lattice import Lattice
@@ -49,8 +50,8 @@ FREEDOM, SCATTER_M = 2.0, 0.05
 
 ROUNDS, SETTLED_M = 20, 0.001
 
-MOST_SUBMAPS = 2000
-"""The equations of more are not solved."""
+MOST_SUBMAPS = 10_000
+"""The equations of more are not solved: ten drives of 8 km over one field take 36 s and 1.5 GB."""
 
 
 class _Seen(NamedTuple):
@@ -61,34 +62,68 @@ class _Seen(NamedTuple):
     up_m: Float64
 
 
+class Levels(NamedTuple):
+    """What to add to the heights of each drive, None for those that keep theirs; `kept` says why of
+    those that ground was looked for."""
+
+    corrections: tuple[HeightCorrection | None, ...]
+    kept: Mapping[int, str]
+
+
 def level(
     drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
-) -> list[HeightCorrection | None]:
+) -> Levels:
     """What to add to the heights of each drive that moves, placed by its transform.
 
-    None for one that saw no ground which another submap saw, too, for the `doubtful`, which may lie
-    elsewhere, and for those that are farther off than heights can be (another zero, or none).
+    Nothing to those of one that saw no ground which another submap saw, too, of the `doubtful`,
+    which may lie elsewhere, and of those that are farther off than heights can be (another zero, or
+    none).
     """
+    moving = {
+        n for n, drive in enumerate(drives) if drive.role is Role.MOVES and _has_ground(drive)
+    }
+    kept = dict.fromkeys(moving & {*doubtful}, "it is in doubt where the drive lies")
+    count = sum(len(drive.submaps) for n, drive in enumerate(drives) if n not in doubtful)
+    if count > MOST_SUBMAPS:
+        why = f"{count} pieces of {SUBMAP_M:.0f} m are more than the {MOST_SUBMAPS} that are solved"
+        return Levels((None,) * len(drives), kept | dict.fromkeys(moving - {*doubtful}, why))
+    corrections, far = _corrections(drives, transforms, doubtful)
+    if far:
+        why = f"they are over {FAR_M:.0f} m off: another zero, or none"
+        found = level(drives, transforms, {*doubtful, *far})
+        return found._replace(kept={**found.kept, **kept, **dict.fromkeys(far & moving, why)})
+    return Levels(tuple(corrections), kept)
+
+
+def _has_ground(drive: Drive) -> bool:
+    """Whether frames tell of the ground at all: those of drives without roll and pitch do not."""
+    return any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
+
+
+def _corrections(
+    drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int]
+) -> tuple[list[HeightCorrection | None], set[int]]:
+    """What to add to the heights of each drive, and those that are too far off."""
     corrections: list[HeightCorrection | None] = [None] * len(drives)
     chosen = [n for n in range(len(drives)) if n not in doubtful]
     own = [drives[n] for n in chosen]
     count = sum(len(drive.submaps) for drive in own)
-    if not 0 < count <= MOST_SUBMAPS:
-        return corrections
+    if not count:
+        return corrections, set()
     placed = [transforms[n] for n in chosen]
     seen = _ground(own, placed)
     if not len(seen.place):
-        return corrections
+        return corrections, set()
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
     stated_m = np.concatenate([_stated_m(*one) for one in zip(own, placed, strict=True)])
     up_m, normal = _solve(seen, own, stated_m, parts)
     far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
     if far:
-        return level(drives, transforms, {*doubtful, *far})
+        return corrections, far
     least_m = _turned_out(
         np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
         np.array([np.median(stated_m[part]) for part in parts]),
-        np.array([[normal[np.ix_(one, other)].any() for other in parts] for one in parts]),
+        _shared(normal, parts),
     )
     met = normal.diagonal() > 0.0
     for n, drive, part, sigma_m in zip(chosen, own, parts, least_m.tolist(), strict=True):
@@ -96,7 +131,15 @@ def level(
             corrections[n] = HeightCorrection(
                 tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), sigma_m
             )
-    return corrections
+    return corrections, set()
+
+
+def _shared(normal: sparse.csr_array, parts: Sequence[Int64]) -> Bool:
+    """Which drives saw ground of one place [n, n], by what the ground says of their submaps."""
+    count = sum(map(len, parts))
+    drive_of = np.repeat(np.arange(len(parts)), [*map(len, parts)])
+    of_drive = sparse.csr_array((np.ones(count), (drive_of, np.arange(count))))
+    return np.asarray((of_drive @ abs(normal) @ of_drive.T).toarray() > 0.0)
 
 
 def _turned_out(found_m: Float64, stated_m: Float64, shares: Bool) -> Float64:
@@ -132,27 +175,36 @@ def _stated_m(drive: Drive, transform: Transform) -> Float64:
 
 def _solve(
     seen: _Seen, drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]
-) -> tuple[Float64, Float64]:
+) -> tuple[Float64, sparse.csr_array]:
     """The heights of submaps [count], and what the ground says of them [count, count], not 0 of
     two that share a place; `parts` are the submaps of each drive."""
     count = len(stated_m)
     prior = _prior(drives, stated_m, parts)
+    unknowns = prior.shape[0]
     up_m: Float64 = np.zeros(count)
+    held = np.array([drive.role is Role.HOLDS for drive in drives])
     # At first the ground is believed, so that a receiver that is far off is told as such.
-    trust: Float64 = np.full(count, LOOSE)
+    trust = np.where(held, 1.0, LOOSE)
+    drive_of = np.concatenate(
+        [np.repeat(np.arange(len(parts)), [*map(len, parts)]), np.arange(len(parts))]
+    )
     weights: Float64 = np.full(len(seen.place), PLACE_SIGMA_M**-2.0)
-    normal = np.zeros((count, count))
+    normal = sparse.csr_array((count, count))
     for _ in range(ROUNDS):
         normal, side = _without_places(seen, weights, count)
         before = up_m
-        up_m = np.asarray(np.linalg.solve(trust[:, None] * prior + normal, side), np.float64)
+        ground = normal.copy()
+        ground.resize((unknowns, unknowns))
+        every = (sparse.diags_array(trust[drive_of]) @ prior + ground).tocsc()
+        factor = splu(every, "MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        up_m = np.asarray(factor.solve(np.append(side, np.zeros(len(parts)))), np.float64)[:count]
         if np.abs(up_m - before).max() < SETTLED_M:
             break
         misfit = _left_m(seen, weights, up_m) / SCATTER_M
         weights = PLACE_SIGMA_M**-2.0 * (FREEDOM + 1.0) / (FREEDOM + misfit**2)
-        for part in parts:
-            off = np.mean((up_m[part] / stated_m[part]) ** 2)
-            trust[part] = (FREEDOM + 1.0) / (FREEDOM + off)
+        for n in np.flatnonzero(~held).tolist():
+            off = np.mean((up_m[parts[n]] / stated_m[parts[n]]) ** 2)
+            trust[n] = (FREEDOM + 1.0) / (FREEDOM + off)
     return up_m, normal
 
 
@@ -197,29 +249,44 @@ def _ground_of(submap: Submap, transform: Transform, *, placed: bool) -> tuple[I
     return place, np.bincount(inverse, np.concatenate(heights), len(place)) / times
 
 
-def _prior(drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]) -> Float64:
-    """The inverse of the covariance [count, count] of what receivers err in height, by `stated_m`
-    of each submap: a part that stays for a drive, and one that wanders over some minutes."""
-    prior = np.zeros((len(stated_m), len(stated_m)))
+def _prior(drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]) -> sparse.csr_array:
+    """The information [count + drives, count + drives] of what receivers err in height, by
+    `stated_m` of each submap: a part that stays for a drive, and one that wanders over some
+    minutes. The part that stays is an unknown of its own, in stated errors, behind the heights of
+    all submaps, so that what is left is a chain."""
+    blocks = []
+    constants, columns = list[float](), list[Float64]()
     for drive, part in zip(drives, parts, strict=True):
-        apart_s = np.abs(np.subtract.outer(drive.time_ns, drive.time_ns)) / 1e9
-        alike = 1.0 - WANDER_SHARE**2 + WANDER_SHARE**2 * np.exp(-apart_s / WANDER_S)
-        alike += 1e-6 * np.eye(len(part))
-        prior[np.ix_(part, part)] = np.linalg.inv(alike * np.outer(stated_m[part], stated_m[part]))
-    return prior
+        chain = wander_chain(drive.time_ns, WANDER_SHARE**2)
+        k = np.arange(len(part))
+        where = np.concatenate([k, k[:-1], k[1:]]), np.concatenate([k, k[1:], k[:-1]])
+        each = sparse.csr_array(
+            (np.concatenate([chain.diagonal, chain.beside, chain.beside]), where)
+        )
+        by_error = sparse.diags_array(1.0 / stated_m[part])
+        blocks.append(by_error @ each @ by_error)
+        along = each @ np.ones(len(part))
+        columns.append(-along / stated_m[part])
+        constants.append(1.0 / (1.0 - WANDER_SHARE**2) + float(along.sum()))
+    beside = sparse.block_diag([column[:, None] for column in columns])
+    return sparse.block_array(
+        [[sparse.block_diag(blocks), beside], [beside.T, sparse.diags_array(constants)]],
+        format="csr",
+    )
 
 
-def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[Float64, Float64]:
+def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[sparse.csr_array, Float64]:
     """The normal equations [count, count], [count] of the heights of submaps; those of the places
     are eliminated."""
     places = int(seen.place.max()) + 1
-    each = coo_array((weights, (seen.submap, seen.place)), shape=(count, places)).tocsr()
+    each = sparse.csr_array((weights, (seen.submap, seen.place)), shape=(count, places))
     of_place = np.bincount(seen.place, weights, places)
-    normal = np.diag(np.asarray(each.sum(axis=1))) - ((each / of_place) @ each.T).toarray()
+    own = sparse.diags_array(np.asarray(each.sum(axis=1)))
+    normal = own - (each @ sparse.diags_array(1.0 / of_place)) @ each.T
     off_m = (
         seen.up_m - (np.bincount(seen.place, weights * seen.up_m, places) / of_place)[seen.place]
     )
-    return normal, np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
+    return normal.tocsr(), np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
 
 
 def _left_m(seen: _Seen, weights: Float64, up_m: Float64) -> Float64:

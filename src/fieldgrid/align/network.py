@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -173,20 +173,42 @@ def _prior(drive: Drive, off: Float64, loose: float) -> Float64:
     shift = np.eye(2) / sigma_m**2
     block[:2, :2] = shift * _student(off[:2] @ shift @ off[:2], 2.0)
     block[2, 2] = _student((off[2] / sigma) ** 2, 1.0) / sigma**2
-    # The Gauss-Markov chain of the wander, whose first shift may be any that is usual.
-    fading = np.exp(-np.diff(drive.time_ns) / 1e9 / WANDER_S)
-    usual = drive.wander_m**2
-    information = 1.0 / (usual * np.concatenate([[1.0], np.maximum(1.0 - fading**2, 1e-6)]))
+    # The wander, whose first shift may be any that is usual.
+    chain = wander_chain(drive.time_ns, drive.wander_m**2)
     knots = off[3:].reshape(-1, 2)
-    steps = knots - np.vstack([np.zeros(2), fading[:, None] * knots[:-1]])
-    chain = np.diag(information)
-    chain[:-1, :-1] += np.diag(information[1:] * fading**2)
-    chain -= np.diag(information[1:] * fading, 1) + np.diag(information[1:] * fading, -1)
+    steps = knots - np.vstack([np.zeros(2), chain.fading[:, None] * knots[:-1]])
     # One scale for all of them: a receiver that wanders more than it says does so throughout.
-    weight = _student(float((steps**2 * information[:, None]).sum()), float(steps.size))
+    weight = _student(float((steps**2 * chain.information[:, None]).sum()), float(steps.size))
+    of_wander = np.diag(chain.diagonal) + np.diag(chain.beside, 1) + np.diag(chain.beside, -1)
     for axis in (0, 1):
-        block[3 + axis :: 2, 3 + axis :: 2] = weight * chain
+        block[3 + axis :: 2, 3 + axis :: 2] = weight * of_wander
     return block
+
+
+class Chain(NamedTuple):
+    """A Gauss-Markov chain: each value is the one before it times `fading` [n - 1] and a step of
+    the `information` [n], the first one a step from 0."""
+
+    fading: Float64
+    information: Float64
+
+    @property
+    def diagonal(self) -> Float64:
+        """That of the inverse covariance of the values [n]."""
+        return np.asarray(self.information + np.append(self.information[1:] * self.fading**2, 0.0))
+
+    @property
+    def beside(self) -> Float64:
+        """What lies beside its diagonal [n - 1]; all else is 0."""
+        return np.asarray(-self.information[1:] * self.fading)
+
+
+def wander_chain(time_ns: Int64, variance: float) -> Chain:
+    """What a slow error of some variance at each time may change by from time to time."""
+    fading = np.exp(-np.diff(time_ns) / 1e9 / WANDER_S)
+    return Chain(
+        fading, 1.0 / (variance * np.concatenate([[1.0], np.maximum(1.0 - fading**2, 1e-6)]))
+    )
 
 
 def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int, int], float]:
@@ -203,6 +225,22 @@ def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int
         for pair in squared
         if told[pair] > 0.0
     }
+
+
+def wrong_ones(
+    drives: Sequence[Drive], apart_m: Mapping[tuple[int, int], float]
+) -> dict[int, float]:
+    """By how much drives are wrong, of those that contradict each other by `apart_m`: the one that
+    contradicts most, or the one whose receiver states most; where that is the same, both are."""
+    found = dict[int, float]()
+    while apart_m:
+        counts = Counter(n for pair in apart_m for n in pair)
+        worst = max((count, drives[n].sigma_m) for n, count in counts.items())
+        wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
+        for n in wrong:
+            found[n] = max(size for pair, size in apart_m.items() if n in pair)
+        apart_m = {pair: size for pair, size in apart_m.items() if not wrong & set(pair)}
+    return found
 
 
 def _shift_and_turn(drive: Drive, transform: Transform) -> Float64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,15 +12,20 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement
 from fieldgrid.align.drives import Drive, Role
 from fieldgrid.align.matches import Match, information_of
-from fieldgrid.align.network import Solution
+from fieldgrid.align.network import Solution, left_between, wrong_ones
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
 from fieldgrid.mapfile.transform import Aligned
+
+CONTRADICTS_SIGMAS = 4.0
+"""What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
 
 
 class DriveAlignment(NamedTuple):
     """What became of a drive: its transforms `before` and `after`, the 1-sigma errors of shift and
     turn, from how many matches. By its `role` it was to move or not; without matches it does not.
+    `heights_kept` says why its heights were not aligned although it saw the ground, None where they
+    were, or where nothing is said of them.
     """
 
     name: str
@@ -30,6 +35,7 @@ class DriveAlignment(NamedTuple):
     turn_sigma_deg: float
     matches: int
     role: Role
+    heights_kept: str | None = None
 
     @property
     def moved(self) -> bool:
@@ -37,11 +43,21 @@ class DriveAlignment(NamedTuple):
         return self.after is not self.before
 
 
+class Contradiction(NamedTuple):
+    """A place `at_m` [2], east and north, where a match of two drives contradicts how they lie
+    after alignment: by `left_m` [2], which is so many `sigmas` of the match."""
+
+    at_m: Float64
+    left_m: Float64
+    sigmas: float
+
+
 class PairAlignment(NamedTuple):
     """How drive `b` lay against drive `a` where both saw the same ground, on the mean, about `at_m`
     [2]: metres east and north (of b less of a), and degrees clockwise, as they were placed and as
-    they are after alignment, with the error of the shift. What is left beyond a few sigmas
-    contradicts other pairs. Of a pair with a `doubt` nothing was used.
+    they are after alignment, with the error of the shift. What is left is `left_sigmas` of what
+    their matches tell; beyond a few of them the two contradict other pairs. The places where single
+    matches do so are `contradictions`, the worst first. Of a pair with a `doubt` nothing was used.
 
     What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
     infinite where not at all: there the receivers alone have a say.
@@ -60,6 +76,8 @@ class PairAlignment(NamedTuple):
     matches: int
     doubt: str | None
     agreement: Agreement
+    left_sigmas: float
+    contradictions: tuple[Contradiction, ...]
 
 
 class MapAlignment(NamedTuple):
@@ -86,10 +104,12 @@ def summed_up(
     matches: Sequence[Match],
     solution: Solution,
     rough_m: float,
+    heights_kept: Mapping[int, str],
 ) -> MapAlignment:
     """The outcome of drives that were placed `before`, from the last matches and what fits them;
-    `rough_m` is what the way in which they were compared adds to the errors of shifts."""
-    sigma_m = np.hypot(solution.sigma_m, rough_m)
+    `rough_m` is what the way in which they were compared adds to the errors of shifts,
+    `heights_kept` why those of some drives were not aligned."""
+    sigma_m = _with_contradictions(drives, matches, solution, np.hypot(solution.sigma_m, rough_m))
     with_ = defaultdict[int, set[int]](set)
     counts = defaultdict[tuple[int, int], int](int)
     for match in matches:
@@ -106,7 +126,11 @@ def summed_up(
             after = replace(
                 after,
                 aligned=Aligned(
-                    float(sigma_m[n, n]), float(solution.turn_sigma_deg[n]), others, was
+                    float(sigma_m[n, n]),
+                    float(solution.turn_sigma_deg[n]),
+                    others,
+                    was,
+                    stated_m=drive.stated_m,
                 ),
             )
         own = sum(count for pair, count in counts.items() if n in pair)
@@ -119,6 +143,7 @@ def summed_up(
                 float(solution.turn_sigma_deg[n]),
                 own,
                 drive.role,
+                heights_kept.get(n),
             )
         )
     pairs = [
@@ -174,7 +199,38 @@ def _pair(
         turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
         sigma_m, float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
         float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
+        float(np.sqrt(max(left @ total @ left, 0.0))), _contradictions(matches, solution, own),
     )  # fmt: skip
+
+
+def _with_contradictions(
+    drives: Sequence[Drive], matches: Sequence[Match], solution: Solution, sigma_m: Float64
+) -> Float64:
+    """The errors [n, n] of drives and of each two, no less than what is left where single matches
+    contradict each other: part of a drive lies elsewhere, such as after a leap of its receiver."""
+    off = {
+        (m.a, m.b) for m, s in zip(matches, solution.misfit, strict=True) if s > CONTRADICTS_SIGMAS
+    }
+    between_m = left_between(matches, solution)
+    apart_m = {pair: between_m[pair] for pair in off & between_m.keys()}
+    found = sigma_m.copy()
+    for (a, b), size_m in apart_m.items():
+        found[[a, b], [b, a]] = max(sigma_m[a, b], size_m)
+    for n, size_m in wrong_ones(drives, apart_m).items():
+        found[n, n] = max(sigma_m[n, n], size_m)
+    return found
+
+
+def _contradictions(
+    matches: Sequence[Match], solution: Solution, own: Sequence[int]
+) -> tuple[Contradiction, ...]:
+    """Those of some matches, the worst first."""
+    found = [
+        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
+        for k in own
+        if solution.misfit[k] > CONTRADICTS_SIGMAS
+    ]
+    return tuple(sorted(found, key=lambda one: -one.sigmas))
 
 
 def _moved(

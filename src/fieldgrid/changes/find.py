@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, surroundings
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.changes.observations import observers
-from fieldgrid.changes.relative_sigmas import relative_sigmas
+from fieldgrid.changes.relative_sigmas import RelativeSigma, relative_sigmas
 from fieldgrid.changes.result import ChangedObject, ChangeKind, Changes
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -56,11 +56,11 @@ def find_changes(
             raise ConfigError(f"A {what} of {value} is outside 0..{most:g}.")
     view = universal.diff(from_, to, bounds, cell_m)
     places = list(squares(view.window, view.change, (Change.APPEARED, Change.VANISHED)))
-    beside_m: Mapping[str, float] = {}
+    beside: Mapping[str, RelativeSigma] = {}
     if position_sigma_m is None and places:
-        beside_m = relative_sigmas(universal, view.before, view.after)
+        beside = relative_sigmas(universal, view.before, view.after)
     before, after = (
-        _drives(universal, names, view.lattice, places, position_sigma_m, beside_m)
+        _drives(universal, names, view.lattice, places, position_sigma_m, beside)
         for names in (view.before, view.after)
     )
     parts = [changed_cells(before, after, view.lattice, place, sigmas) for place in places]
@@ -89,7 +89,7 @@ def _drives(
     lattice: Lattice,
     places: Sequence[Window],
     position_sigma_m: float | None,
-    beside_m: Mapping[str, float],
+    beside: Mapping[str, RelativeSigma],
 ) -> Drives:
     """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
@@ -102,7 +102,7 @@ def _drives(
                 lattice,
                 wide,
                 position_sigma_m,
-                beside_m.get(name, math.inf),
+                beside.get(name),
             )
             for name in names
         }

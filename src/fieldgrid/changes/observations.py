@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, Index
+from fieldgrid.changes.relative_sigmas import RelativeSigma
 from fieldgrid.errors import ConfigError, FieldgridError
 from fieldgrid.grids import FREE_UP_TO, HIDDEN_FROM, OBSTACLE_ABOVE, GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
@@ -98,11 +99,11 @@ def observers(
     lattice: Lattice,
     windows: Sequence[Window],
     position_sigma_m: float | None,
-    beside_m: float = math.inf,
+    beside: RelativeSigma | None = None,
 ) -> list[FrameObserver]:
     """The accepted frames of a session that reach into any of the windows, in time order.
 
-    Positions are no more unsure than `beside_m`, the error beside the drives on the other side.
+    Positions have the error `beside` the drives on the other side, where there is one.
     Raises ConfigError for a frame without sigma where `position_sigma_m` gives none.
     """
     range_sigma_1pm = _range_sigma_1pm(info.config)
@@ -130,7 +131,8 @@ def observers(
                 "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
                 "poses again with `fieldgrid build --repose`, or give --position-sigma."
             )
-        sigmas = min(sigmas[0], beside_m), sigmas[1]
+        if beside is not None:
+            sigmas = beside.of(sigmas[0]), sigmas[1]
         found.append((stretch, FrameObserver(frame, reach, 1.0, range_sigma_1pm, *sigmas)))
     return [one._replace(weight=1.0 / stretches[stretch]) for stretch, one in found]
 

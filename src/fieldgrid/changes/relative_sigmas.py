@@ -7,17 +7,30 @@ is split between them, so that the variances of any two compared drives add up t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.mapfile import MapFile, Transform
-from fieldgrid.mapfile.transform import placing
+from fieldgrid.mapfile.transform import WORSE_TIMES, placing
+
+
+class RelativeSigma(NamedTuple):
+    """The position sigma of a drive relative to others, metres, for its poses that do not state
+    more than `worse_m`."""
+
+    sigma_m: float
+    worse_m: float
+
+    def of(self, stated_m: float) -> float:
+        """That of a pose."""
+        return stated_m if stated_m > self.worse_m else min(stated_m, self.sigma_m)
 
 
 def relative_sigmas(
     universal: MapFile, before: Sequence[str], after: Sequence[str]
-) -> dict[str, float]:
-    """The position sigma (m) of drives relative to those of the other side of a comparison. Only
+) -> dict[str, RelativeSigma]:
+    """The position sigma of drives relative to those of the other side of a comparison. Only
     for drives that were aligned with all of these, and while none of these has been moved."""
     infos = {info.name: info for info in universal.sessions()}
     transforms = {name: infos[name].transform for name in (*before, *after)}
@@ -29,7 +42,7 @@ def relative_sigmas(
         placings[name] = placing(transform, (f.driven for f in frames))
         sigmas = [f.pose.position_sigma_m for f in frames]
         own_m[name] = float(np.median(sigmas)) if sigmas else np.inf
-    found = dict[str, float]()
+    found = dict[str, RelativeSigma]()
     for names, others in ((before, after), (after, before)):
         for name in names:
             variances = [
@@ -40,7 +53,9 @@ def relative_sigmas(
                 for other in others
             ]
             if max(variances, default=np.inf) < own_m[name] ** 2:
-                found[name] = float(np.sqrt(max(variances)))
+                found[name] = RelativeSigma(
+                    float(np.sqrt(max(variances))), WORSE_TIMES * own_m[name]
+                )
     return found
 
 

@@ -135,6 +135,9 @@ def _print(found: MapAlignment) -> None:
         ("session", "east", "north", "sigma", "turn", "wander", "up", "matches", ""),
         [_drive_row(drive) for drive in found.drives],
     )
+    for drive in found.drives:
+        if drive.heights_kept is not None:
+            output.print_line(f"{drive.name}: heights are not aligned, {drive.heights_kept}")
     if found.pairs:
         output.print_table(
             ("of", "against", "offset", "left", "sigma", "turn", "matches", ""),
@@ -146,6 +149,13 @@ def _print(found: MapAlignment) -> None:
         if pair.doubt is not None:
             output.print_line(f"{pair.b} against {pair.a}: {pair.doubt}; not used")
             continue
+        if len(places := pair.contradictions):
+            worst = places[0]
+            output.print_line(
+                f"{pair.b} against {pair.a}: {len(places)} of {pair.matches} places contradict the "
+                f"others; {math.hypot(*worst.left_m):.2f} m are left about {worst.at_m[0]:.1f} m "
+                f"east, {worst.at_m[1]:.1f} m north (does a receiver leap, or a pose drift there?)"
+            )
         if len(alike := pair.agreement.alike_m):
             every = ", ".join(f"{east:+.1f} {north:+.1f}" for east, north in alike[:3])
             output.print_line(
@@ -215,6 +225,7 @@ def _as_dict(path: Path, found: MapAlignment, *, applied: bool) -> dict[str, Any
                 "matches": drive.matches,
                 "sigma_m": drive.sigma_m,
                 "turn_sigma_deg": drive.turn_sigma_deg,
+                "heights_kept": drive.heights_kept,
                 "transform": asdict(drive.after),
             }
             for drive in found.drives
@@ -231,6 +242,11 @@ def _as_dict(path: Path, found: MapAlignment, *, applied: bool) -> dict[str, Any
                 "weak_axis_deg": pair.weak_axis_deg,
                 "weak_sigma_m": output.known(pair.weak_sigma_m),
                 "matches": pair.matches,
+                "left_sigmas": pair.left_sigmas if pair.doubt is None else None,
+                "contradictions": [
+                    {"at_m": one.at_m.tolist(), "left_m": one.left_m.tolist(), "sigmas": one.sigmas}
+                    for one in pair.contradictions
+                ],
                 "doubt": pair.doubt,
                 "rivals_m": pair.agreement.rivals_m.tolist(),
                 "alike_m": pair.agreement.alike_m.tolist(),

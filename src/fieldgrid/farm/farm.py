@@ -35,10 +35,11 @@ from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import blocks_of
 from fieldgrid.mapfile.header import Header
 from fieldgrid.mapfile.history import during
-from fieldgrid.mapfile.merge import SAME_PLACE_M, free_name, marks_together
+from fieldgrid.mapfile.merge import free_name, marks_together
 from fieldgrid.mapfile.overviews import read_overviews
 from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.redatum import Redatum
+from fieldgrid.mapfile.twins import REMEDY, Twin, twin_of
 from fieldgrid.trajectory import Trajectory
 from fieldgrid.workers.runner import runner
 
@@ -57,15 +58,6 @@ class Moved(NamedTuple):
     block: Block
     distance_m: float
     height_error_m: float
-
-
-class _First(NamedTuple):
-    """What the frames of a drive saw, and where its first one lies in the farm: as driven, and as
-    it was placed."""
-
-    seen: tuple[tuple[int, str], ...]
-    driven: tuple[float, float] = (0.0, 0.0)
-    placed: tuple[float, float] = (0.0, 0.0)
 
 
 class Farm(Closing):
@@ -318,32 +310,22 @@ class Farm(Closing):
             if part.moved is None and moved is None:
                 if own.digest != info.digest:
                     continue
-                in_place = own.transform == info.transform
             elif (own.first_time_ns, own.frames) != (info.first_time_ns, info.frames):
                 continue
-            else:
-                one = self._first(part.block, own.name, part.moved)
-                two = self._first(block, info.name, moved)
-                if one.seen != two.seen or math.dist(one.driven, two.driven) > SAME_PLACE_M:
-                    continue
-                in_place = math.dist(one.placed, two.placed) <= SAME_PLACE_M
-            if not in_place:
+            one, two = self._twin(part.block, own, part.moved), self._twin(block, info, moved)
+            if not one.is_drive(two):
+                continue
+            if (why := two.contradiction(one)) is not None:
                 raise ConfigError(
                     f"Session {info.name!r} of {block.path} is the same drive as {own.name!r} of "
-                    f"{part.block.path}, but lies in another place; shift one of them with "
-                    "`fieldgrid sessions --shift` to where the other is, or remove it."
+                    f"{part.block.path}, but it {why}; {REMEDY}."
                 )
             return True
         return False
 
-    def _first(self, block: Block, name: str, moved: Redatum | None) -> _First:
+    def _twin(self, block: Block, info: SessionInfo, moved: Redatum | None) -> Twin:
         with self._maps.reading(block) as opened:
-            frames = list(opened.universal.frames(name))
-        seen = tuple((one.pose.time_ns, one.cells_sha256) for one in frames)
-        poses = [frames[0].driven, frames[0].pose] if frames else []
-        if moved is not None:
-            poses = [moved.pose(pose) for pose in poses]
-        return _First(seen, *((pose.east_m, pose.north_m) for pose in poses))
+            return twin_of(opened.universal, info, moved)
 
     @cached_property
     def _marks(self) -> tuple[Mark, ...]:

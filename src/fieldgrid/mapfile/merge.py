@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,13 +20,11 @@ from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import SessionInfo
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.store import create_map, open_map
-from fieldgrid.mapfile.transform import Transform, placing
+from fieldgrid.mapfile.transform import placing
+from fieldgrid.mapfile.twins import REMEDY, SAME_PLACE_M, Twin, twin_of
 from fieldgrid.publish import refuse_input
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer
-
-SAME_PLACE_M = 0.02
-"""What came from another plane is in the same place when it is as near."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +86,7 @@ def merge_maps(
             )
         )
         merged: list[Merged] = []
-        taken: list[_Taken] = []
+        taken = dict[str, Twin]()
         for universal in maps:
             merged += _take_all(universal, target, taken)
         if not merged:
@@ -135,52 +132,25 @@ def _same_place(one: Mark, other: Mark) -> bool:
     )
 
 
-class _Taken(NamedTuple):
-    """A session of the new map: its name and digests, of all evidence and of what its frames saw;
-    its transform, its first frame as driven, and whether it comes from another plane."""
-
-    name: str
-    digest: str
-    seen: str
-    transform: Transform
-    first: Pose | None
-    moved: bool
-
-    def is_drive(self, other: _Taken) -> bool:
-        """Whether the two are one drive. Those of two planes are when they saw the same from the
-        same place: the same images may have other poses."""
-        if self.digest == other.digest:
-            return True
-        comparable = (self.moved or other.moved) and self.seen == other.seen
-        return comparable and _apart_m(self.first, other.first) <= SAME_PLACE_M
-
-    def lies_with(self, other: _Taken) -> bool:
-        """Whether the transforms put the same drive into the same place, whatever they rest on."""
-        if replace(self.transform, aligned=None) == replace(other.transform, aligned=None):
-            return True
-        if not (self.moved or other.moved) or self.first is None or other.first is None:
-            return False
-        placed = self.transform.pose(self.first), other.transform.pose(other.first)
-        return _apart_m(*placed) <= SAME_PLACE_M
-
-
 class _Coming(NamedTuple):
-    """A session of a map that is taken, what it is in the new one, and the session there that is
-    the same drive, if any; where it was placed, and is now, as `Beside` tells it."""
+    """A session of a map that is taken: what it is called in the new one, and whether that has the
+    same drive already; its first frame as driven; where it was placed, and is now, as `Beside`
+    tells it."""
 
-    info: SessionInfo
-    new: _Taken
-    twin: _Taken | None
+    twin: Twin
+    name: str
+    is_taken: bool
+    first: Pose | None
     was_placed: str
     placed: str
 
     @property
-    def name(self) -> str:
-        """What it is called in the new map."""
-        return self.new.name if self.twin is None else self.twin.name
+    def info(self) -> SessionInfo:
+        """The session of the map that it comes from."""
+        return self.twin.info
 
 
-def _take_all(universal: MapFile, target: MapFile, taken: list[_Taken]) -> list[Merged]:
+def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> list[Merged]:
     """Copy the active sessions of a map, but for those that the new one has."""
     moved = None
     if not universal.has_datum(target.datum):
@@ -188,58 +158,55 @@ def _take_all(universal: MapFile, target: MapFile, taken: list[_Taken]) -> list[
     coming = list[_Coming]()
     for info in universal.sessions():
         if info.active:
-            before = [*taken, *(one.new for one in coming if one.twin is None)]
+            before = taken | {one.name: one.twin for one in coming if not one.is_taken}
             coming.append(_coming(universal, info, moved, before))
     # All names first: alignments speak of sessions that come later, too.
     names = {one.info.name: one.name for one in coming}
     placings = {one.was_placed: one.placed for one in coming}
     for one in coming:
-        if one.twin is not None:
+        if one.is_taken:
             continue
         metadata = universal.metadata(one.info.name)
-        if moved is not None and one.new.first is not None:
-            metadata = moved.metadata(metadata, next(universal.frames(one.info.name)).driven)
+        if moved is not None and one.first is not None:
+            metadata = moved.metadata(metadata, one.first)
         transform = metadata.transform.speaking_of(names, placings)
         metadata = metadata._replace(name=one.name, transform=transform)
         with target.add_session_of(metadata) as session:
             for frame in universal.frames(one.info.name, with_grid=True):
                 driven = frame.driven if moved is None else moved.pose(frame.driven)
                 session.add_staged(frame.staged(), driven, quality=frame.quality)
-        taken.append(one.new)
+        taken[one.name] = one.twin
     return [
-        Merged(universal.path, one.info.name, one.name, one.twin.name if one.twin else None)
+        Merged(universal.path, one.info.name, one.name, one.name if one.is_taken else None)
         for one in coming
     ]
 
 
 def _coming(
-    universal: MapFile, info: SessionInfo, moved: Redatum | None, taken: Sequence[_Taken]
+    universal: MapFile, info: SessionInfo, moved: Redatum | None, taken: Mapping[str, Twin]
 ) -> _Coming:
-    """A session as it comes into a map that has others."""
-    frames = list(universal.frames(info.name))
-    driven = [frame.driven for frame in frames if frame.accepted]
-    transform, first = info.transform, frames[0].driven if frames else None
-    was_placed = placed = placing(transform, driven)
-    if moved is not None and first is not None:
-        transform, first = moved.transform(transform, first), moved.pose(first)
-        placed = placing(transform, map(moved.pose, driven))
-    seen = " ".join(f"{frame.pose.time_ns} {frame.cells_sha256}" for frame in frames)
-    name = free_name(info.name, universal.path.stem, {one.name for one in taken})
-    new = _Taken(name, info.digest, seen, transform, first, moved is not None)
-    twin = next((one for one in taken if one.is_drive(new)), None)
-    if twin is not None and not twin.lies_with(new):
+    """A session as it comes into a map that has others, by their names there."""
+    twin = twin_of(universal, info, moved)
+    name = next((name for name, other in taken.items() if other.is_drive(twin)), None)
+    if name is not None and (why := twin.contradiction(taken[name])) is not None:
         raise ConfigError(
-            f"Session {info.name!r} of {universal.path} is the same drive as {twin.name!r}, "
-            "which comes from before it, but it lies in another place; shift one of them with "
-            "`fieldgrid sessions --shift` to where the other is, or remove it, and merge again."
+            f"Session {info.name!r} of {universal.path} is the same drive as {name!r}, which comes "
+            f"from a map before it, but it {why}; {REMEDY}, and merge again."
         )
-    return _Coming(info, new, twin, was_placed, placed)
-
-
-def _apart_m(one: Pose | None, other: Pose | None) -> float:
-    if one is None or other is None:
-        return math.inf
-    return math.hypot(one.east_m - other.east_m, one.north_m - other.north_m)
+    frames = list(universal.frames(info.name))
+    first = frames[0].driven if frames else None
+    driven = [frame.driven for frame in frames if frame.accepted]
+    was_placed = placed = placing(info.transform, driven)
+    if moved is not None and first is not None:
+        placed = placing(moved.transform(info.transform, first), map(moved.pose, driven))
+    return _Coming(
+        twin,
+        name or free_name(info.name, universal.path.stem, taken),
+        name is not None,
+        first,
+        was_placed,
+        placed,
+    )
 
 
 def free_name(name: str, stem: str, taken: Collection[str]) -> str:

@@ -31,6 +31,10 @@ MOST_KNOTS = 100_000
 
 MOST_TIME_NS = 2**62
 
+WORSE_TIMES = 2.0
+"""Poses that state more than so many times what their drive usually does are as unsure after an
+alignment as before: one error for a whole drive says nothing of them."""
+
 _ROUNDING_M = 1e-6
 
 
@@ -126,16 +130,19 @@ class Aligned:
     """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
     aligned to, and the transform that the session had before, as it was stored. The errors are None
     where the poses have been estimated anew since: it was found for others. `beside` has those of
-    the sessions it was compared with."""
+    the sessions it was compared with. `stated_m` is the error that poses of the drive usually
+    state, the median; None where it is not known."""
 
     sigma_m: float | None
     turn_sigma_deg: float | None
     to: tuple[str, ...]
     before: str | None = None
     beside: tuple[Beside, ...] = ()
+    stated_m: float | None = None
 
     def __post_init__(self) -> None:
-        errors = self.sigma_m, self.turn_sigma_deg, *(one.sigma_m for one in self.beside)
+        own = self.sigma_m, self.turn_sigma_deg, self.stated_m
+        errors = *own, *(one.sigma_m for one in self.beside)
         if not all(error is None or error >= 0.0 for error in errors):
             raise ConfigError(
                 f"An alignment with the errors {self.sigma_m} m and {self.turn_sigma_deg}°, beside "
@@ -183,7 +190,7 @@ class Transform:
         return is_rigid and self.wander is None and self.heights is None
 
     def pose(self, driven: Pose) -> Pose:
-        """A pose as it is placed in the map. Only its place is surer after an alignment."""
+        """A pose as it is placed in the map. Only its place has another error when aligned."""
         if self.is_identity:
             return driven
         up_m, up_sigma_m = driven.up_m, driven.up_sigma_m
@@ -224,11 +231,15 @@ class Transform:
         )
 
     def _sigma_m(self, driven_m: npt.ArrayLike) -> Float64:
-        """The errors of places: those of the receiver, or less after alignment."""
+        """The errors of places: those of the receiver, or of the alignment, which may have shown
+        that the receiver states too little."""
         stated = np.asarray(driven_m, np.float64)
-        if self.aligned is None or self.aligned.sigma_m is None:
+        aligned = self.aligned
+        if aligned is None or aligned.sigma_m is None:
             return stated
-        return np.fmin(stated, self.aligned.sigma_m)
+        usual_m = np.inf if aligned.stated_m is None else aligned.stated_m
+        is_worse = stated > max(WORSE_TIMES * usual_m, aligned.sigma_m)
+        return np.where(is_worse, stated, aligned.sigma_m)
 
     def points(
         self, east_m: npt.ArrayLike, north_m: npt.ArrayLike, time_ns: int | Int64
@@ -380,7 +391,8 @@ def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
     sigma_m, turn_sigma_deg, before = (
         stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
     )  # fmt: skip
-    if not all(error is None or _is_number(error) for error in (sigma_m, turn_sigma_deg)):
+    stated_m = stored.get("stated_m")
+    if not all(error is None or _is_number(error) for error in (sigma_m, turn_sigma_deg, stated_m)):
         raise TypeError("the errors of its alignment are no numbers")
     if not (before is None or isinstance(before, str)):
         raise TypeError("what it was before is no text")
@@ -392,4 +404,4 @@ def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
     if not all(_is_number(one.sigma_m) for one in beside):
         raise TypeError("its errors beside other sessions are no numbers")
     to = tuple(str(name) for name in stored["to"])
-    return Aligned(sigma_m, turn_sigma_deg, to, before, beside)
+    return Aligned(sigma_m, turn_sigma_deg, to, before, beside, stated_m)

@@ -1,0 +1,84 @@
+"""`python -m benchmarks.align_heights [SUBMAPS [DRIVES]]`: time and memory of the heights of many
+drives over one field, all lanes of which every drive goes along.
+
+What the drives saw is made: the ground of each submap of 8 m, with the error of its receiver.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+
+import numpy as np
+
+from fieldgrid.align import heights
+from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.submaps import SUBMAP_M
+from fieldgrid.mapfile import Transform
+
+LANE_M, LANES_APART_M = 200.0, 3.0
+
+AHEAD_M, WIDE_M, SEEN = 20.0, 15.0, 0.6
+"""What a submap sees of the ground, and of that this share of the places."""
+
+SCATTER_M = 0.05
+
+
+def drive_of(submaps: int, number: int) -> Drive:
+    """A drive, but for what its frames saw."""
+    time_ns = number * 10**14 + np.arange(submaps, dtype=np.int64) * 8 * 10**9
+    none = np.zeros((submaps, 2))
+    transform = Transform()
+    return Drive(f"{number}", Role.MOVES, (), transform, 0.25, 0.2, time_ns, none, none[0], 0.25)
+
+
+def places_of(submap: int, random: np.random.Generator) -> np.ndarray:
+    """The places that a submap of a drive saw the ground of, as whole numbers."""
+    lane, along = divmod(submap, int(LANE_M / SUBMAP_M))
+    if lane % 2:
+        along = int(LANE_M / SUBMAP_M) - 1 - along
+    east, north = lane * LANES_APART_M, along * SUBMAP_M
+    i, j = (
+        np.arange(
+            round((middle - reach) / heights.PLACE_M), round((middle + reach) / heights.PLACE_M)
+        )
+        for middle, reach in ((east, WIDE_M / 2.0), (north, AHEAD_M / 2.0))
+    )
+    places = (((i + 1000) << 32)[:, None] + (j + 1000)).ravel()
+    return places[random.random(len(places)) < SEEN]
+
+
+def main() -> None:
+    """Print a line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("submaps", nargs="?", type=int, default=heights.MOST_SUBMAPS)
+    parser.add_argument("drives", nargs="?", type=int, default=10)
+    given = parser.parse_args()
+    random = np.random.default_rng(0)
+    each = given.submaps // given.drives
+    count = each * given.drives
+    error_m = np.concatenate(
+        [random.normal(0.0, 0.5) + np.cumsum(random.normal(0.0, 0.02, each))
+         for _ in range(given.drives)]
+    )  # fmt: skip
+    places = [places_of(n % each, random) for n in range(count)]
+    submap = np.repeat(np.arange(count), [*map(len, places)])
+    _, place = np.unique(np.concatenate(places), return_inverse=True)
+    up_m = error_m[submap] + random.normal(0.0, SCATTER_M, len(submap))
+    seen = heights._Seen(submap, place, up_m)
+    drives = [drive_of(each, n) for n in range(given.drives)]
+    parts = np.split(np.arange(count), given.drives)
+    start = time.process_time()
+    found_m, _ = heights._solve(seen, drives, np.full(count, 0.5), parts)
+    spent_s, left_m = time.process_time() - start, found_m + error_m
+    print(
+        f"{count} submaps of {given.drives} drives, {count * SUBMAP_M / 1000:.0f} km, "
+        f"{len(submap) / 1e6:.1f} M heights: {spent_s:.1f} s of processor time, peak "
+        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB; "
+        f"{1000.0 * left_m.std():.1f} mm left between them"
+    )
+
+
+if __name__ == "__main__":
+    main()

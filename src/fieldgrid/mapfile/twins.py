@@ -1,0 +1,79 @@
+"""One drive in two maps: whether two sessions are the same drive, and whether they lie together."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.mapfile.map_file import MapFile
+from fieldgrid.mapfile.records import SessionInfo
+from fieldgrid.mapfile.redatum import Redatum
+
+SAME_PLACE_M = 0.02
+"""What lies as near is in the same place: planes of other datums lean a little to each other."""
+
+REMEDY = (
+    "put both in one place with `fieldgrid align --undo` or `fieldgrid sessions --shift`, or "
+    "remove one of them with `fieldgrid sessions --remove`"
+)
+"""What to do about one drive in two places."""
+
+
+class Twin(NamedTuple):
+    """A session that another map may have, too: what its frames saw, and where the accepted ones
+    are in the common plane, metres east, north and up [n, 3], as driven and as placed (NaN where a
+    height is not known). `moved` says that it comes from another plane."""
+
+    info: SessionInfo
+    seen: tuple[tuple[int, str], ...]
+    driven_m: Float64
+    placed_m: Float64
+    moved: bool
+
+    def is_drive(self, other: Twin) -> bool:
+        """Whether the two are one drive. Those of two planes are when they saw the same from the
+        same places: the same images may have other poses."""
+        if self.info.digest == other.info.digest:
+            return True
+        comparable = (self.moved or other.moved) and self.seen == other.seen
+        return comparable and max(_apart_m(self.driven_m, other.driven_m)) <= SAME_PLACE_M
+
+    def contradiction(self, other: Twin) -> str | None:
+        """How far the same drive lies from the other, as a clause; None where it lies there."""
+        place_m, height_m = _apart_m(self.placed_m, other.placed_m)
+        if max(place_m, height_m) <= SAME_PLACE_M:
+            return None
+        if height_m > max(place_m, SAME_PLACE_M):
+            return f"lies up to {height_m:.2f} m higher or lower"
+        return f"lies up to {place_m:.2f} m aside"
+
+
+def twin_of(universal: MapFile, info: SessionInfo, moved: Redatum | None) -> Twin:
+    """A session of a map, in the plane that `moved` leads to."""
+    frames = list(universal.frames(info.name))
+    accepted = [frame for frame in frames if frame.accepted]
+    driven_m, placed_m = (
+        np.array([(p.east_m, p.north_m, p.up_m) for p in poses], np.float64).reshape(-1, 3)
+        for poses in ([f.driven for f in accepted], [f.pose for f in accepted])
+    )
+    if moved is not None:
+        driven_m, placed_m = (
+            np.column_stack(moved.places(*places_m.T)) for places_m in (driven_m, placed_m)
+        )
+    seen = tuple((frame.pose.time_ns, frame.cells_sha256) for frame in frames)
+    return Twin(info, seen, driven_m, placed_m, moved is not None)
+
+
+def _apart_m(one: Float64, other: Float64) -> tuple[float, float]:
+    """How far places lie apart at most, in the plane and in height; infinite where they are not
+    the same ones, or only one of them has a height."""
+    if one.shape != other.shape or np.any(np.isnan(one[:, 2]) != np.isnan(other[:, 2])):
+        return math.inf, math.inf
+    off_m = np.nan_to_num(one - other)
+    return (
+        float(np.hypot(off_m[:, 0], off_m[:, 1]).max(initial=0.0)),
+        float(np.abs(off_m[:, 2]).max(initial=0.0)),
+    )
