@@ -59,7 +59,8 @@ def denied_by(drive: Drive, vehicle: Vehicle | None, clocks: ClockFindings) -> D
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     speed_mps = np.abs(drive.speed_mps)
     by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
-    if not _sees_turns(drive):
+    by_heading = names_axle(vehicle) and drive.headings_recorded
+    if not _sees_turns(drive) and not by_heading:
         return Denied(None, None, None, by_clock_m)
     found = drive.smoothed.declared
     # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
@@ -69,7 +70,8 @@ def denied_by(drive: Drive, vehicle: Vehicle | None, clocks: ClockFindings) -> D
     places = placed and _sees_speed(drive), placed and names_axle(vehicle)
     right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
     ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
-    late_s = _clear(found.late_s, LEAST_DELAY_S)
+    # Recorded headings have the stamps of the fixes.
+    late_s = _clear(found.late_s, LEAST_DELAY_S) if _sees_turns(drive) else None
     off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
     denied = Denied(right_m, ahead_m, late_s, off_m)
     # An axle that nobody names explains what an antenna ahead of it explains.

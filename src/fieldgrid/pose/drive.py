@@ -10,7 +10,7 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.axle import Axle, unsure_heading_rad
+from fieldgrid.pose.axle import Axle, names_axle, unsure_heading_rad
 from fieldgrid.pose.gears import (
     NO_HINTS,
     GearHints,
@@ -22,6 +22,7 @@ from fieldgrid.pose.leaps import holes
 from fieldgrid.pose.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest
+from fieldgrid.quality import Quality
 from fieldgrid.smoother import Measurements, Smoothed, refine, smooth, unstated_wander
 
 LEAST_HEADING_SIGMA_DEG = 0.3
@@ -87,6 +88,11 @@ class Drive(NamedTuple):
     def turns_seen(self) -> bool:
         """Whether a gyro or a camera saw how the vehicle turned."""
         return self.at.has_gyro() or len(self.measured.step) > 0
+
+    @property
+    def headings_recorded(self) -> bool:
+        """Whether most fixes have a recorded heading that was used."""
+        return headings_recorded(self.measured)
 
     @property
     def gyro_bias_dps(self) -> float:
@@ -192,7 +198,9 @@ def _drive(
     sigma_deg = np.hypot(sigma_deg, LEAST_HEADING_SIGMA_DEG)
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
-    if turns_seen and smoothed.declared.contradicts:
+    if smoothed.declared.contradicts and (
+        turns_seen or (names_axle(axle.vehicle) and headings_recorded(measured))
+    ):
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
     if at.has_gyro():
         sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.unverified))
@@ -218,7 +226,7 @@ def _drive(
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
         np.asarray(sigma_deg),
-        smoothed.position_sigma_m,
+        _position_sigma_m(fixes, at, measured, smoothed),
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),
         np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),
@@ -226,6 +234,23 @@ def _drive(
         resting,
         offset_m,
     )
+
+
+def _position_sigma_m(
+    fixes: AcceptedFixes, at: Nodes, measured: Measurements, smoothed: Smoothed
+) -> Float64:
+    """Absolute position sigmas [n]. For how long the error of a float solution lasts is a guess; if
+    it lasts, no mean over the drive makes it smaller than stated."""
+    last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)
+    floats = fixes.quality[last] == Quality.RTK_FLOAT
+    least_m = np.where(floats, measured.bias_m, 0.0)
+    return np.asarray(np.maximum(smoothed.position_sigma_m, least_m))
+
+
+def headings_recorded(measured: Measurements) -> bool:
+    """Whether more than half of the fixes have a recorded heading."""
+    fixes = np.isfinite(measured.fix_m[:, 0])
+    return bool(fixes.any()) and float(np.isfinite(measured.heading_rad[fixes]).mean()) > 0.5
 
 
 def lasting(against: Bool, time_s: Float64) -> Bool:

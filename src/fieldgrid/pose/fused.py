@@ -20,6 +20,7 @@ from fieldgrid.gnss import NO_STRAYS, condition
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
+from fieldgrid.pose.denied_leaps import denied_leaps
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
 from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_gyro
@@ -103,12 +104,15 @@ def fuse(
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
-    # A solution that goes on elsewhere, as the camera sees.
+    # A solution that goes on elsewhere, as the camera sees or the estimate itself.
     steps = found.motion.steps
-    if rig is not None and (
-        seen := seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
-    ):
-        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, seen)
+    seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
+    if rig is not None:
+        by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
+        seen |= {leap.time_ns: leap for leap in by_camera}
+    if seen:
+        leaps = [seen[time_ns] for time_ns in sorted(seen)]
+        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, leaps)
         if lean is not None:
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
