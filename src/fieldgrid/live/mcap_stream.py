@@ -276,7 +276,8 @@ class McapStream:
         kind = self._kind
         if not isinstance(kind, CloudKind):
             raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
-        R = optical(frame, self._transforms, None if is_optical(frame) else kind.axes)
+        is_said = kind.axes != CloudKind().axes and not is_optical(frame)
+        R = optical(frame, self._transforms, kind.axes if is_said else None)
         return CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
 
     def _image(self, kind: PairKind | CloudKind, role: str, taken: Taken, intake: Intake) -> None:
