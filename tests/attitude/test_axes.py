@@ -174,6 +174,23 @@ def test_a_frame_that_leans_is_told_where_the_vehicle_turns() -> None:
     assert found.notes == ()
 
 
+def test_the_frame_of_odometry_is_not_that_of_antennas() -> None:
+    """Odometry whose frame leans must not make what good antennas tell worse."""
+    way = hike(slope(8.0, 30.0), FIELD)
+    antennas = [axis(way, 0.0), axis(way, 90.0)]
+    odometry = []
+    for toward in (0.0, 90.0):
+        times, rises = axis_rises(way, toward, 0.1, frame_deg=(4.0, 3.0))
+        sigma = np.full(len(times), 0.5)
+        odometry.append(AxisTilt(times, rises, sigma, toward, 1.0, 2.0, "odometry"))
+    alone, both = (
+        score(way, estimate_attitude(track_of(way), ARM_M, wanted_ns=FRAMES, axes=axes), FRAMES)
+        for axes in (antennas, [*odometry, *antennas])
+    )
+    assert both.percentile(95) < 1.1 * alone.percentile(95)
+    assert both.within_3_sigma() == 1.0
+
+
 # --- what contradicts
 
 

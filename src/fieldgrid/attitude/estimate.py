@@ -258,7 +258,8 @@ def _rises(x: States, seen: Measurements, axes: Sequence[AxisTilt]) -> Iterator[
     """The recorded axes."""
     for own, (axis, (sine, sigma)) in enumerate(zip(axes, seen.risen, strict=True)):
         at = np.flatnonzero(np.isfinite(sigma))
-        yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own)
+        framed = axis.frame_sigma_deg > 0.0  # one frame leans, and not what gravity levels
+        yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own, framed)
 
 
 def _turns(x: States, seen: Measurements) -> list[Law]:
