@@ -15,6 +15,7 @@ from fieldgrid.attitude import (
 )
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Orientation
+from fieldgrid.quality import Quality
 from fieldgrid.rotations import R_level_vehicle
 from tests.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, RTK, SF1, score, track_of
 from tests.hilly import Hike, axis_rises, camera_steps, hike, hills, inertial, slope
@@ -92,6 +93,16 @@ def test_a_pitch_of_zero_throughout_is_none() -> None:
     level = FixColumns.of(np.arange(20) * 200_000_000, pitch_deg=0.0, roll_deg=0.0)
     assert axes_of_fixes(level, 0.0) == ()
     assert axes_of_fixes(fixes({"pitch_deg": 1.0}, 5), 0.0) == ()
+
+
+@pytest.mark.parametrize("quality", [Quality.NONE, Quality.GPS, Quality.RTK_FLOAT])
+def test_a_baseline_that_is_not_fixed_states_no_pitch(quality: Quality) -> None:
+    stated = fixes({"pitch_deg": 1.0})
+    codes = np.full(20, int(quality), dtype=np.int64)
+    assert axes_of_fixes(stated.replace(heading_quality=codes), 0.0) == ()
+    codes[::2] = int(Quality.RTK_FIXED)
+    (axis,) = axes_of_fixes(stated.replace(heading_quality=codes), 0.0)
+    assert axis.time_ns.tolist() == stated.time_ns[::2].tolist()
 
 
 # --- what they tell

@@ -15,6 +15,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Orientation
+from fieldgrid.quality import Quality
 
 BASELINE_MOUNT_SIGMA_DEG, IMU_MOUNT_SIGMA_DEG = 1.0, 1.0
 """Antennas a metre apart are mounted to the same height within two centimetres, and an IMU is
@@ -108,7 +109,9 @@ def axes_of_orientation(said: Orientation) -> tuple[AxisTilt, ...]:
 
 def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
     """The axes whose rise a receiver states: that of the heading, `offset_deg` clockwise from the
-    nose, and where it is stated the one to the right of it."""
+    nose, and where it is stated the one to the right of it. Of a baseline whose ambiguities are
+    not fixed nothing is used: it may be off by many degrees, and for minutes."""
+    fixes = fixes[np.isin(fixes.heading_quality, (Quality.RTK_FIXED, Quality.UNKNOWN))]
     roll, pitch = np.radians(fixes.roll_deg), np.radians(fixes.pitch_deg)
     right_deg = np.degrees(np.arcsin(-np.sin(roll) * np.cos(np.nan_to_num(pitch))))
     sigma = np.where(
