@@ -44,13 +44,17 @@ one; single values that are more than the other are left out."""
 
 LEAST_VALUES = 10
 
+ORIENTATION, ANTENNAS = "orientation", "antennas"
+"""What recorded axes are those of."""
+
 
 class AxisTilt(NamedTuple):
     """How much a level axis of the vehicle rises at n instants in order of time, degrees.
 
     The axis points `toward_deg` clockwise from the nose. `sigma_deg` [n] is what changes of the
     error, `mount_sigma_deg` what stays over a drive; `frame_sigma_deg` how far the frame that it
-    was measured in may lean. `source` names it in a note.
+    was measured in may lean. `source` names it in a note. Axes of the same `body` are turned
+    alike, so they are right or wrong together.
     """
 
     time_ns: Int64
@@ -60,6 +64,7 @@ class AxisTilt(NamedTuple):
     mount_sigma_deg: float
     frame_sigma_deg: float
     source: str
+    body: str
 
     @property
     def direction(self) -> Float64:
@@ -99,7 +104,7 @@ def axes_of_orientation(said: Orientation) -> tuple[AxisTilt, ...]:
     right_deg = np.degrees(np.arcsin(-np.sin(roll) * np.cos(pitch)))
     lasting = IMU_MOUNT_SIGMA_DEG, float(np.max(said.frame_sigma_deg))
     return tuple(
-        AxisTilt(said.time_ns, rise_deg, said.sigma_deg, toward_deg, *lasting, what)
+        AxisTilt(said.time_ns, rise_deg, said.sigma_deg, toward_deg, *lasting, what, ORIENTATION)
         for rise_deg, toward_deg, what in (
             (said.pitch_deg, 0.0, "recorded pitch"),
             (right_deg, 90.0, "recorded roll"),
@@ -132,7 +137,7 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
         found.append(
             AxisTilt(
                 *(times_ns, rise_deg[rows], sigma[rows], offset_deg + beside_deg),
-                *(BASELINE_MOUNT_SIGMA_DEG, 0.0, f"{what} beside the recorded heading"),
+                *(BASELINE_MOUNT_SIGMA_DEG, 0.0, f"{what} beside the recorded heading", ANTENNAS),
             )
         )
     return tuple(found)
@@ -148,26 +153,39 @@ class Agreed(NamedTuple):
 
 def agreed(axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]) -> Agreed:
     """What of `axes` agrees with `others`: the rise of each at its own instants by the rest of the
-    drive with its sigma, degrees, [n] each."""
-    kept, notes = [], []
-    for axis, (rise_deg, sigma_deg) in zip(axes, others, strict=True):
-        off_deg = axis.rise_deg - rise_deg
-        away = np.abs(off_deg) / np.hypot(axis.total_sigma_deg(), sigma_deg)
-        usual = float(np.percentile(away, 68.0))
-        if usual > CONTRADICTED_SIGMAS:
-            notes.append(
-                f"The {axis.source} is {np.median(off_deg):+.1f}° (half of it more than "
-                f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, and was "
-                "not used; see that heading_offset_deg says where the antennas point, or imu_axes "
-                "how the IMU sits."
-            )
+    drive with its sigma, degrees, [n] each. An axis that contradicts takes all of its body along:
+    the roll of an IMU that is mounted backward shows it before its pitch does."""
+    usual = [
+        float(np.percentile(_away(axis, *other), 68.0))
+        for axis, other in zip(axes, others, strict=True)
+    ]
+    wrong = [k for k, sigmas in enumerate(usual) if sigmas > CONTRADICTED_SIGMAS]
+    bodies = {axes[k].body for k in wrong}
+    kept = []
+    for axis, other, sigmas in zip(axes, others, usual, strict=True):
+        if axis.body in bodies:
             continue
-        good = away <= max(OUTLIER_SIGMAS, OUTLIER_SIGMAS * usual)
+        good = _away(axis, *other) <= max(OUTLIER_SIGMAS, OUTLIER_SIGMAS * sigmas)
         kept.append(
             axis._replace(
                 time_ns=axis.time_ns[good],
                 rise_deg=axis.rise_deg[good],
-                sigma_deg=axis.sigma_deg[good] * max(usual, 1.0),
+                sigma_deg=axis.sigma_deg[good] * max(sigmas, 1.0),
             )
         )
+    notes = []
+    for k in wrong:
+        off_deg = axes[k].rise_deg - others[k][0]
+        notes.append(
+            f"The {axes[k].source} is {np.median(off_deg):+.1f}° (half of it more than "
+            f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so roll and "
+            f"pitch by the {axes[k].body} were not used; see that heading_offset_deg says where "
+            "the antennas point, or imu_axes how the IMU sits."
+        )
     return Agreed(tuple(kept), tuple(notes))
+
+
+def _away(axis: AxisTilt, rise_deg: Float64, sigma_deg: Float64) -> Float64:
+    """How many sigmas the values of an axis are away from a rise, [n]."""
+    off_deg = np.abs(axis.rise_deg - rise_deg)
+    return np.asarray(off_deg / np.hypot(axis.total_sigma_deg(), sigma_deg))
