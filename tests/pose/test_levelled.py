@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from fieldgrid.array_types import Float64
+from fieldgrid.attitude import AxisTilt
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
-from fieldgrid.pose import Estimate, estimate_poses, tells_attitude
+from fieldgrid.pose import Estimate, estimate_poses, fused, tells_attitude
+from fieldgrid.pose.levelled import find_lean
 from fieldgrid.rig import LeverArm, Mount, Rig
 from fieldgrid.rotations import heading_rad
 from fieldgrid.settings import PoseSettings
@@ -29,7 +32,7 @@ from tests.hilly import (
     slope,
 )
 from tests.scenes import paper_rig
-from tests.simulated import DATUM, time_ns
+from tests.simulated import DATUM, START, time_ns
 
 SENSOR_M = (0.0, 1.4, 2.5)  # from the axle: right, forward, up
 ANTENNA_M = (-0.12, -0.45, 0.35)  # from the sensor
@@ -57,6 +60,15 @@ def fixes_over(way: Hike, **stated: npt.ArrayLike) -> FixColumns:
         age_s=1.0,
         **stated,
     )
+
+
+def headings(way: Hike, toward_deg: float) -> Float64:
+    """What two antennas that point so far clockwise from the nose show at the fixes, degrees."""
+    toward = np.radians(toward_deg)
+    times, _ = antenna_fixes(way, ANTENNA_M)
+    seen = way.at((times - START) / 1e9)
+    east, north, _ = (seen.R @ np.array([np.sin(toward), np.cos(toward), 0.0])).T
+    return np.degrees(np.arctan2(east, north))
 
 
 def estimate(way: Hike, motion: Motion, *, level_grids: bool = True) -> Estimate:
@@ -165,7 +177,9 @@ def test_antennas_across_level_the_lever_arm(toward_deg: float) -> None:
     _, rises = axis_rises(way, toward_deg, noise_deg=0.2)
     rig = replace(RIG, heading_offset_deg=toward_deg)
     found = estimate_poses(
-        fixes_over(way, pitch_deg=rises, tilt_sigma_deg=0.2),
+        fixes_over(
+            way, heading_deg=headings(way, toward_deg), pitch_deg=rises, tilt_sigma_deg=0.2
+        ),
         rig,
         DATUM,
         frame_ns=time_ns(FRAMES_S),
@@ -183,7 +197,7 @@ def test_antennas_that_are_not_where_they_are_said_to_be_are_noted() -> None:
     way = hike(GROUNDS["12° across"], rows(2, 28.0))
     _, rises = axis_rises(way, 90.0, noise_deg=0.2)
     found = estimate_poses(
-        fixes_over(way, pitch_deg=rises),
+        fixes_over(way, heading_deg=headings(way, 0.0), pitch_deg=rises),
         RIG,
         DATUM,
         motion=gyro_and(inertial(way)),
@@ -192,6 +206,59 @@ def test_antennas_that_are_not_where_they_are_said_to_be_are_noted() -> None:
     (note,) = (note for note in found.report.notes if "heading_offset_deg" in note)
     assert note.startswith("The pitch beside the recorded heading is ")
     assert farthest_m(off_m(way, found)[0]) < 0.03
+
+
+def axes_used(
+    monkeypatch: pytest.MonkeyPatch, fixes: FixColumns, **settings: Any
+) -> tuple[AxisTilt, ...]:
+    """The axes of the receiver that an estimate of a drive goes by."""
+    used: list[AxisTilt] = []
+
+    def found(*given: Any) -> Any:
+        used.extend(given[-1])
+        return find_lean(*given)
+
+    monkeypatch.setattr(fused, "find_lean", found)
+    estimate_poses(fixes, RIG, DATUM, PoseSettings(**settings))
+    return tuple(used)
+
+
+def test_a_pitch_counts_along_where_the_heading_was_found_to_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 7.0)
+    fixes = fixes_over(way, heading_deg=headings(way, 7.0), pitch_deg=rises)
+    (axis,) = axes_used(monkeypatch, fixes, max_heading_offset_deg=10.0)
+    assert axis.toward_deg == pytest.approx(7.0, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["across", "counted the other way"])
+def test_the_pitch_of_a_heading_that_is_denied_is_not_used(
+    sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the heading of the course, a drive goes on without the recorded one."""
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 90.0)
+    fixes = fixes_over(way, heading_deg=sign * headings(way, 90.0), pitch_deg=rises)
+    assert axes_used(monkeypatch, fixes, heading="course") == ()
+
+
+def test_a_pitch_without_a_heading_to_compare_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 0.0)
+    assert axes_used(monkeypatch, fixes_over(way, pitch_deg=rises)) == ()
+
+
+def test_the_pitch_of_fixes_that_are_rejected_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 0.0)
+    fixes = fixes_over(way, heading_deg=headings(way, 0.0), pitch_deg=rises)
+    none = fixes.quality.copy()
+    none[40:60] = 0
+    (axis,) = axes_used(monkeypatch, fixes.replace(quality=none))
+    assert not np.isin(fixes.time_ns[40:60], axis.time_ns).any()
+    assert len(axis.time_ns) > 0.8 * len(fixes)
 
 
 def test_wheels_that_know_reverse_count_along_the_slope() -> None:
