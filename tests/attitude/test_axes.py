@@ -175,7 +175,11 @@ def test_a_frame_that_leans_is_told_where_the_vehicle_turns() -> None:
     said = []
     for toward in (0.0, 90.0):
         times, rises = axis_rises(way, toward, 0.1, frame_deg=(2.0, -1.0))
-        said.append(AxisTilt(times, rises, np.full(len(times), 0.3), toward, 1.0, 2.0, "pitch", "orientation"))
+        said.append(
+            AxisTilt(
+                times, rises, np.full(len(times), 0.3), toward, 1.0, 2.0, "pitch", "orientation"
+            )
+        )
     steps = camera_steps(way)
     frames = np.union1d(steps.start_ns, steps.stop_ns)
     found = estimate_attitude(track_of(way), ARM_M, wanted_ns=frames, steps=steps, axes=said)

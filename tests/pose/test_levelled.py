@@ -177,9 +177,7 @@ def test_antennas_across_level_the_lever_arm(toward_deg: float) -> None:
     _, rises = axis_rises(way, toward_deg, noise_deg=0.2)
     rig = replace(RIG, heading_offset_deg=toward_deg)
     found = estimate_poses(
-        fixes_over(
-            way, heading_deg=headings(way, toward_deg), pitch_deg=rises, tilt_sigma_deg=0.2
-        ),
+        fixes_over(way, heading_deg=headings(way, toward_deg), pitch_deg=rises, tilt_sigma_deg=0.2),
         rig,
         DATUM,
         frame_ns=time_ns(FRAMES_S),
