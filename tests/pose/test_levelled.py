@@ -12,11 +12,11 @@ import pytest
 from fieldgrid.array_types import Float64
 from fieldgrid.attitude import AxisTilt
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
-from fieldgrid.pose import Estimate, estimate_poses, fused, tells_attitude
+from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, WheelSpeed
+from fieldgrid.pose import Estimate, estimate_poses, fused, levelling_attitude, tells_attitude
 from fieldgrid.pose.levelled import find_lean
 from fieldgrid.rig import LeverArm, Mount, Rig
-from fieldgrid.rotations import heading_rad
+from fieldgrid.rotations import heading_rad, roll_pitch_deg
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status
 from tests.hilly import (
@@ -272,10 +272,11 @@ def test_wheels_that_know_reverse_count_along_the_slope() -> None:
 def test_what_tells_the_attitude_before_an_image_is_read() -> None:
     way = hike(slope(0.0), rows(1, 10.0))
     sensed = inertial(way)
-    assert tells_attitude(Motion(inertial=sensed))
-    assert tells_attitude(Motion(tilt=recorded_tilt(way)))
+    at_ns = time_ns(FRAMES_S)
+    assert tells_attitude(Motion(inertial=sensed), at_ns)
+    assert tells_attitude(Motion(tilt=recorded_tilt(way)), at_ns)
     blind = sensed._replace(force_mps2=np.full_like(sensed.force_mps2, np.nan))
-    assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)))
+    assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)), at_ns)
 
 
 def test_an_unsure_lean_counts_before_the_verdict() -> None:
@@ -303,4 +304,57 @@ def test_an_accelerometer_over_little_of_the_drive_tells_no_attitude() -> None:
     sensed = inertial(hike(slope(0.0), rows(1, 10.0)))
     few = sensed.force_mps2.copy()
     few[: int(0.6 * len(few))] = np.nan
-    assert not tells_attitude(Motion(inertial=sensed._replace(force_mps2=few)))
+    assert not tells_attitude(Motion(inertial=sensed._replace(force_mps2=few)), time_ns(FRAMES_S))
+
+
+def orientation(way: Hike, *, sign: float = 1.0) -> Orientation:
+    """What an IMU states at 10 Hz; with the other sign, of one that is mounted backward."""
+    times_s = np.arange(0.0, way.drive.time_s[-1], 0.1)
+    roll, pitch = roll_pitch_deg(way.at(times_s).R)
+    n = len(times_s)
+    return Orientation(time_ns(times_s), sign * roll, sign * pitch, np.ones(n), np.zeros(n))
+
+
+@pytest.mark.parametrize("which", ["two rows", "a third", "elsewhere"])
+def test_an_orientation_over_little_of_the_drive_tells_no_attitude(which: str) -> None:
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    whole = orientation(way)
+    if which == "two rows":
+        said = Orientation(*(column[[10, 20]] for column in whole))
+    elif which == "a third":
+        said = Orientation(*(column[: len(column) // 3] for column in whole))
+    else:
+        said = whole._replace(time_ns=whole.time_ns + 10**14)
+    motion = Motion(orientation=said)
+    assert tells_attitude(Motion(orientation=whole), fixes_over(way).time_ns)
+    assert not tells_attitude(motion, fixes_over(way).time_ns)
+    found, nothing = estimate(way, motion), estimate(way, Motion())
+    assert found.report.attitude is None
+    unused = "Roll and pitch by the orientation are recorded at less than half of the fixes"
+    assert any(note.startswith(unused) for note in found.report.notes)
+    assert set(nothing.report.notes) < set(found.report.notes)
+
+
+def test_an_orientation_that_contradicts_tells_no_attitude() -> None:
+    way = hike(slope(12.0, 120.0), rows(3, 40.0))
+    right, backward = (Motion(orientation=orientation(way, sign=sign)) for sign in (1.0, -1.0))
+    fix_ns = fixes_over(way).time_ns
+    used = estimate(way, right).report.attitude
+    assert used is not None
+    assert levelling_attitude(used, right, fix_ns) is used
+    found, nothing = estimate(way, backward), estimate(way, Motion())
+    assert found.report.attitude is None
+    assert any("imu_axes" in note for note in found.report.notes)
+    assert set(nothing.report.notes) < set(found.report.notes)
+
+
+def test_grids_are_level_by_what_the_drive_does_not_deny() -> None:
+    """Where the camera tells the attitude, grids are square to the ground."""
+    way = hike(slope(12.0, 120.0), rows(3, 40.0))
+    backward = Motion(orientation=orientation(way, sign=-1.0), steps=camera_steps(way))
+    found = estimate(way, backward).report.attitude
+    assert found is not None
+    fix_ns = fixes_over(way).time_ns
+    assert levelling_attitude(found, backward, fix_ns) is None
+    tilted = backward._replace(tilt=recorded_tilt(way))
+    assert levelling_attitude(found, tilted, fix_ns) is found

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Orientation
 from fieldgrid.quality import Quality
@@ -77,16 +77,25 @@ class AxisTilt(NamedTuple):
 
         The sigma is that of a value among others whose errors are the same for a while.
         """
-        after = np.clip(np.searchsorted(self.time_ns, node_ns), 1, len(self.time_ns) - 1)
-        before_ns, after_ns = self.time_ns[after - 1], self.time_ns[after]
-        near = (node_ns >= before_ns) & (node_ns <= after_ns)
-        near &= after_ns - before_ns <= MOST_GAP_NS
+        before_ns, after_ns = self._beside(node_ns)
+        near = self.is_known(node_ns)
         rise, sigma = (np.interp(node_ns, self.time_ns, column) for column in self[1:3])
         late_s = np.minimum(np.abs(node_ns - before_ns), np.abs(after_ns - node_ns)) / 1e9
         spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
         lasting = np.sqrt(np.maximum(LASTING_S / np.maximum(spacing_s, 1e-3), 1.0))
         sigma = np.radians(np.hypot(sigma * lasting, SWAY_DEG * np.sqrt(late_s)))
         return np.where(near, np.sin(np.radians(rise)), np.nan), np.where(near, sigma, np.nan)
+
+    def is_known(self, node_ns: Int64) -> Bool:
+        """Where something is recorded near, [n]."""
+        before_ns, after_ns = self._beside(node_ns)
+        inside = (node_ns >= before_ns) & (node_ns <= after_ns)
+        return np.asarray(inside & (after_ns - before_ns <= MOST_GAP_NS))
+
+    def _beside(self, node_ns: Int64) -> tuple[Int64, Int64]:
+        """The recorded instants before and after others, [n] each."""
+        after = np.clip(np.searchsorted(self.time_ns, node_ns), 1, len(self.time_ns) - 1)
+        return self.time_ns[after - 1], self.time_ns[after]
 
     def total_sigma_deg(self) -> Float64:
         """The error of each value, [n]."""

@@ -74,7 +74,7 @@ def estimate_poses(
             "--poses FILE with the heading smooth, or leave them out."
         )
     # By what the drive carries, used or not: so its grids were made.
-    level_grids = level_grids and tells_attitude(motion)
+    level_grids = level_grids and tells_attitude(motion, fixes.time_ns)
     # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
     found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
     # A recorded heading joins once the drive has shown what it means.
@@ -123,7 +123,6 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
             *(*found.notes, *notes),
-            *(() if lean is None else lean.attitude.notes),
             *slope_notes(slope, axle.vehicle),
             *drift_notes(checks.drifts),
             *drive_notes(

@@ -116,7 +116,8 @@ def fuse(
     # The same of a vehicle that stands level, once its headings have told how it leans.
     rig = found.axle.vehicle
     axes = _stated_axes(found, settings)
-    lean = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
+    lean, unused = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
+    found = found._replace(notes=(*found.notes, *unused))
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
