@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -69,8 +68,9 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
     check_target(path)
     with replacing(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
-            file.write(",".join(COLUMNS) + "\n")
-            file.writelines(_csv_lines(estimate))
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            writer.writerows(track_rows(estimate))
         else:
             _, lines = _OTHERS[path.suffix.lower()]
             file.writelines(f"{line}\n" for line in lines(estimate))
@@ -104,25 +104,6 @@ def check_reach(trajectory: Trajectory) -> None:
             f"The drive reaches {float(far_m.max()) / 1000:.0f} km from its datum, over "
             f"{MAX_DISTANCE_M / 1000:.0f} km; give a --datum near the field."
         )
-
-
-def _csv_lines(estimate: Estimate) -> Iterator[str]:
-    """The rows as lines. Of their fields only reasons may need quotes, and few differ."""
-    at = COLUMNS.index("reason")
-    quoted: dict[str, str] = {"": ""}
-    for row in track_rows(estimate):
-        reason = row[at]
-        if reason:
-            if reason not in quoted:
-                quoted[reason] = _csv_field(reason)
-            row = (*row[:at], quoted[reason], *row[at + 1 :])
-        yield ",".join(row) + "\n"
-
-
-def _csv_field(text: str) -> str:
-    field = io.StringIO()
-    csv.writer(field, lineterminator="").writerow([text])
-    return field.getvalue()
 
 
 def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:

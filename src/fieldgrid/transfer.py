@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8, UInt64
+from fieldgrid.array_types import Bool, Float32, Float64, Int32, UInt8, UInt32, UInt64
 from fieldgrid.choices import Transfer as Transfer  # noqa: PLC0414 - users set it, and it is used here
 from fieldgrid.errors import ConfigError
 from fieldgrid.grids import GridSpec, LocalGrid
@@ -86,13 +86,14 @@ class Landing(NamedTuple):
 
     `cell` is int32 [n_y << shift, n_x << shift]: the flat index in the window of each local cell
     (of each of its 2^shift x 2^shift parts), -1 where it was not observed or lies outside. `spans`
-    is int32 [n_y << shift, 2]: in each row all that is not -1 lies from the first of its columns to
-    before the second.
+    is uint32 [n_y << shift, 2]: in each row all that is not -1 lies from the first of its columns
+    to before the second. Columns that a kernel counts by them are unsigned, and need no look
+    whether they are negative.
     """
 
     cell: Int32
     shift: int
-    spans: Int32
+    spans: UInt32
 
     @property
     def unit(self) -> int:
@@ -111,7 +112,7 @@ def land(
     shift = AREA_SHIFT if transfer is Transfer.AREA else 0
     axes = universal_axes(grid.spec, pose, lattice, shift)
     cell = np.empty((grid.spec.n_y << shift, grid.spec.n_x << shift), dtype=np.int32)
-    spans = np.empty((len(cell), 2), dtype=np.int32)
+    spans = np.empty((len(cell), 2), dtype=np.uint32)
     locate(grid.observed, *axes, shift, *window, cell, spans)
     return Landing(cell, shift, spans)
 
@@ -282,12 +283,13 @@ def locate(  # type: ignore[no-untyped-def]
         spans[fine_r, 0], spans[fine_r, 1] = start, end
         cell[fine_r, :start] = -1
         cell[fine_r, end:] = -1
-        for c in range(start, end):
-            u = np.floor(column_i[c] + i_r) - i0
-            v = np.floor(column_j[c] + j_r) - j0
+        across_i, across_j, into = column_i[start:end], column_j[start:end], cell[fine_r, start:end]
+        for c in range(into.size):
+            u = np.floor(across_i[c] + i_r) - i0
+            v = np.floor(across_j[c] + j_r) - j0
             inside = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
-            cell[fine_r, c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
-        for c in range(start, end):
+            into[c] = np.int32(v) * np.int32(width) + np.int32(u) if inside else -1
+        for c in range(np.uint64(start), np.uint64(end)):
             if not observed[r, c >> shift]:
                 cell[fine_r, c] = -1
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.align import Role, align_map, undo_alignment
+from fieldgrid.align import Role, agreement, align_map, undo_alignment
 from fieldgrid.align.submaps import cut
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
@@ -216,6 +216,18 @@ def test_of_two_that_state_too_little_both_are_unsure_afterwards(tmp_path: Path)
         off_m, sigma_m = placed_m(path, name, true[name])
         assert off_m.mean() == pytest.approx(0.5, abs=0.05)
         assert (off_m < 3.0 * sigma_m).all()
+
+
+def test_a_ridge_does_not_hide_what_lies_beyond_reach(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drives a row apart: the way from row to row looked like one along which nothing is told."""
+    way = np.array([0.9, -0.7]) / math.hypot(0.9, 0.7)
+    monkeypatch.setattr(agreement, "along_ridge", lambda *given: way)
+    with open_map(path) as universal:
+        found = align_map(universal, reach_m=0.5)
+    assert "beyond the 0.5 m that --reach allows" in str(found.pairs[0].doubt)
+    assert found.pairs[0].matches == 0
 
 
 def test_what_lies_beyond_reach_is_a_doubt_and_moves_nothing(path: Path) -> None:

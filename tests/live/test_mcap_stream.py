@@ -105,6 +105,29 @@ def test_clouds_out_of_a_pipe_are_those_of_a_bag(pipe: Path, tmp_path: Path) -> 
         assert np.allclose(points_m, first.source.sweep().points_m, atol=1e-5)
 
 
+def test_a_transform_of_a_lidar_that_comes_late_is_reported(pipe: Path, tmp_path: Path) -> None:
+    ros, text = Maker("mcap"), "tf2_msgs/msg/TFMessage"
+    drive = recorded_yard(tmp_path / "yard")
+    convert_recording(drive, tmp_path / "all.mcap")
+    said = []
+    for *about, data in messages_of(tmp_path / "all.mcap"):
+        message = ros.store.deserialize_cdr(data, about[3])
+        if about[1] != "/tf_static":
+            if about[3] == "sensor_msgs/msg/PointCloud2":
+                message.header.frame_id = "lidar"
+            said.append((*about, bytes(ros.store.serialize_cdr(message, about[3]))))
+    # As a camera's: x to the right, z ahead.
+    tree = ros.transforms(ros.transform("base_link", "lidar", (0, 0, 1), (0.5, -0.5, 0.5, -0.5)))
+    definition = ros.store.generate_msgdef(text, ros_version=2)[0].encode()
+    late = (said[-1][0], "/tf_static", "cdr", text, definition)
+    said.append((*late, bytes(ros.store.serialize_cdr(tree, text))))
+    bag = write_as_it_comes(tmp_path / "late.mcap", said)
+    with running(McapStream(str(pipe), CloudKind())) as notes:
+        write(pipe, bag.read_bytes())
+        notes.wait_told("came after the first cloud")
+    assert notes.frames
+
+
 def test_the_rig_says_whether_pairs_or_clouds_are_taken(
     short_drive: Path, recorded: Path, pipe: Path
 ) -> None:

@@ -113,8 +113,9 @@ def agree(
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
     (sharp,) = together([one.independent * one.by_cell for one in found], slice(turn, turn + 1))
     along = along_ridge(sharp / np.maximum(cells[turn], 1.0), axis, shift)
-    shift = shift - along * (along @ shift)
+    # Of the best shift itself: where rows repeat, the way from row to row may look like a ridge.
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)
+    shift = shift - along * (along @ shift)
     return Agreement(
         a, b, places_m.mean(axis=0), shift, float(turns[turn]), score, axis, rivals, alike, along,
         doubt,

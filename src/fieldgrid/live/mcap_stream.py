@@ -141,7 +141,7 @@ class McapStream:
         self._nmea = ReceiverStream()
         self._waiting: tuple[deque[Taken], deque[Taken]] = deque(), deque()
         self._frames = 0
-        self._turned: dict[str, CloudMaker] = {}
+        self._makers: dict[str, tuple[str, CloudMaker]] = {}
         self._fixes_of = ""
 
     @property
@@ -253,21 +253,32 @@ class McapStream:
             return
         self._imu.check_transforms()
         self._push_imu([], intake)
+        for topic, (frame, maker) in self._makers.items():
+            if self._maker(frame) != maker:
+                self._say(
+                    intake,
+                    f"has a static transform of {frame} that came after the first cloud of "
+                    f"{topic}, and is not used; record /tf_static from the start, or say axes in "
+                    "recording.toml.",
+                )
 
     def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
         """Give a cloud, whose frame tells by its name or place when its axes are a camera's."""
+        if message.topic not in self._makers:
+            frame = str(decode(message).header.frame_id)
+            self._makers[message.topic] = frame, self._maker(frame)
+        _, maker = self._makers[message.topic]
+        intake.push_frame(maker.frame(self._frames, time_ns, (Taken(message, time_ns),)))
+        self._frames += 1
+
+    def _maker(self, frame: str) -> CloudMaker:
+        """What makes frames of clouds in a frame, by what is known of it now."""
         kind = self._kind
         if not isinstance(kind, CloudKind):
             raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
-        topic = message.topic
-        if topic not in self._turned:
-            frame = str(decode(message).header.frame_id)
-            axes = None if is_optical(frame) else kind.axes
-            R = optical(frame, self._transforms, axes)
-            self._turned[topic] = CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
-        maker = self._turned[topic]
-        intake.push_frame(maker.frame(self._frames, time_ns, (Taken(message, time_ns),)))
-        self._frames += 1
+        is_said = kind.axes != CloudKind().axes and not is_optical(frame)
+        R = optical(frame, self._transforms, kind.axes if is_said else None)
+        return CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
 
     def _image(self, kind: PairKind | CloudKind, role: str, taken: Taken, intake: Intake) -> None:
         """Hold an image until its partner comes, and give the pair."""

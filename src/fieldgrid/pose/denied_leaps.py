@@ -58,7 +58,8 @@ def denied_leaps(fixes: AcceptedFixes, drive: Drive) -> tuple[SeenLeap, ...]:
     return tuple(
         SeenLeap(
             int(fixes.time_ns[k + 1]),
-            *leap_m[:, k].tolist(),
+            float(leap_m[0, k]),
+            float(leap_m[1, k]),
             float(np.hypot(noise_m, SIZE_SHARE * size_m[k])),
         )
         for k in np.flatnonzero(large).tolist()
