@@ -96,8 +96,9 @@ def add_recording(
     settings = settings or BuildSettings()
     started = time.perf_counter()
     attitude, known = None, trajectory
-    leans = tells_attitude(recording.motion(), recording.fixes().time_ns)
-    if trajectory is None and (leans or has_sweeps(recording)):
+    if trajectory is None and (
+        tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording)
+    ):
         estimate = estimate_drive(recording, settings, universal.datum)
         known = estimate.trajectory
         attitude = attitude_of_grids(recording, estimate)
