@@ -348,7 +348,9 @@ def _antennas(way: Hike, toward_deg: float) -> list[AxisTilt]:
     """Two antennas that are not quite at one height: 0.7° off, 0.3° for half a minute, 0.2°."""
     times, rises = axis_rises(way, toward_deg, 0.2, noise_deg=0.2, mount_deg=0.7)
     off = rises + slowly(len(rises), 0.2, 30.0, 0.3)
-    return [AxisTilt(times, off, np.full(len(off), 0.35), toward_deg, 1.0, 0.0, "pitch")]
+    return [
+        AxisTilt(times, off, np.full(len(off), 0.35), toward_deg, 1.0, 0.0, "pitch", "antennas")
+    ]
 
 
 def _own_estimate(way: Hike) -> list[AxisTilt]:
@@ -357,7 +359,9 @@ def _own_estimate(way: Hike) -> list[AxisTilt]:
     for seed, toward_deg in enumerate((0.0, 90.0)):
         times, rises = axis_rises(way, toward_deg, 0.05, noise_deg=0.05, mount_deg=0.7)
         off = rises + slowly(len(rises), 0.05, 2.0, 0.7, seed)
-        found.append(AxisTilt(times, off, np.ones(len(off)), toward_deg, 1.0, 0.0, "pitch"))
+        found.append(
+            AxisTilt(times, off, np.ones(len(off)), toward_deg, 1.0, 0.0, "pitch", "orientation")
+        )
     return found
 
 

@@ -15,6 +15,7 @@ from fieldgrid.attitude import (
 )
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Orientation
+from fieldgrid.quality import Quality
 from fieldgrid.rotations import R_level_vehicle
 from tests.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, RTK, SF1, score, track_of
 from tests.hilly import Hike, axis_rises, camera_steps, hike, hills, inertial, slope
@@ -27,7 +28,7 @@ def axis(way: Hike, toward_deg: float, period_s: float = 0.2, **off: float) -> A
     """What two antennas state, a degree of whose height is not known."""
     times, rises = axis_rises(way, toward_deg, period_s, **off)
     sigma = np.full(len(times), off.get("noise_deg", 0.3))
-    return AxisTilt(times, rises, sigma, toward_deg, 1.0, 0.0, "pitch")
+    return AxisTilt(times, rises, sigma, toward_deg, 1.0, 0.0, "pitch", "antennas")
 
 
 # --- what is stated means
@@ -92,6 +93,16 @@ def test_a_pitch_of_zero_throughout_is_none() -> None:
     level = FixColumns.of(np.arange(20) * 200_000_000, pitch_deg=0.0, roll_deg=0.0)
     assert axes_of_fixes(level, 0.0) == ()
     assert axes_of_fixes(fixes({"pitch_deg": 1.0}, 5), 0.0) == ()
+
+
+@pytest.mark.parametrize("quality", [Quality.NONE, Quality.GPS, Quality.RTK_FLOAT])
+def test_a_baseline_that_is_not_fixed_states_no_pitch(quality: Quality) -> None:
+    stated = fixes({"pitch_deg": 1.0})
+    codes = np.full(20, int(quality), dtype=np.int64)
+    assert axes_of_fixes(stated.replace(heading_quality=codes), 0.0) == ()
+    codes[::2] = int(Quality.RTK_FIXED)
+    (axis,) = axes_of_fixes(stated.replace(heading_quality=codes), 0.0)
+    assert axis.time_ns.tolist() == stated.time_ns[::2].tolist()
 
 
 # --- what they tell
@@ -164,7 +175,11 @@ def test_a_frame_that_leans_is_told_where_the_vehicle_turns() -> None:
     said = []
     for toward in (0.0, 90.0):
         times, rises = axis_rises(way, toward, 0.1, frame_deg=(2.0, -1.0))
-        said.append(AxisTilt(times, rises, np.full(len(times), 0.3), toward, 1.0, 2.0, "pitch"))
+        said.append(
+            AxisTilt(
+                times, rises, np.full(len(times), 0.3), toward, 1.0, 2.0, "pitch", "orientation"
+            )
+        )
     steps = camera_steps(way)
     frames = np.union1d(steps.start_ns, steps.stop_ns)
     found = estimate_attitude(track_of(way), ARM_M, wanted_ns=frames, steps=steps, axes=said)
@@ -172,6 +187,23 @@ def test_a_frame_that_leans_is_told_where_the_vehicle_turns() -> None:
     assert seen.percentile(95) < 0.4
     assert seen.within_3_sigma() == 1.0
     assert found.notes == ()
+
+
+def test_the_frame_of_odometry_is_not_that_of_antennas() -> None:
+    """Odometry whose frame leans must not make what good antennas tell worse."""
+    way = hike(slope(8.0, 30.0), FIELD)
+    antennas = [axis(way, 0.0), axis(way, 90.0)]
+    odometry = []
+    for toward in (0.0, 90.0):
+        times, rises = axis_rises(way, toward, 0.1, frame_deg=(4.0, 3.0))
+        sigma = np.full(len(times), 0.5)
+        odometry.append(AxisTilt(times, rises, sigma, toward, 1.0, 2.0, "pitch", "orientation"))
+    alone, both = (
+        score(way, estimate_attitude(track_of(way), ARM_M, wanted_ns=FRAMES, axes=axes), FRAMES)
+        for axes in (antennas, [*odometry, *antennas])
+    )
+    assert both.percentile(95) < 1.1 * alone.percentile(95)
+    assert both.within_3_sigma() == 1.0
 
 
 # --- what contradicts
@@ -197,6 +229,25 @@ def test_antennas_said_to_point_backward_are_named() -> None:
         track_of(way), ARM_M, wanted_ns=FRAMES, sensed=inertial(way), axes=[wrong]
     )
     assert len(found.notes) == 1
+
+
+def test_an_axis_that_contradicts_takes_its_body_along() -> None:
+    """An IMU that is mounted backward, on a slope of 12° across: only one of its axes
+    contradicts, and the other one is as wrong."""
+    way = hike(slope(12.0, 120.0), FIELD)
+    ahead, right = (
+        one._replace(rise_deg=-one.rise_deg) for one in (axis(way, 0.0), axis(way, 90.0))
+    )
+    track = track_of(way)
+    alone = estimate_attitude(track, ARM_M, wanted_ns=FRAMES)
+    found = estimate_attitude(track, ARM_M, wanted_ns=FRAMES, axes=[ahead, right])
+    assert len(found.notes) == 1
+    assert np.array_equal(found.pitch_deg, alone.pitch_deg)
+    # Of another body it would be used.
+    other = ahead._replace(body="orientation")
+    apart = estimate_attitude(track, ARM_M, wanted_ns=FRAMES, axes=[other, right])
+    assert len(apart.notes) == 1
+    assert not np.array_equal(apart.pitch_deg, alone.pitch_deg)
 
 
 def test_wrong_ambiguities_of_a_while_do_not_matter() -> None:

@@ -23,7 +23,15 @@ from fieldgrid.build import build_map
 from fieldgrid.convert import Images, convert_recording
 from fieldgrid.errors import ConfigError, MapExistsError, RecordingError
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt, WheelSpeed
+from fieldgrid.motion import (
+    GivenPoses,
+    Gyro,
+    Inertial,
+    Motion,
+    Orientation,
+    RecordedTilt,
+    WheelSpeed,
+)
 from fieldgrid.quality import Quality
 from fieldgrid.recording import DepthFrame, DriveOptions, FixLog, open_recording
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig
@@ -324,16 +332,20 @@ def test_rates_that_are_not_known_are_written_as_unknown(
         assert (0 if found is None else len(found.time_ns)) == told
 
 
+@pytest.mark.parametrize("posed", [False, True], ids=["alone", "beside given poses"])
 @pytest.mark.parametrize("kind", [RecordedTilt, Orientation])
 def test_recorded_roll_and_pitch_come_back_bit_by_bit(
-    kind: type[Any], make_drive: MakeDrive, tmp_path: Path
+    kind: type[Any], posed: bool, make_drive: MakeDrive, tmp_path: Path
 ) -> None:
     out, times = tmp_path / "june.mcap", START_NS + np.arange(5) * 10**8
     columns = np.random.default_rng(0).normal(size=(len(kind._fields) - 1, 5))
     told = kind(times, *columns)
     name = "tilt" if kind is RecordedTilt else "orientation"
     with open_recording(make_drive()) as recording:
-        log = recording.log._replace(motion=Motion(**{name: told}))
+        motion = Motion(**{name: told})
+        if posed:  # which are written without roll and pitch
+            motion = motion._replace(poses=GivenPoses(times, *np.zeros((6, 5))))
+        log = recording.log._replace(motion=motion)
         convert_recording(replace(recording, log=log), out, images="none")
     with fg.open_drive(out) as again:
         found = getattr(again.motion(), name)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from fieldgrid.array_types import Float64
+from fieldgrid.attitude import AxisTilt
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
-from fieldgrid.pose import Estimate, estimate_poses, tells_attitude
+from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, WheelSpeed
+from fieldgrid.pose import Estimate, estimate_poses, fused, levelling_attitude, tells_attitude
+from fieldgrid.pose.levelled import find_lean
 from fieldgrid.rig import LeverArm, Mount, Rig
-from fieldgrid.rotations import heading_rad
+from fieldgrid.rotations import heading_rad, roll_pitch_deg
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Status
 from tests.hilly import (
@@ -29,7 +32,7 @@ from tests.hilly import (
     slope,
 )
 from tests.scenes import paper_rig
-from tests.simulated import DATUM, time_ns
+from tests.simulated import DATUM, START, time_ns
 
 SENSOR_M = (0.0, 1.4, 2.5)  # from the axle: right, forward, up
 ANTENNA_M = (-0.12, -0.45, 0.35)  # from the sensor
@@ -57,6 +60,15 @@ def fixes_over(way: Hike, **stated: npt.ArrayLike) -> FixColumns:
         age_s=1.0,
         **stated,
     )
+
+
+def headings(way: Hike, toward_deg: float) -> Float64:
+    """What two antennas that point so far clockwise from the nose show at the fixes, degrees."""
+    toward = np.radians(toward_deg)
+    times, _ = antenna_fixes(way, ANTENNA_M)
+    seen = way.at((times - START) / 1e9)
+    east, north, _ = (seen.R @ np.array([np.sin(toward), np.cos(toward), 0.0])).T
+    return np.degrees(np.arctan2(east, north))
 
 
 def estimate(way: Hike, motion: Motion, *, level_grids: bool = True) -> Estimate:
@@ -165,7 +177,7 @@ def test_antennas_across_level_the_lever_arm(toward_deg: float) -> None:
     _, rises = axis_rises(way, toward_deg, noise_deg=0.2)
     rig = replace(RIG, heading_offset_deg=toward_deg)
     found = estimate_poses(
-        fixes_over(way, pitch_deg=rises, tilt_sigma_deg=0.2),
+        fixes_over(way, heading_deg=headings(way, toward_deg), pitch_deg=rises, tilt_sigma_deg=0.2),
         rig,
         DATUM,
         frame_ns=time_ns(FRAMES_S),
@@ -183,7 +195,7 @@ def test_antennas_that_are_not_where_they_are_said_to_be_are_noted() -> None:
     way = hike(GROUNDS["12° across"], rows(2, 28.0))
     _, rises = axis_rises(way, 90.0, noise_deg=0.2)
     found = estimate_poses(
-        fixes_over(way, pitch_deg=rises),
+        fixes_over(way, heading_deg=headings(way, 0.0), pitch_deg=rises),
         RIG,
         DATUM,
         motion=gyro_and(inertial(way)),
@@ -192,6 +204,59 @@ def test_antennas_that_are_not_where_they_are_said_to_be_are_noted() -> None:
     (note,) = (note for note in found.report.notes if "heading_offset_deg" in note)
     assert note.startswith("The pitch beside the recorded heading is ")
     assert farthest_m(off_m(way, found)[0]) < 0.03
+
+
+def axes_used(
+    monkeypatch: pytest.MonkeyPatch, fixes: FixColumns, **settings: Any
+) -> tuple[AxisTilt, ...]:
+    """The axes of the receiver that an estimate of a drive goes by."""
+    used: list[AxisTilt] = []
+
+    def found(*given: Any) -> Any:
+        used.extend(given[-1])
+        return find_lean(*given)
+
+    monkeypatch.setattr(fused, "find_lean", found)
+    estimate_poses(fixes, RIG, DATUM, PoseSettings(**settings))
+    return tuple(used)
+
+
+def test_a_pitch_counts_along_where_the_heading_was_found_to_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 7.0)
+    fixes = fixes_over(way, heading_deg=headings(way, 7.0), pitch_deg=rises)
+    (axis,) = axes_used(monkeypatch, fixes, max_heading_offset_deg=10.0)
+    assert axis.toward_deg == pytest.approx(7.0, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["across", "counted the other way"])
+def test_the_pitch_of_a_heading_that_is_denied_is_not_used(
+    sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the heading of the course, a drive goes on without the recorded one."""
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 90.0)
+    fixes = fixes_over(way, heading_deg=sign * headings(way, 90.0), pitch_deg=rises)
+    assert axes_used(monkeypatch, fixes, heading="course") == ()
+
+
+def test_a_pitch_without_a_heading_to_compare_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 0.0)
+    assert axes_used(monkeypatch, fixes_over(way, pitch_deg=rises)) == ()
+
+
+def test_the_pitch_of_fixes_that_are_rejected_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = hike(slope(6.0, 120.0), rows(2, 28.0))
+    _, rises = axis_rises(way, 0.0)
+    fixes = fixes_over(way, heading_deg=headings(way, 0.0), pitch_deg=rises)
+    none = fixes.quality.copy()
+    none[40:60] = 0
+    (axis,) = axes_used(monkeypatch, fixes.replace(quality=none))
+    assert not np.isin(fixes.time_ns[40:60], axis.time_ns).any()
+    assert len(axis.time_ns) > 0.8 * len(fixes)
 
 
 def test_wheels_that_know_reverse_count_along_the_slope() -> None:
@@ -207,10 +272,11 @@ def test_wheels_that_know_reverse_count_along_the_slope() -> None:
 def test_what_tells_the_attitude_before_an_image_is_read() -> None:
     way = hike(slope(0.0), rows(1, 10.0))
     sensed = inertial(way)
-    assert tells_attitude(Motion(inertial=sensed))
-    assert tells_attitude(Motion(tilt=recorded_tilt(way)))
+    at_ns = time_ns(FRAMES_S)
+    assert tells_attitude(Motion(inertial=sensed), at_ns)
+    assert tells_attitude(Motion(tilt=recorded_tilt(way)), at_ns)
     blind = sensed._replace(force_mps2=np.full_like(sensed.force_mps2, np.nan))
-    assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)))
+    assert not tells_attitude(Motion(inertial=blind, steps=camera_steps(way)), at_ns)
 
 
 def test_an_unsure_lean_counts_before_the_verdict() -> None:
@@ -238,4 +304,57 @@ def test_an_accelerometer_over_little_of_the_drive_tells_no_attitude() -> None:
     sensed = inertial(hike(slope(0.0), rows(1, 10.0)))
     few = sensed.force_mps2.copy()
     few[: int(0.6 * len(few))] = np.nan
-    assert not tells_attitude(Motion(inertial=sensed._replace(force_mps2=few)))
+    assert not tells_attitude(Motion(inertial=sensed._replace(force_mps2=few)), time_ns(FRAMES_S))
+
+
+def orientation(way: Hike, *, sign: float = 1.0) -> Orientation:
+    """What an IMU states at 10 Hz; with the other sign, of one that is mounted backward."""
+    times_s = np.arange(0.0, way.drive.time_s[-1], 0.1)
+    roll, pitch = roll_pitch_deg(way.at(times_s).R)
+    n = len(times_s)
+    return Orientation(time_ns(times_s), sign * roll, sign * pitch, np.ones(n), np.zeros(n))
+
+
+@pytest.mark.parametrize("which", ["two rows", "a third", "elsewhere"])
+def test_an_orientation_over_little_of_the_drive_tells_no_attitude(which: str) -> None:
+    way = hike(GROUNDS["12° across"], rows(2, 28.0))
+    whole = orientation(way)
+    if which == "two rows":
+        said = Orientation(*(column[[10, 20]] for column in whole))
+    elif which == "a third":
+        said = Orientation(*(column[: len(column) // 3] for column in whole))
+    else:
+        said = whole._replace(time_ns=whole.time_ns + 10**14)
+    motion = Motion(orientation=said)
+    assert tells_attitude(Motion(orientation=whole), fixes_over(way).time_ns)
+    assert not tells_attitude(motion, fixes_over(way).time_ns)
+    found, nothing = estimate(way, motion), estimate(way, Motion())
+    assert found.report.attitude is None
+    unused = "Roll and pitch by the orientation are recorded at less than half of the fixes"
+    assert any(note.startswith(unused) for note in found.report.notes)
+    assert set(nothing.report.notes) < set(found.report.notes)
+
+
+def test_an_orientation_that_contradicts_tells_no_attitude() -> None:
+    way = hike(slope(12.0, 120.0), rows(3, 40.0))
+    right, backward = (Motion(orientation=orientation(way, sign=sign)) for sign in (1.0, -1.0))
+    fix_ns = fixes_over(way).time_ns
+    used = estimate(way, right).report.attitude
+    assert used is not None
+    assert levelling_attitude(used, right, fix_ns) is used
+    found, nothing = estimate(way, backward), estimate(way, Motion())
+    assert found.report.attitude is None
+    assert any("imu_axes" in note for note in found.report.notes)
+    assert set(nothing.report.notes) < set(found.report.notes)
+
+
+def test_grids_are_level_by_what_the_drive_does_not_deny() -> None:
+    """Where the camera tells the attitude, grids are square to the ground."""
+    way = hike(slope(12.0, 120.0), rows(3, 40.0))
+    backward = Motion(orientation=orientation(way, sign=-1.0), steps=camera_steps(way))
+    found = estimate(way, backward).report.attitude
+    assert found is not None
+    fix_ns = fixes_over(way).time_ns
+    assert levelling_attitude(found, backward, fix_ns) is None
+    tilted = backward._replace(tilt=recorded_tilt(way))
+    assert levelling_attitude(found, tilted, fix_ns) is found

@@ -13,10 +13,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fieldgrid.attitude import Track, axes_of_orientation, estimate_attitude
-from fieldgrid.motion import Motion
+from fieldgrid.motion import Motion, Orientation
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.bag.leaning import Leans, orientation_of
 from fieldgrid.ros import Message, Take, decode, open_bag
+from fieldgrid.ros.gnss import ORIENTATION, tilt_messages
 from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from tests.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, score, track_of
 from tests.hilly import hike, hills
@@ -228,6 +229,62 @@ def test_an_accelerometer_tells_it_better_unless_the_topic_is_given(tmp_path: Pa
     assert motion.inertial is not None
 
 
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD = np.diag([1.0, -1.0, -1.0])
+
+
+@pytest.mark.parametrize("given", [False, True], ids=["found", "given"])
+@pytest.mark.parametrize("frame", ["ned", "enu"])
+def test_an_imu_forward_right_down_needs_its_axes(frame: str, given: bool, tmp_path: Path) -> None:
+    """In a frame north, east, down its vertical looks upright, and its pitch is inverted."""
+
+    def messages(maker: Maker) -> Iterator[Said]:
+        for k_ns in STAMPS:
+            R = leans(k_ns)
+            felt = FRD @ R.T @ np.array([0.0, 0.0, 9.81])
+            message = maker.imu(START_NS + k_ns, (0.1, 0.05, 0.2), forces=tuple(felt.tolist()))
+            turn = quaternion((NED if frame == "ned" else np.eye(3)) @ R @ FRD)
+            yield Said(
+                START_NS + k_ns, "/imu", replace(message, orientation=maker.quaternion(*turn))
+            )
+
+    motion, notes = motion_of(tmp_path, messages, **({"attitude": "/imu"} if given else {}))
+    assert motion.orientation is None
+    (note,) = (note for note in notes if "tells no roll and pitch" in note)
+    assert "say how it sits by imu_axes in mounting.json" in note
+
+
+def test_without_an_accelerometer_a_vertical_downward_needs_its_axes(tmp_path: Path) -> None:
+    def imu(maker: Maker) -> Iterator[Said]:
+        yield from said("/imu", Told(maker, FRD).imu)
+
+    def odometry(maker: Maker) -> Iterator[Said]:
+        yield from said("/odom", Told(maker, FRD).odometry)
+
+    motion, notes = motion_of(tmp_path, imu)
+    assert motion.orientation is None
+    assert any("say how it sits by imu_axes" in note for note in notes)
+    motion, notes = motion_of(tmp_path / "odometry", odometry)
+    assert motion.orientation is None
+    assert any("say how it sits by a static transform." in note for note in notes)
+
+
+def test_a_topic_that_is_given_counts_before_what_a_conversion_kept(tmp_path: Path) -> None:
+    def messages(maker: Maker) -> Iterator[Said]:
+        yield from said("/leans", lambda k: Told(maker).stamped(k, sure=False))
+        times = START_NS + np.array([0, 1]) * 1_000_000_000
+        kept = Orientation(times, *np.ones((4, 2)))
+        for time_ns, message in tilt_messages(kept):
+            yield Said(time_ns, ORIENTATION, maker.of("std_msgs/msg/String", data=message.data))
+
+    motion, _ = motion_of(tmp_path, messages)
+    assert motion.orientation is not None
+    assert len(motion.orientation.time_ns) == 2
+    motion, _ = motion_of(tmp_path / "given", messages, attitude="/leans")
+    assert motion.orientation is not None
+    assert len(motion.orientation.time_ns) == len(STAMPS)
+
+
 # --- the orientation alone
 
 
@@ -238,9 +295,8 @@ def of_quaternions(turns: list[tuple[float, ...]], R_flu_body: np.ndarray | None
         message = replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn))
         heard.add(message, k)
     times = (np.array(heard.places, dtype=np.int64) + 1) * 100_000_000
-    return orientation_of(
-        times, heard.values(), np.eye(3) if R_flu_body is None else R_flu_body, 0.0
-    )
+    R = np.eye(3) if R_flu_body is None else R_flu_body
+    return orientation_of(times, heard.values(), R, 0.0, axes_known=R_flu_body is not None)
 
 
 def test_a_frame_that_points_down_with_a_body_that_does_is_upright() -> None:
@@ -253,22 +309,32 @@ def test_a_frame_that_points_down_with_a_body_that_does_is_upright() -> None:
 
 def test_a_body_on_its_side_is_named() -> None:
     side = R_level_vehicle(90.0, 0.0)
-    assert "lies on its side" in of_quaternions([quaternion(leans(k) @ side) for k in STAMPS])
+    found = of_quaternions([quaternion(leans(k) @ side) for k in STAMPS])
+    assert found.by_axes
+    assert "lies on its side" in found.why
+
+
+def test_a_vertical_downward_needs_known_axes() -> None:
+    down = np.diag([1.0, -1.0, -1.0])
+    turns = [quaternion(leans(k) @ down) for k in STAMPS]  # an IMU upside down
+    assert of_quaternions(turns).by_axes
+    found = of_quaternions(turns, down)
+    assert found.pitch_deg[0] == pytest.approx(PITCH_DEG, abs=1e-4)
 
 
 def test_quaternions_of_nothing_are_skipped_and_near_ones_thinned() -> None:
     turns = [(0.0, 0.0, 0.0, 0.0), *(quaternion(leans(k)) for k in STAMPS)]
     found = of_quaternions(turns)
     assert len(found.time_ns) == len(STAMPS)
-    assert "fewer than two" in of_quaternions(turns[:2])
+    assert "fewer than two" in of_quaternions(turns[:2]).why
     heard = Leans()
     maker = Maker("mcap")
     for k in range(200):
         turn = maker.quaternion(*quaternion(leans(k * 5_000_000)))
         heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=turn), k)
     times = np.arange(1, 201) * 5_000_000
-    thin = orientation_of(times, heard.values(), np.eye(3), 0.0)
-    assert not isinstance(thin, str)
+    thin = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
+    assert isinstance(thin, Orientation)
     assert np.diff(thin.time_ns).min() == 40_000_000
 
 
@@ -284,8 +350,8 @@ def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() ->
         heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn)), k)
     track: Track = track_of(way)
     times = track.time_ns[0] + np.arange(len(turns)) * 50_000_000
-    found = orientation_of(times, heard.values(), np.eye(3), 0.0)
-    assert not isinstance(found, str)
+    found = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
+    assert isinstance(found, Orientation)
     without = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=FRAMES)
     with_it = estimate_attitude(
         track, np.array(ANTENNA_M), wanted_ns=FRAMES, axes=axes_of_orientation(found)

@@ -1,10 +1,11 @@
 """Roll and pitch against gravity, from accelerometer, gyro, camera and the climb of the fixes."""
 
-from fieldgrid.attitude.axes import AxisTilt, axes_of_fixes, axes_of_orientation
+from fieldgrid.attitude.axes import ORIENTATION, AxisTilt, axes_of_fixes, axes_of_orientation
 from fieldgrid.attitude.estimate import Attitude, estimate_attitude
 from fieldgrid.attitude.measurements import Track
 
 __all__ = [
+    "ORIENTATION",
     "Attitude",
     "AxisTilt",
     "Track",

@@ -70,8 +70,9 @@ class Attitude(NamedTuple):
 
     Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
-    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured. `notes` name
-    what contradicts the rest of the drive and was not used.
+    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured. `bodies` are
+    those of the recorded axes that were used, and `notes` name what contradicts the rest of the
+    drive and was not.
     """
 
     time_ns: Int64
@@ -83,6 +84,7 @@ class Attitude(NamedTuple):
     up_m: Float64
     slope_sigma_deg: float
     notes: tuple[str, ...] = ()
+    bodies: frozenset[str] = frozenset()
 
     def as_dict(self) -> dict[str, float]:
         """What a report says of it, degrees: the steepest and the median sigmas."""
@@ -117,6 +119,7 @@ class Attitude(NamedTuple):
             up,
             self.slope_sigma_deg,
             self.notes,
+            self.bodies,
         )
 
     def rise_at(self, axis: AxisTilt) -> tuple[Float64, Float64]:
@@ -151,7 +154,9 @@ def estimate_attitude(
         return _estimate(*said, ())
     without = _estimate(*said, ())
     found = agreed(axes, [without.rise_at(axis) for axis in axes])
-    return (_estimate(*said, found.axes) if found.axes else without)._replace(notes=found.notes)
+    attitude = _estimate(*said, found.axes) if found.axes else without
+    bodies = frozenset(axis.body for axis in found.axes)
+    return attitude._replace(notes=found.notes, bodies=bodies)
 
 
 def _estimate(
@@ -258,7 +263,8 @@ def _rises(x: States, seen: Measurements, axes: Sequence[AxisTilt]) -> Iterator[
     """The recorded axes."""
     for own, (axis, (sine, sigma)) in enumerate(zip(axes, seen.risen, strict=True)):
         at = np.flatnonzero(np.isfinite(sigma))
-        yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own)
+        framed = axis.frame_sigma_deg > 0.0  # one frame leans, and not what gravity levels
+        yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own, framed)
 
 
 def _turns(x: States, seen: Measurements) -> list[Law]:

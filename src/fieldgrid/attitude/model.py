@@ -175,14 +175,22 @@ def leans(x: States, at: Index, vertical: Float64, weight: Float64) -> Law:
 
 
 def rises(
-    x: States, at: Index, direction: Float64, sine: Float64, weight: Float64, own: int
+    x: States,
+    at: Index,
+    direction: Float64,
+    sine: Float64,
+    weight: Float64,
+    own: int,
+    framed: bool,
 ) -> Law:
     """A level axis of the vehicle, `direction` [2] right and forward, rises by a recorded sine [m],
-    but for the lean of the frame and the constant error number `own` of the axis."""
+    but for the constant error number `own` of the axis and, of a `framed` one, for the lean of the
+    frame."""
     R = x.R[at]
     axis = R[:, :, :2] @ direction
+    along = axis[:, :2] * float(framed)
     slope, shared = np.zeros((len(at), 1, STATES)), np.zeros((len(at), 1, len(x.shared)))
     slope[:, 0, A] = direction @ cross_matrices(R[:, 2])[:, :2]
-    shared[:, 0, FRAME], shared[:, 0, FRAME.stop + own] = axis[:, :2], 1.0
-    off = axis[:, 2] + axis[:, :2] @ x.shared[FRAME] + x.shared[FRAME.stop + own] - sine
+    shared[:, 0, FRAME], shared[:, 0, FRAME.stop + own] = along, 1.0
+    off = axis[:, 2] + along @ x.shared[FRAME] + x.shared[FRAME.stop + own] - sine
     return Law(at, off[:, None], slope, weight[:, None], shared)

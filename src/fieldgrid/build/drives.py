@@ -32,7 +32,7 @@ from fieldgrid.build.parts import (
 )
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.pool import Pool
-from fieldgrid.build.poses import check_images, check_poses, estimate_drive
+from fieldgrid.build.poses import attitude_of_grids, check_images, check_poses, estimate_drive
 from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
 from fieldgrid.build.session import NewSession, Telling, check_names
 from fieldgrid.build.staging import Staged, stage_frames
@@ -48,7 +48,6 @@ from fieldgrid.errors import (
 )
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile, Patience, create_map, open_map
-from fieldgrid.pose import tells_attitude
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings
@@ -213,7 +212,7 @@ class _Build:
                 check_images(recording, trajectory)
                 if recording.pose_name or not follows_camera(recording.rig, self.settings):
                     check_poses(recording, trajectory)
-                attitude = estimate.report.attitude if tells_attitude(recording.motion()) else None
+                attitude = attitude_of_grids(recording, estimate)
                 drive.session = NewSession(
                     recording,
                     self.settings,

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Int64
+from fieldgrid.attitude import Attitude
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.build.stuck import REPEATED
 from fieldgrid.choices import Doubt
@@ -22,7 +23,7 @@ from fieldgrid.errors import (
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
-from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses
+from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses, levelling_attitude
 from fieldgrid.pose.camera_yaw import off_sentence
 from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_search import WIDEST_S
@@ -79,6 +80,12 @@ def estimate_drive(
         frame_ns=frame_ns,
         level_grids=level_grids,
     )
+
+
+def attitude_of_grids(drive: Drive, estimate: Estimate) -> Attitude | None:
+    """The attitude that makes the local grids of a drive level, by its `estimate`; None where they
+    are square to the ground."""
+    return levelling_attitude(estimate.report.attitude, drive.motion(), drive.fixes().time_ns)
 
 
 def _check_reach(drive: Drive, datum: Datum) -> None:

@@ -39,6 +39,7 @@ from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
+    attitude_of_grids,
     check_poses,
     doubted_clock,
     doubted_frames,
@@ -95,11 +96,12 @@ def add_recording(
     settings = settings or BuildSettings()
     started = time.perf_counter()
     attitude, known = None, trajectory
-    if trajectory is None and (tells_attitude(recording.motion()) or has_sweeps(recording)):
+    if trajectory is None and (
+        tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording)
+    ):
         estimate = estimate_drive(recording, settings, universal.datum)
         known = estimate.trajectory
-        if tells_attitude(recording.motion()):
-            attitude = estimate.report.attitude
+        attitude = attitude_of_grids(recording, estimate)
     session = NewSession(recording, settings, trajectory, attitude, name, every, known=known)
     session.check(universal)
     with StageFile.temporary(universal.path) as file:

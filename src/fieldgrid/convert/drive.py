@@ -93,7 +93,7 @@ def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage
             for t, speed in zip(times, speeds, strict=True)
         )
     for topic, tilt in ((gnss.TILT, motion.tilt), (gnss.ORIENTATION, motion.orientation)):
-        if tilt is not None and motion.poses is None:  # which tell it themselves
+        if tilt is not None:
             streams.append(_tilt_messages(topic, tilt))
     return heapq.merge(*streams, key=lambda one: one.time_ns)
 

@@ -18,7 +18,7 @@ from fieldgrid.build import (
     estimate_drive,
 )
 from fieldgrid.build.perception import follows_camera
-from fieldgrid.build.poses import check_images
+from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
 from fieldgrid.live.gridding_again import gridded_again
@@ -26,7 +26,6 @@ from fieldgrid.live.kept_drive import About
 from fieldgrid.live.kept_points import LOST
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
-from fieldgrid.pose import tells_attitude
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings, Overrides
 from fieldgrid.settings.declare import first_problem
@@ -199,15 +198,14 @@ def _placed(
         with open_map(out) as existing:
             datum = existing.datum
     estimate = estimate_drive(recording, settings, datum)
-    trajectory, attitude = estimate.trajectory, None
+    trajectory = estimate.trajectory
     check_images(recording, trajectory)
     if recording.pose_name or not follows_camera(recording.rig, settings):
         check_poses(recording, trajectory)
-    tells_lean = tells_attitude(recording.motion())
-    if tells_lean and kept.points.is_levelling:
-        attitude = estimate.report.attitude
+    told = attitude_of_grids(recording, estimate)
+    attitude = told if kept.points.is_levelling else None
     session = NewSession(recording, settings, None, attitude, about.name, 1, skips_bad=True)
-    if tells_lean and attitude is None and estimate.report.attitude is not None:
+    if told is not None and attitude is None:
         session.report.notes += (NOT_LEVELLED,)
     datum = datum or trajectory.datum
     chosen = settings.map

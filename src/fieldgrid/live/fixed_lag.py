@@ -54,7 +54,7 @@ class Asked(NamedTuple):
     @property
     def is_level(self) -> bool:
         """Whether the poses are those of level grids."""
-        return self.level_grids and tells_attitude(self.motion)
+        return self.level_grids and tells_attitude(self.motion, self.fixes.time_ns)
 
     def estimate(self) -> Estimate:
         """The poses. GnssError where there are none, which says why."""

@@ -7,7 +7,7 @@ from fieldgrid.pose.estimate import Estimate, carry_lever, estimate_poses
 from fieldgrid.pose.fused import conditioned
 from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.given import GIVEN
-from fieldgrid.pose.levelled import tells_attitude
+from fieldgrid.pose.levelled import levelling_attitude, tells_attitude
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.report import FixOffset, PoseReport
 from fieldgrid.pose.settings import HeadingSource, heading_source
@@ -30,6 +30,7 @@ __all__ = [
     "default_baseline_m",
     "estimate_poses",
     "heading_source",
+    "levelling_attitude",
     "no_fix_sentence",
     "tells_attitude",
 ]

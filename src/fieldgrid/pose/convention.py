@@ -42,6 +42,10 @@ class Comparison(NamedTuple):
     compared: int
     backing: bool = False
 
+    def is_denied(self, most_offset_deg: float) -> bool:
+        """Whether the drive denies what is declared of the heading."""
+        return self.mirrored or abs(self.offset_deg) > most_offset_deg
+
     def correction(self, rig: Vehicle | None) -> str:
         """What to declare in the mounting instead of what the rig does, as a clause."""
         declared_deg = 0.0 if rig is None else rig.heading_offset_deg or 0.0

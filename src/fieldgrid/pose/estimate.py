@@ -17,7 +17,7 @@ from fieldgrid.pose.axle import axle_forward_m
 from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
-from fieldgrid.pose.convention import Comparison, compare
+from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
 from fieldgrid.pose.drive import Drive, with_recorded
@@ -30,7 +30,7 @@ from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.table import PoseTable, pose_table
 from fieldgrid.pose.verdict import Budget, judged
-from fieldgrid.rig import LeverArm, Vehicle, nose_heading_deg
+from fieldgrid.rig import LeverArm, Vehicle
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Wander
 from fieldgrid.trajectory import Trajectory
@@ -74,7 +74,7 @@ def estimate_poses(
             "--poses FILE with the heading smooth, or leave them out."
         )
     # By what the drive carries, used or not: so its grids were made.
-    level_grids = level_grids and tells_attitude(motion)
+    level_grids = level_grids and tells_attitude(motion, fixes.time_ns)
     # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
     found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
     # A recorded heading joins once the drive has shown what it means.
@@ -123,7 +123,6 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         notes=(
             *(*found.notes, *notes),
-            *(() if lean is None else lean.attitude.notes),
             *slope_notes(slope, axle.vehicle),
             *drift_notes(checks.drifts),
             *drive_notes(
@@ -221,21 +220,14 @@ def _recorded(
 ) -> tuple[Float64, Comparison | None, list[str]]:
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""
-    drive, rig = fused.drive, fused.axle.vehicle
-    recorded = fused.log.accepted.recorded_deg
-    if rig is not None:
-        recorded = nose_heading_deg(rig, recorded)
+    rig, recorded = fused.axle.vehicle, fused.recorded_deg()
     if not np.isfinite(recorded).any():
         if source.kind == "recorded":
             raise GnssError(
                 "No fix of this recording has a heading of its own; use --heading smooth."
             )
         return recorded, None, []
-    at = drive.fix >= 0
-    # Nodes stand in the order of the accepted fixes. An unsure axle, which shifts headings one way
-    # in left and the other way in right turns, hides no convention.
-    sigma_deg = np.degrees(drive.smoothed.heading_sigma_rad[at])
-    found = compare(recorded, drive.heading_deg[at], sigma_deg, drive.gear[at])
+    found = fused.compared()
     if found is None:
         note = "The drive is too short to compare the recorded heading with its course."
         return recorded, None, [note]
@@ -247,7 +239,7 @@ def _recorded(
         if source.kind == "recorded":
             raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
         return np.full_like(recorded, np.nan), found, [note]
-    if found.mirrored or abs(found.offset_deg) > settings.max_heading_offset_deg:
+    if found.is_denied(settings.max_heading_offset_deg):
         sentence = (
             f"The recorded heading {found.diagnosis()} (seen at {found.compared} fixes, "
             f"scatter {found.scatter_deg:.1f}°); declare {found.correction(rig)} in mounting.json "

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Int64
-from fieldgrid.attitude import axes_of_fixes
+from fieldgrid.array_types import Float64, Int64
+from fieldgrid.attitude import AxisTilt, axes_of_fixes
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
@@ -20,6 +20,7 @@ from fieldgrid.gnss import NO_STRAYS, condition
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
+from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied_leaps import denied_leaps
 from fieldgrid.pose.drive import Drive, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
@@ -31,7 +32,7 @@ from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned
 from fieldgrid.pose.wheel_sense import with_right_wheels
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import Vehicle, nose_heading_deg
 from fieldgrid.settings import PoseSettings
 
 
@@ -57,6 +58,21 @@ class Fused(NamedTuple):
         new = self._replace(**changes)
         fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
         return new._replace(drive=smooth_drive(fixes, at_ns, new.motion, new.axle, hints=new.hints))
+
+    def recorded_deg(self) -> Float64:
+        """Headings of the nose that were recorded with the accepted fixes, by what is declared,
+        degrees [fixes], NaN where there is none."""
+        recorded, rig = self.log.accepted.recorded_deg, self.axle.vehicle
+        return recorded if rig is None else nose_heading_deg(rig, recorded)
+
+    def compared(self) -> Comparison | None:
+        """Recorded headings beside those of the drive; None where too little is sure."""
+        drive = self.drive
+        at = drive.fix >= 0
+        # Nodes stand in the order of the accepted fixes. An unsure axle, which shifts headings one
+        # way in left and the other way in right turns, hides no convention.
+        sigma_deg = np.degrees(drive.smoothed.heading_sigma_rad[at])
+        return compare(self.recorded_deg(), drive.heading_deg[at], sigma_deg, drive.gear[at])
 
 
 def fuse(
@@ -99,8 +115,9 @@ def fuse(
             found = found.again(axle=told)
     # The same of a vehicle that stands level, once its headings have told how it leans.
     rig = found.axle.vehicle
-    axes = axes_of_fixes(log.fixes, (rig and rig.heading_offset_deg) or 0.0)
-    lean = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
+    axes = _stated_axes(found, settings)
+    lean, unused = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
+    found = found._replace(notes=(*found.notes, *unused))
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
@@ -117,6 +134,17 @@ def fuse(
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
     return found
+
+
+def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
+    """The axes whose rise the receiver states beside its heading. Where they point is what the
+    heading shows: none, where it is none of the vehicle or was not compared with the drive."""
+    heading = found.compared()
+    if heading is None or heading.course or heading.is_denied(settings.max_heading_offset_deg):
+        return ()
+    rig = found.axle.vehicle
+    declared_deg = (rig and rig.heading_offset_deg) or 0.0
+    return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + heading.offset_deg)
 
 
 def conditioned(

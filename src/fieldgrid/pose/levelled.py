@@ -15,7 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.attitude import Attitude, AxisTilt, Track, axes_of_orientation, estimate_attitude
+from fieldgrid.attitude import (
+    ORIENTATION,
+    Attitude,
+    AxisTilt,
+    Track,
+    axes_of_orientation,
+    estimate_attitude,
+)
 from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import axle_forward_m
@@ -45,15 +52,35 @@ class Lean(NamedTuple):
         return np.asarray(R_enu_level(heading) @ moved @ (point_m - self.axle_m))
 
 
-def tells_attitude(motion: Motion) -> bool:
+def tells_attitude(motion: Motion, fix_ns: Int64) -> bool:
     """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
-    most of what its IMU logged, or recorded angles."""
-    sensed = motion.inertial
+    most of what its IMU logged, recorded angles, or an orientation at most of the fixes."""
+    return _measures_tilt(motion) or bool(_known(_axes_of(motion), fix_ns))
+
+
+def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64) -> Attitude | None:
+    """The attitude by which local grids are made level, before their images are read; None where
+    nothing but the camera or antennas tells it, or the drive denies what does."""
+    if attitude is None or not tells_attitude(motion, fix_ns):
+        return None
+    return attitude if _measures_tilt(motion) or ORIENTATION in attitude.bodies else None
+
+
+def _measures_tilt(motion: Motion) -> bool:
+    sensed, tilt = motion.inertial, motion.tilt
     pushed = sensed is not None and bool(
         np.isfinite(sensed.force_mps2).all(axis=1).sum() * 2 > len(sensed.time_ns)
     )
-    recorded = (motion.tilt, motion.orientation)
-    return pushed or any(said is not None and len(said.time_ns) > 1 for said in recorded)
+    return pushed or (tilt is not None and len(tilt.time_ns) > 1)
+
+
+def _axes_of(motion: Motion) -> tuple[AxisTilt, ...]:
+    return () if motion.orientation is None else axes_of_orientation(motion.orientation)
+
+
+def _known(axes: Sequence[AxisTilt], fix_ns: Int64) -> tuple[AxisTilt, ...]:
+    """Those of `axes` that are recorded at most of the fixes."""
+    return tuple(axis for axis in axes if axis.is_known(fix_ns).sum() * 2 > len(fix_ns))
 
 
 def find_lean(
@@ -62,16 +89,24 @@ def find_lean(
     motion: Motion,
     rig: Vehicle | None,
     frame_ns: Int64 | None,
-    axes: Sequence[AxisTilt] = (),
-) -> Lean | None:
-    """The lean of a drive whose heading is known; None where nothing tells it. `axes` are those
-    whose rise the receiver states."""
+    stated: Sequence[AxisTilt] = (),
+) -> tuple[Lean | None, tuple[str, ...]]:
+    """The lean of a drive whose heading is known, None where nothing tells it, and notes on what
+    was not used for it. `stated` are the axes whose rise the receiver states."""
+    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2:
+        return None, ()
+    recorded = (*_axes_of(motion), *stated)
+    axes = _known(recorded, fixes.time_ns)
+    few = {axis.body for axis in recorded} - {axis.body for axis in axes}
+    notes = tuple(
+        f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were not "
+        "used."
+        for body in sorted(few)
+    )
     seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
-    told = seen or bool(axes) or tells_attitude(motion)
-    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2 or not told:
-        return None
-    if motion.orientation is not None:
-        axes = (*axes_of_orientation(motion.orientation), *axes)
+    measured = seen or _measures_tilt(motion)
+    if not (measured or axes):
+        return None, notes
     at = drive.fix >= 0
     track = Track(
         fixes.time_ns,
@@ -92,7 +127,10 @@ def find_lean(
         tilt=motion.tilt,
         axes=axes,
     )
-    return Lean(attitude, antenna_m, np.array([0.0, axle_forward_m(rig), 0.0]), sensor_m)
+    notes = (*notes, *attitude.notes)
+    if not (measured or attitude.bodies):
+        return None, notes
+    return Lean(attitude, antenna_m, np.array([0.0, axle_forward_m(rig), 0.0]), sensor_m), notes
 
 
 def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:

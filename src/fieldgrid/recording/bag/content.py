@@ -14,7 +14,7 @@ from fieldgrid.errors import GnssError, RecordingError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recording.bag.heard import Fixes, Sentences, Speeds, Texts, Turns
-from fieldgrid.recording.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, orientation_of
+from fieldgrid.recording.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
 from fieldgrid.recording.bag.mounts import imu_rotation, is_optical
 from fieldgrid.recording.bag.readings import Readings
 from fieldgrid.recording.bag.topics import (
@@ -263,9 +263,9 @@ def _leaning(content: Content, imu_axes: str, motion: Motion, notes: list[str]) 
     readings, sensed = content.readings, motion.inertial
     if isinstance(tilt := readings.tilt(TILT), RecordedTilt):
         motion = motion._replace(tilt=tilt)
-    if isinstance(kept := readings.tilt(ORIENTATION), Orientation):
-        return motion._replace(orientation=kept)
     given = content.roles.get("attitude", "")
+    if not given and isinstance(kept := readings.tilt(ORIENTATION), Orientation):
+        return motion._replace(orientation=kept)
     feels = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
     if not given and (feels or motion.tilt is not None):
         return motion
@@ -276,16 +276,31 @@ def _leaning(content: Content, imu_axes: str, motion: Motion, notes: list[str]) 
             continue
         is_imu = content.bag.topics[topic].type == IMU
         body = heard.frame_id if isinstance(heard, Turns) else heard.body
-        R_flu_body, _ = _axes_of(content, imu_axes if is_imu else AXES, body)
+        R_flu_body, how = _axes_of(content, imu_axes if is_imu else AXES, body)
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
-        found = orientation_of(*told, R_flu_body, frame_sigma_deg)
+        found: Orientation | Untold
+        if how == _TAKEN and _feels_other_axis(readings.of(topic, Turns)):
+            found = Untold("it does not feel gravity along its z axis", by_axes=True)
+        else:
+            found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != _TAKEN)
         if isinstance(found, Orientation):
             notes.append(f"{topic}: roll and pitch by its orientation.")
             return motion._replace(orientation=found)
-        if given:
-            notes.append(f"{topic}: tells no roll and pitch: {found}.")
+        if given or found.by_axes:
+            by = (
+                "imu_axes in mounting.json or a static transform"
+                if is_imu
+                else "a static transform"
+            )
+            remedy = f"; say how it sits by {by}" if found.by_axes else ""
+            notes.append(f"{topic}: tells no roll and pitch: {found.why}{remedy}.")
     return motion
+
+
+def _feels_other_axis(turns: Turns | None) -> bool:
+    """Whether an IMU feels gravity along another axis than the third."""
+    return turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None
 
 
 def _axes_of(content: Content, axes: str, frame: str) -> tuple[Float64, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -83,23 +83,38 @@ class Leans:
         return np.array(self._values, dtype=np.float64).reshape(-1, 4)
 
 
+class Untold(NamedTuple):
+    """Why orientations tell no roll and pitch; `by_axes` where it is how the body sits that is not
+    known."""
+
+    why: str
+    by_axes: bool = False
+
+
 def orientation_of(
-    times_ns: Int64, values: Float64, R_flu_body: Float64, frame_sigma_deg: float
-) -> Orientation | str:
-    """Roll and pitch by verticals and sigmas [n, 4] of a body that sits so in its vehicle; else why
-    they tell nothing."""
+    times_ns: Int64,
+    values: Float64,
+    R_flu_body: Float64,
+    frame_sigma_deg: float,
+    *,
+    axes_known: bool,
+) -> Orientation | Untold:
+    """Roll and pitch by verticals and sigmas [n, 4] of a body that sits so in its vehicle.
+
+    Where that is taken and not known (`axes_known`), a vertical downward is none: a frame north,
+    east, down and a body forward, right, down look the same, and their pitches are opposite.
+    """
     (time_ns, kept), _ = in_order(times_ns, values, 3)
     if len(time_ns) < 2:
-        return "fewer than two messages have an orientation"
+        return Untold("fewer than two messages have an orientation")
     up = kept[:, :3] @ (R_VEHICLE_FLU @ R_flu_body).T
     if np.ptp(up, axis=0).max() < LEVEL:
-        return "its orientation never leans otherwise, as that of poses in the plane"
+        return Untold("its orientation never leans otherwise, as that of poses in the plane")
     mean_up = float(up[:, 2].mean())
     if abs(mean_up) < UPRIGHT:
-        return (
-            "by its orientation the vehicle lies on its side; say how it sits by imu_axes in "
-            "mounting.json or a static transform"
-        )
+        return Untold("by its orientation the vehicle lies on its side", by_axes=True)
+    if mean_up < 0.0 and not axes_known:
+        return Untold("by its orientation the vehicle is upside down", by_axes=True)
     up = up * np.sign(mean_up)  # frames whose z axis points down: north, east, down
     sigma = np.maximum(np.where(kept[:, 3] > 0.0, kept[:, 3], UNSTATED_SIGMA_DEG), LEAST_SIGMA_DEG)
     rows = _apart(time_ns)
