@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -312,6 +313,25 @@ def test_another_process_that_fetches_is_waited_for(
     fetch(URL)
     assert waited == [False, True]
     assert "waiting for another process that fetches" in caplog.text
+
+
+def test_a_process_that_is_forked_while_fetching_does_not_keep_the_lock(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has a copy of the descriptor, as `os.dup` makes one."""
+    lock, kept = copies.lock, list[int]()
+
+    def forking(descriptor: int, *, wait: bool) -> None:
+        lock(descriptor, wait=wait)
+        kept.append(os.dup(descriptor))
+
+    monkeypatch.setattr(copies, "lock", forking)
+    copy = fetch(URL)
+    try:
+        with copy.with_name(".june-03.fetching").open() as another:
+            lock(another.fileno(), wait=False)
+    finally:
+        os.close(kept[0])
 
 
 def test_a_cache_that_cannot_be_written_is_named(

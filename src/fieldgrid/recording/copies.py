@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeGuard
 
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import FieldgridError, RecordingError
-from fieldgrid.file_locks import lock
+from fieldgrid.file_locks import let_go, lock
 from fieldgrid.publish import replacing
 from fieldgrid.recording.files import read_text
 
@@ -124,7 +124,7 @@ def only_here(copy: Path) -> Iterator[None]:
                 lock(held, wait=True)
         yield
     finally:
-        os.close(held)
+        let_go(held)
 
 
 @contextmanager
