@@ -177,6 +177,43 @@ def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
         assert json.loads(manifest.read_text())["url"] == URL
 
 
+def test_a_manifest_names_no_file_outside_of_the_copy(memory: Any, tmp_path: Path) -> None:
+    copy = fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    outside = {str(mine): "v", os.path.relpath(mine, copy): "v"}
+    manifest.write_text(json.dumps({"url": URL, "files": {**outside, "frames.csv": ["v"]}}))
+    assert copies.read_manifest(copy).versions == {}
+    assert len(files_of(fetch(URL))) == 3
+    assert mine.read_text() == "mine"
+
+
+def test_a_manifest_of_another_copy_gives_no_url(memory: Any) -> None:
+    """Workers would fetch from there."""
+    copy = fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    assert copies.url_of(copy / ".." / copy.name) == URL
+    manifest.write_text(manifest.read_text().replace("memory://vines", "memory://olives"))
+    assert copies.url_of(copy) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [".left.fetched.json", "gnss/.rtk.fetching", ".a.abcdefgh.partial/0", ".frames.csv.partial"],
+)
+def test_no_file_of_a_recording_takes_the_place_of_what_lies_beside_copies(
+    name: str, memory: Any, cache: Path
+) -> None:
+    """Above all not that of the manifest of a copy that lies in this one."""
+    memory.pipe(f"/vines/june-03/{name}", b"{}")
+    copy = fetch(URL)
+    assert sorted(files_of(copy)) == ["frames.csv", "gnss/rtk.nmea", "left/0.png"]
+    assert sorted(copies.read_manifest(copy).versions) == sorted(files_of(copy))
+    # Nor does a URL of such a file itself.
+    assert not copies.copy_of(f"{URL}/{name}").is_relative_to(copy / name)
+
+
 def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordingError, match=r"'memory://vines/july' does not exist; give the URL"):
         fetch("memory://vines/july")

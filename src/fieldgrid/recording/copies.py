@@ -1,7 +1,8 @@
 """Copies of recordings at URLs: where they lie on this machine, and what is known of them.
 
 That of `s3://vines/2026/june-03` is the folder `CACHE/recordings/s3/vines/2026/june-03`, and a
-manifest beside it lists its files.
+manifest beside it lists its files. The manifest lies in the copy of `s3://vines/2026`, if there is
+one, so no file of a recording may have the name of a manifest, and what a manifest says is checked.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ from fieldgrid.documents import parse_json
 from fieldgrid.errors import FieldgridError, RecordingError
 from fieldgrid.file_locks import let_go, lock
 from fieldgrid.publish import replacing
-from fieldgrid.recording.files import read_text
+from fieldgrid.recording.files import is_inside, read_text
 
 CACHE = "FIELDGRID_CACHE"
 """The environment variable that names another cache folder."""
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]+::)*[a-z][a-z0-9+.-]+://")
+_OWN_NAME = re.compile(r"\..*\.(fetched\.json|fetching|partial)", re.DOTALL)
 _LOG = logging.getLogger(__name__)
 
 
@@ -64,8 +66,8 @@ def url_of(path: Path) -> str | None:
     """The URL that a path is a copy of; None for a recording of this machine."""
     if not path.is_relative_to(cache_folder()):
         return None
-    manifest = read_manifest(path)
-    return manifest.url or None
+    url = read_manifest(path).url
+    return url if url and copy_of(url) == Path(os.path.abspath(path)) else None
 
 
 def version_of(copy: Path) -> str:
@@ -90,16 +92,28 @@ def place_in(copy: Path, name: str) -> Path:
     return copy / name if name else copy
 
 
+def is_own_name(name: str) -> bool:
+    """Whether a part of a path has a name of what lies beside copies: of a manifest, a lock or a
+    draft. Nothing that is fetched may have it."""
+    return any(_OWN_NAME.fullmatch(part) for part in name.split("/"))
+
+
 def _manifest_file(copy: Path) -> Path:
     return copy.with_name(f".{copy.name}.fetched.json")
 
 
 def read_manifest(copy: Path) -> Manifest:
-    """What is known of a copy; nothing where its manifest is missing or damaged."""
+    """What is known of a copy; nothing where its manifest is missing or damaged, and nothing of
+    files outside of the copy."""
     with suppress(FieldgridError, ValueError):
         found = parse_json(read_text(_manifest_file(copy)))
         if isinstance(found, dict) and isinstance(found.get("files"), dict):
-            return Manifest(str(found.get("url", "")), found["files"])
+            versions = {
+                name: version
+                for name, version in found["files"].items()
+                if isinstance(version, str) and (not name or is_inside(name))
+            }
+            return Manifest(str(found.get("url", "")), versions)
     return Manifest("", {})
 
 
@@ -143,6 +157,6 @@ def writing_copy(copy: Path) -> Iterator[None]:
 
 def _safe_name(part: str) -> str:
     """A part of a URL as the name of a file: as it is where that can be, else its digest."""
-    if re.fullmatch(r"[\w ()+=,@.-]{1,200}", part) and part != "..":
+    if re.fullmatch(r"[\w ()+=,@.-]{1,200}", part) and part != ".." and not is_own_name(part):
         return part
     return hashlib.sha256(part.encode("utf-8", "surrogateescape")).hexdigest()[:32]
