@@ -136,6 +136,7 @@ def test_a_single_file_is_copied_under_its_name(memory: Any) -> None:
     copy = fetch(f"{URL}/gnss/rtk.nmea")
     assert copy.name == "rtk.nmea"
     assert copy.read_text() == "content of gnss/rtk.nmea"
+    assert list(copies.read_manifest(copy).versions) == [""]
 
 
 def test_a_fetch_that_is_interrupted_goes_on(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,6 +213,105 @@ def test_no_file_of_a_recording_takes_the_place_of_what_lies_beside_copies(
     assert sorted(copies.read_manifest(copy).versions) == sorted(files_of(copy))
     # Nor does a URL of such a file itself.
     assert not copies.copy_of(f"{URL}/{name}").is_relative_to(copy / name)
+
+
+def test_drafts_are_where_nobody_else_can_put_a_link(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    get, seen = type(memory).get, list[Path]()
+
+    def noted(self: Any, sources: list[str], places: list[str]) -> None:
+        seen.extend(map(Path, places))
+        assert {place.parent.stat().st_mode & 0o777 for place in seen} == {0o700}
+        get(self, sources, places)
+
+    monkeypatch.setattr(type(memory), "get", noted)
+    copy = fetch(URL)
+    assert {place.parent.parent for place in seen} == {copy.parent}
+    assert not [path for path in copy.parent.rglob("*") if "partial" in path.name]
+    (copy.parent / "made here").touch()
+    permissions = (copy.parent / "made here").stat().st_mode
+    assert {(copy / name).stat().st_mode for name in files_of(copy)} == {permissions}
+
+
+def test_drafts_of_a_killed_program_are_removed_by_the_next_that_is_alone(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = fetch(URL)
+    left, of_another = (
+        copy.with_name(f".{name}.abcdefgh.partial") for name in (copy.name, f"{copy.name}.zip")
+    )
+    for folder in (left, of_another):
+        folder.mkdir()
+        (folder / "0").touch()
+
+    def refuse(descriptor: int, *, wait: bool) -> None:
+        raise OSError(errno.ENOLCK, "no locks")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(copies, "lock", refuse)
+        fetch(URL)
+    assert left.exists()
+    fetch(URL)
+    assert not left.exists()
+    assert of_another.exists()
+
+
+def test_a_copy_on_another_disk_has_its_drafts_there(memory: Any, tmp_path: Path) -> None:
+    copy, there = copies.copy_of(URL), tmp_path / "disk" / "june"
+    there.mkdir(parents=True)
+    copy.parent.mkdir(parents=True)
+    copy.symlink_to(there)
+    with copies.drafts_of(copy, is_alone=True) as drafts:
+        assert drafts.parent == there.parent
+    assert len(files_of(fetch(URL))) == 3
+    assert len(files_of(there)) == 3
+
+
+@pytest.mark.parametrize("name", ["left", "gnss"])
+def test_no_link_in_a_copy_leads_a_fetch_to_other_files(
+    name: str, memory: Any, tmp_path: Path
+) -> None:
+    """Neither to replace one, nor to remove one that is gone from the URL."""
+    copy, mine = fetch(URL), tmp_path / "mine"
+    shutil.move(copy / name, mine)
+    (copy / name).symlink_to(mine)
+    before = files_of(mine)
+    memory.pipe("/vines/june-03/left/0.png", b"CONTENT of left/0.png")
+    memory.rm("/vines/june-03/gnss/rtk.nmea")
+    with pytest.raises(RecordingError, match=rf"{name} leads out of the copy .*; remove the link"):
+        fetch(URL)
+    assert files_of(mine) == before
+    (copy / name).unlink()
+    assert files_of(fetch(URL))["left/0.png"] == "CONTENT of left/0.png"
+
+
+def test_no_link_beside_a_copy_is_followed(memory: Any, tmp_path: Path) -> None:
+    mine, copy = tmp_path / "mine.txt", fetch(URL)
+    mine.write_text("mine")
+    for link in (copy / "frames.csv", copy.with_name(".june-03.fetched.json")):
+        link.unlink()
+        link.symlink_to(mine)
+    assert files_of(fetch(URL))["frames.csv"] == "content of frames.csv"
+    assert copies.url_of(copy) == URL
+    assert mine.read_text() == "mine"
+    copy.with_name(".june-03.fetching").unlink()
+    copy.with_name(".june-03.fetching").symlink_to(mine)
+    with pytest.raises(RecordingError, match=r"cannot be written \(.*\); .* set FIELDGRID_CACHE"):
+        fetch(URL)
+
+
+@pytest.mark.parametrize(("before", "now"), [("a", "a/b.txt"), ("a/b.txt", "a")])
+def test_a_copy_that_was_removed_to_fetch_another_kind_is_made(
+    before: str, now: str, memory: Any
+) -> None:
+    memory.pipe(f"/olives/{before}", b"before")
+    copy = fetch("memory://olives/a")
+    copy.unlink() if copy.is_file() else shutil.rmtree(copy)
+    memory.rm("/olives", recursive=True)
+    memory.pipe(f"/olives/{now}", b"now")
+    assert fetch("memory://olives/a") == copy
+    assert copies.place_in(copy.parent, now).read_text() == "now"
 
 
 def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,14 +7,17 @@ one, so no file of a recording may have the name of a manifest, and what a manif
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import logging
 import os
 import re
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeGuard
 
 from fieldgrid.documents import parse_json
@@ -119,16 +122,21 @@ def read_manifest(copy: Path) -> Manifest:
 
 def write_manifest(copy: Path, url: str, versions: Mapping[str, str]) -> None:
     """Note which versions of its files a copy has."""
-    with replacing(_manifest_file(copy)) as draft:
+    manifest = _manifest_file(copy)
+    if manifest.is_symlink():
+        manifest.unlink()  # it would be followed
+    with replacing(manifest) as draft:
         draft.write_text(json.dumps({"url": url, "files": versions}), "utf-8")
 
 
 @contextmanager
-def only_here(copy: Path) -> Iterator[None]:
-    """Keeps other processes of this machine from fetching the same in the block; where the file
-    system has no locks, they only fetch some files twice."""
+def only_here(copy: Path) -> Iterator[bool]:
+    """Keeps other processes of this machine from fetching the same in the block. False where the
+    file system has no locks: they only fetch some files twice."""
     copy.parent.mkdir(parents=True, exist_ok=True)
-    held = os.open(copy.with_name(f".{copy.name}.fetching"), os.O_RDWR | os.O_CREAT, 0o666)
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+    held = os.open(copy.with_name(f".{copy.name}.fetching"), flags, 0o666)
+    is_alone = False
     try:
         with suppress(OSError):
             try:
@@ -136,9 +144,40 @@ def only_here(copy: Path) -> Iterator[None]:
             except BlockingIOError:
                 _LOG.warning("waiting for another process that fetches %s", copy)
                 lock(held, wait=True)
-        yield
+            is_alone = True
+        yield is_alone
     finally:
         let_go(held)
+
+
+@contextmanager
+def drafts_of(copy: Path, *, is_alone: bool) -> Iterator[Path]:
+    """A new folder for files of a copy that are not complete yet; it is removed after the block.
+
+    It is on the disk of the copy, and nobody else may write to it: in a cache that several users
+    share, a link there could make this user write to another file. What a killed program left is
+    removed where no other process fetches the same (`is_alone`).
+    """
+    place = Path(os.path.realpath(copy))
+    if is_alone:
+        for left in place.parent.glob(f".{glob.escape(place.name)}.????????.partial"):
+            shutil.rmtree(left, ignore_errors=True)
+    with TemporaryDirectory(
+        prefix=f".{place.name}.", suffix=".partial", dir=place.parent, ignore_cleanup_errors=True
+    ) as folder:
+        yield Path(folder)
+
+
+def check_links(copy: Path, names: Iterable[str]) -> None:
+    """RecordingError where a link among the folders of a copy leads one of these files out of it:
+    other files would be replaced or removed there."""
+    top = os.path.realpath(copy)
+    for folder in {place_in(copy, name).parent for name in names if name}:
+        if not Path(os.path.realpath(folder)).is_relative_to(top):
+            raise RecordingError(
+                f"{folder} leads out of the copy {copy} by a link, so nothing is fetched into it; "
+                "remove the link."
+            )
 
 
 @contextmanager
