@@ -314,6 +314,62 @@ def test_a_copy_that_was_removed_to_fetch_another_kind_is_made(
     assert copies.place_in(copy.parent, now).read_text() == "now"
 
 
+def test_a_copy_is_recommended_only_where_it_is_whole(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(at: str) -> str:
+        """What the error says when a call of the file system fails."""
+
+        def away(self: Any, *arguments: Any, **options: Any) -> Any:
+            raise ConnectionError("the line is down")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(type(memory), at, away)
+            with pytest.raises(RecordingError, match="the line is down") as failed:
+                fetch(URL)
+        return str(failed.value)
+
+    advice = f"or read the copy of before at {copies.copy_of(URL)}"
+    copy = copies.copy_of(URL)
+    listing = fetched._listing(URL)
+    assert isinstance(listing, fetched._Listing)
+    assert fetched.fetch_some(URL, listing.version, [copy / "frames.csv"])
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
+    # It stays so where nothing, or not all, is asked for again, and until another file is there.
+    fetched._listings.clear()
+    assert fetched.fetch_some(URL, listing.version, [copy / "frames.csv"])
+    memory.pipe("/vines/june-03/frames.csv", b"CONTENT of frames.csv")
+    memory.pipe("/vines/june-03/left/0.png", b"CONTENT of left/0.png")
+    assert advice in fails("get")
+    # Interrupted between the two, it mixes versions.
+    with monkeypatch.context() as patched:
+        replace = Path.replace
+
+        def killed(self: Path, target: Path) -> Path:
+            if Path(target).name == "0.png":
+                raise KeyboardInterrupt
+            return replace(self, target)
+
+        patched.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            fetch(URL)
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
+    (copy / "frames.csv").unlink()
+    assert advice not in fails("info")
+    # Manifests of before did not say it, and copies were in part then, too.
+    fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    said = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps({name: said[name] for name in ("url", "files")}))
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
+
+
 def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordingError, match=r"'memory://vines/july' does not exist; give the URL"):
         fetch("memory://vines/july")

@@ -84,10 +84,12 @@ def digest_of(versions: Mapping[str, str]) -> str:
 
 
 class Manifest(NamedTuple):
-    """The URL of a copy, and the versions of the files that it has by their relative paths."""
+    """The URL of a copy, the versions of the files that it has by their relative paths, and whether
+    these are all files that were at the URL, of one listing."""
 
     url: str
     versions: Mapping[str, str]
+    is_whole: bool = False
 
 
 def place_in(copy: Path, name: str) -> Path:
@@ -116,17 +118,24 @@ def read_manifest(copy: Path) -> Manifest:
                 for name, version in found["files"].items()
                 if isinstance(version, str) and (not name or is_inside(name))
             }
-            return Manifest(str(found.get("url", "")), versions)
+            return Manifest(str(found.get("url", "")), versions, found.get("whole") is True)
     return Manifest("", {})
 
 
-def write_manifest(copy: Path, url: str, versions: Mapping[str, str]) -> None:
+def is_whole(copy: Path) -> bool:
+    """Whether a copy has all files of the recording at its URL, as they were at one time."""
+    manifest = read_manifest(copy)
+    return manifest.is_whole and all(place_in(copy, name).exists() for name in manifest.versions)
+
+
+def write_manifest(copy: Path, noted: Manifest) -> None:
     """Note which versions of its files a copy has."""
     manifest = _manifest_file(copy)
     if manifest.is_symlink():
         manifest.unlink()  # it would be followed
     with replacing(manifest) as draft:
-        draft.write_text(json.dumps({"url": url, "files": versions}), "utf-8")
+        content = {"url": noted.url, "files": noted.versions, "whole": noted.is_whole}
+        draft.write_text(json.dumps(content), "utf-8")
 
 
 @contextmanager

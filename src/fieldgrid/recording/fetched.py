@@ -166,7 +166,7 @@ def _fetch_missing(
     manifest = read_manifest(copy)
     missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
     _check_room(url, sum(remote[name].size or 0 for name in missing))
-    known = dict(manifest.versions)
+    noted, known = manifest, dict(manifest.versions)
     gone = known.keys() - remote.keys()
     check_links(copy, [*missing, *gone])
     for first in range(0, len(missing), _BATCH):
@@ -174,17 +174,22 @@ def _fetch_missing(
         names = missing[first : first + _BATCH]
         with from_backend(url):
             fetched = _fetch_batch(system, remote, names, drafts, url)
+        if noted.is_whole:  # from here on it mixes two versions
+            write_manifest(copy, noted._replace(is_whole=False))
         for name, draft in fetched.items():
             place = place_in(copy, name)
             place.parent.mkdir(parents=True, exist_ok=True)
             draft.replace(place)
         known |= {name: remote[name].version for name in names}
-        write_manifest(copy, url, known)
+        noted = Manifest(url, dict(known))
+        write_manifest(copy, noted)
     for name in gone:
         with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
             place_in(copy, name).unlink()
-    if gone:
-        write_manifest(copy, url, {name: known[name] for name in known if name in remote})
+    left = {name: known[name] for name in known if name in remote}
+    is_whole = left == {name: file.version for name, file in remote.items()}
+    if (done := Manifest(url, left, is_whole)) != noted:
+        write_manifest(copy, done)
     progress(len(wanted), len(wanted))
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
 from fieldgrid.limits import Budget, check_rows
-from fieldgrid.recording.copies import copy_of, is_own_name
+from fieldgrid.recording.copies import copy_of, is_own_name, is_whole
 from fieldgrid.recording.files import is_inside
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
@@ -145,7 +145,7 @@ def _is_unreachable(cause: BaseException | None) -> bool:
 
 def _unreadable(url: str, error: BaseException | None) -> RecordingError:
     copy = copy_of(url)
-    kept = f", or read the copy of before at {copy}" if copy.exists() else ""
+    kept = f", or read the copy of before at {copy}" if is_whole(copy) else ""
     why = shortened(error) if error is not None else ""
     return RecordingError(
         f"{quoted(url, 200)} cannot be read ({why or type(error).__name__}); "
