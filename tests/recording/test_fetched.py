@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -135,6 +136,7 @@ def test_a_single_file_is_copied_under_its_name(memory: Any) -> None:
     copy = fetch(f"{URL}/gnss/rtk.nmea")
     assert copy.name == "rtk.nmea"
     assert copy.read_text() == "content of gnss/rtk.nmea"
+    assert list(copies.read_manifest(copy).versions) == [""]
 
 
 def test_a_fetch_that_is_interrupted_goes_on(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,6 +176,198 @@ def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
         manifest.write_text(text)
         assert len(files_of(fetch(URL))) == 3
         assert json.loads(manifest.read_text())["url"] == URL
+
+
+def test_a_manifest_names_no_file_outside_of_the_copy(memory: Any, tmp_path: Path) -> None:
+    copy = fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    outside = {str(mine): "v", os.path.relpath(mine, copy): "v"}
+    manifest.write_text(json.dumps({"url": URL, "files": {**outside, "frames.csv": ["v"]}}))
+    assert copies.read_manifest(copy).versions == {}
+    assert len(files_of(fetch(URL))) == 3
+    assert mine.read_text() == "mine"
+
+
+def test_a_manifest_of_another_copy_gives_no_url(memory: Any) -> None:
+    """Workers would fetch from there."""
+    copy = fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    assert copies.url_of(copy / ".." / copy.name) == URL
+    manifest.write_text(manifest.read_text().replace("memory://vines", "memory://olives"))
+    assert copies.url_of(copy) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [".left.fetched.json", "gnss/.rtk.fetching", ".a.abcdefgh.partial/0", ".frames.csv.partial"],
+)
+def test_no_file_of_a_recording_takes_the_place_of_what_lies_beside_copies(
+    name: str, memory: Any, cache: Path
+) -> None:
+    """Above all not that of the manifest of a copy that lies in this one."""
+    memory.pipe(f"/vines/june-03/{name}", b"{}")
+    copy = fetch(URL)
+    assert sorted(files_of(copy)) == ["frames.csv", "gnss/rtk.nmea", "left/0.png"]
+    assert sorted(copies.read_manifest(copy).versions) == sorted(files_of(copy))
+    # Nor does a URL of such a file itself.
+    assert not copies.copy_of(f"{URL}/{name}").is_relative_to(copy / name)
+
+
+def test_drafts_are_where_nobody_else_can_put_a_link(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    get, seen = type(memory).get, list[Path]()
+
+    def noted(self: Any, sources: list[str], places: list[str]) -> None:
+        seen.extend(map(Path, places))
+        assert {place.parent.stat().st_mode & 0o777 for place in seen} == {0o700}
+        get(self, sources, places)
+
+    monkeypatch.setattr(type(memory), "get", noted)
+    copy = fetch(URL)
+    assert {place.parent.parent for place in seen} == {copy.parent}
+    assert not [path for path in copy.parent.rglob("*") if "partial" in path.name]
+    (copy.parent / "made here").touch()
+    permissions = (copy.parent / "made here").stat().st_mode
+    assert {(copy / name).stat().st_mode for name in files_of(copy)} == {permissions}
+
+
+def test_drafts_of_a_killed_program_are_removed_by_the_next_that_is_alone(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = fetch(URL)
+    left, of_another = (
+        copy.with_name(f".{name}.abcdefgh.partial") for name in (copy.name, f"{copy.name}.zip")
+    )
+    for folder in (left, of_another):
+        folder.mkdir()
+        (folder / "0").touch()
+
+    def refuse(descriptor: int, *, wait: bool) -> None:
+        raise OSError(errno.ENOLCK, "no locks")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(copies, "lock", refuse)
+        fetch(URL)
+    assert left.exists()
+    fetch(URL)
+    assert not left.exists()
+    assert of_another.exists()
+
+
+def test_a_copy_on_another_disk_has_its_drafts_there(memory: Any, tmp_path: Path) -> None:
+    copy, there = copies.copy_of(URL), tmp_path / "disk" / "june"
+    there.mkdir(parents=True)
+    copy.parent.mkdir(parents=True)
+    copy.symlink_to(there)
+    with copies.drafts_of(copy, is_alone=True) as drafts:
+        assert drafts.parent == there.parent
+    assert len(files_of(fetch(URL))) == 3
+    assert len(files_of(there)) == 3
+
+
+@pytest.mark.parametrize("name", ["left", "gnss"])
+def test_no_link_in_a_copy_leads_a_fetch_to_other_files(
+    name: str, memory: Any, tmp_path: Path
+) -> None:
+    """Neither to replace one, nor to remove one that is gone from the URL."""
+    copy, mine = fetch(URL), tmp_path / "mine"
+    shutil.move(copy / name, mine)
+    (copy / name).symlink_to(mine)
+    before = files_of(mine)
+    memory.pipe("/vines/june-03/left/0.png", b"CONTENT of left/0.png")
+    memory.rm("/vines/june-03/gnss/rtk.nmea")
+    with pytest.raises(RecordingError, match=rf"{name} leads out of the copy .*; remove the link"):
+        fetch(URL)
+    assert files_of(mine) == before
+    (copy / name).unlink()
+    assert files_of(fetch(URL))["left/0.png"] == "CONTENT of left/0.png"
+
+
+def test_no_link_beside_a_copy_is_followed(memory: Any, tmp_path: Path) -> None:
+    mine, copy = tmp_path / "mine.txt", fetch(URL)
+    mine.write_text("mine")
+    for link in (copy / "frames.csv", copy.with_name(".june-03.fetched.json")):
+        link.unlink()
+        link.symlink_to(mine)
+    assert files_of(fetch(URL))["frames.csv"] == "content of frames.csv"
+    assert copies.url_of(copy) == URL
+    assert mine.read_text() == "mine"
+    copy.with_name(".june-03.fetching").unlink()
+    copy.with_name(".june-03.fetching").symlink_to(mine)
+    with pytest.raises(RecordingError, match=r"cannot be written \(.*\); .* set FIELDGRID_CACHE"):
+        fetch(URL)
+
+
+@pytest.mark.parametrize(("before", "now"), [("a", "a/b.txt"), ("a/b.txt", "a")])
+def test_a_copy_that_was_removed_to_fetch_another_kind_is_made(
+    before: str, now: str, memory: Any
+) -> None:
+    memory.pipe(f"/olives/{before}", b"before")
+    copy = fetch("memory://olives/a")
+    copy.unlink() if copy.is_file() else shutil.rmtree(copy)
+    memory.rm("/olives", recursive=True)
+    memory.pipe(f"/olives/{now}", b"now")
+    assert fetch("memory://olives/a") == copy
+    assert copies.place_in(copy.parent, now).read_text() == "now"
+
+
+def test_a_copy_is_recommended_only_where_it_is_whole(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(at: str) -> str:
+        """What the error says when a call of the file system fails."""
+
+        def away(self: Any, *arguments: Any, **options: Any) -> Any:
+            raise ConnectionError("the line is down")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(type(memory), at, away)
+            with pytest.raises(RecordingError, match="the line is down") as failed:
+                fetch(URL)
+        return str(failed.value)
+
+    advice = f"or read the copy of before at {copies.copy_of(URL)}"
+    copy = copies.copy_of(URL)
+    listing = fetched._listing(URL)
+    assert isinstance(listing, fetched._Listing)
+    assert fetched.fetch_some(URL, listing.version, [copy / "frames.csv"])
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
+    # It stays so where nothing, or not all, is asked for again, and until another file is there.
+    fetched._listings.clear()
+    assert fetched.fetch_some(URL, listing.version, [copy / "frames.csv"])
+    memory.pipe("/vines/june-03/frames.csv", b"CONTENT of frames.csv")
+    memory.pipe("/vines/june-03/left/0.png", b"CONTENT of left/0.png")
+    assert advice in fails("get")
+    # Interrupted between the two, it mixes versions.
+    with monkeypatch.context() as patched:
+        replace = Path.replace
+
+        def killed(self: Path, target: Path) -> Path:
+            if Path(target).name == "0.png":
+                raise KeyboardInterrupt
+            return replace(self, target)
+
+        patched.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            fetch(URL)
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
+    (copy / "frames.csv").unlink()
+    assert advice not in fails("info")
+    # Manifests of before did not say it, and copies were in part then, too.
+    fetch(URL)
+    (manifest,) = copy.parent.glob(".june-03.fetched.json")
+    said = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps({name: said[name] for name in ("url", "files")}))
+    assert advice not in fails("info")
+    fetch(URL)
+    assert advice in fails("info")
 
 
 def test_what_cannot_be_fetched_says_why(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -312,6 +506,25 @@ def test_another_process_that_fetches_is_waited_for(
     fetch(URL)
     assert waited == [False, True]
     assert "waiting for another process that fetches" in caplog.text
+
+
+def test_a_process_that_is_forked_while_fetching_does_not_keep_the_lock(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has a copy of the descriptor, as `os.dup` makes one."""
+    lock, kept = copies.lock, list[int]()
+
+    def forking(descriptor: int, *, wait: bool) -> None:
+        lock(descriptor, wait=wait)
+        kept.append(os.dup(descriptor))
+
+    monkeypatch.setattr(copies, "lock", forking)
+    copy = fetch(URL)
+    try:
+        with copy.with_name(".june-03.fetching").open() as another:
+            lock(another.fileno(), wait=False)
+    finally:
+        os.close(kept[0])
 
 
 def test_a_cache_that_cannot_be_written_is_named(

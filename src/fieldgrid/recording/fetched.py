@@ -11,6 +11,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +20,10 @@ from fieldgrid.recording.copies import (
     CACHE,
     Manifest,
     cache_folder,
+    check_links,
     copy_of,
     digest_of,
+    drafts_of,
     only_here,
     place_in,
     read_manifest,
@@ -144,14 +147,16 @@ def _bring_up_to_date(
     """Fetch what the copy lacks of the files that are wanted, and remove what is at the URL no
     longer."""
     copy = copy_of(listing.url)
-    with writing_copy(copy), only_here(copy):
+    with writing_copy(copy), only_here(copy) as is_alone:
         _check_kind(copy, is_file="" in listing.files)
-        _fetch_missing(listing, copy, wanted, progress)
+        with drafts_of(copy, is_alone=is_alone) as drafts:
+            _fetch_missing(listing, copy, drafts, wanted, progress)
 
 
 def _fetch_missing(
     listing: _Listing,
     copy: Path,
+    drafts: Path,
     wanted: Collection[str],
     progress: Callable[[int, int], None],
 ) -> None:
@@ -161,19 +166,30 @@ def _fetch_missing(
     manifest = read_manifest(copy)
     missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
     _check_room(url, sum(remote[name].size or 0 for name in missing))
-    known = dict(manifest.versions)
+    noted, known = manifest, dict(manifest.versions)
+    gone = known.keys() - remote.keys()
+    check_links(copy, [*missing, *gone])
     for first in range(0, len(missing), _BATCH):
         progress(len(wanted) - len(missing) + first, len(wanted))
         names = missing[first : first + _BATCH]
         with from_backend(url):
-            _fetch_batch(system, remote, names, copy, url)
+            fetched = _fetch_batch(system, remote, names, drafts, url)
+        if noted.is_whole:  # from here on it mixes two versions
+            write_manifest(copy, noted._replace(is_whole=False))
+        for name, draft in fetched.items():
+            place = place_in(copy, name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            draft.replace(place)
         known |= {name: remote[name].version for name in names}
-        write_manifest(copy, url, known)
-    gone = known.keys() - remote.keys()
+        noted = Manifest(url, dict(known))
+        write_manifest(copy, noted)
     for name in gone:
-        place_in(copy, name).unlink(missing_ok=True)
-    if gone:
-        write_manifest(copy, url, {name: known[name] for name in known if name in remote})
+        with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            place_in(copy, name).unlink()
+    left = {name: known[name] for name in known if name in remote}
+    is_whole = left == {name: file.version for name, file in remote.items()}
+    if (done := Manifest(url, left, is_whole)) != noted:
+        write_manifest(copy, done)
     progress(len(wanted), len(wanted))
 
 
@@ -188,26 +204,19 @@ def _is_here(file: RemoteFile, copy: Path, name: str, manifest: Manifest) -> boo
 
 
 def _fetch_batch(
-    system: Any, remote: Mapping[str, RemoteFile], names: list[str], copy: Path, url: str
-) -> None:
-    """Fetch some files; each takes its place when all of its bytes are here."""
-    places = [place_in(copy, name) for name in names]
-    drafts = [place.with_name(f".{place.name}.partial") for place in places]
-    for place in places:
-        place.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        _get(system, [remote[name] for name in names], drafts)
-        for name, draft, place in zip(names, drafts, places, strict=True):
-            size, expected = draft.stat().st_size, remote[name].size
-            if expected is not None and size != expected:
-                raise RecordingError(
-                    f"{name or url} arrived with {size} of its {expected} bytes; repeat the "
-                    "command, which goes on from there."
-                )
-            draft.replace(place)
-    finally:
-        for draft in drafts:
-            draft.unlink(missing_ok=True)
+    system: Any, remote: Mapping[str, RemoteFile], names: list[str], folder: Path, url: str
+) -> dict[str, Path]:
+    """Fetch some files; returns where they are, by name, when all of their bytes are here."""
+    drafts = {name: folder / str(number) for number, name in enumerate(names)}
+    _get(system, [remote[name] for name in names], list(drafts.values()))
+    for name, draft in drafts.items():
+        size, expected = draft.lstat().st_size, remote[name].size
+        if expected is not None and size != expected:
+            raise RecordingError(
+                f"{name or url} arrived with {size} of its {expected} bytes; repeat the "
+                "command, which goes on from there."
+            )
+    return drafts
 
 
 def _get(system: Any, files: Sequence[RemoteFile], drafts: Sequence[Path]) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
 from fieldgrid.limits import Budget, check_rows
-from fieldgrid.recording.copies import copy_of
+from fieldgrid.recording.copies import copy_of, is_own_name, is_whole
 from fieldgrid.recording.files import is_inside
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
@@ -43,7 +43,8 @@ class RemoteFile(NamedTuple):
 
 
 def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
-    """The files of the recording, by their paths relative to it; "" is the recording itself."""
+    """The files of the recording, by their paths relative to it; "" is the recording itself. Files
+    with the names of what lies beside copies (`is_own_name`) are left out."""
     about = system.info(root)
     if about["type"] != "directory":
         if url.endswith("/"):
@@ -63,7 +64,8 @@ def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
                 f"{url} has a file {quoted(name)}, whose name leads out of the recording; rename "
                 "it there."
             )
-        files[name] = _remote_file(info)
+        if not is_own_name(name):
+            files[name] = _remote_file(info)
     if not files:
         raise RecordingError(f"{url} is an empty folder; give the URL of a recording.")
     return files
@@ -143,7 +145,7 @@ def _is_unreachable(cause: BaseException | None) -> bool:
 
 def _unreadable(url: str, error: BaseException | None) -> RecordingError:
     copy = copy_of(url)
-    kept = f", or read the copy of before at {copy}" if copy.exists() else ""
+    kept = f", or read the copy of before at {copy}" if is_whole(copy) else ""
     why = shortened(error) if error is not None else ""
     return RecordingError(
         f"{quoted(url, 200)} cannot be read ({why or type(error).__name__}); "
